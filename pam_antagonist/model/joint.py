@@ -1,0 +1,75 @@
+"""The joint: torque of the muscles, friction, motion. Equations (8), (9) and (10)."""
+
+from __future__ import annotations
+
+from pam_antagonist._jit import inlined
+from pam_antagonist.model.parameters import (
+    ATMOSPHERE,
+    FRICTION_STEP,
+    GRAVITY,
+    INERTIA,
+    MASS,
+    MUSCLE_FRICTION,
+    PRESSURE_FLOOR,
+    RADIUS,
+    SHAFT_FRICTION,
+    SHAFT_RADIUS,
+    STIFFNESS,
+    VISCOUS,
+)
+
+
+@inlined
+def muscle_torque(cosine, force_1, force_2, p):
+    """τ [N m], equation (9): r cos ψ (F_1 − F_2)."""
+    return p[RADIUS] * cosine * (force_1 - force_2)
+
+
+@inlined
+def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
+    """T_s + T_p [N m]: the shaft's friction and the pressure-dependent friction of tube and mesh.
+
+    T_s = r_p μ_s |F_1 + F_2 − M g|;  T_p = μ_p (1/(P_1 − P_out)² + 1/(P_2 − P_out)²), where μ_p is the
+    tables' T_p'. T_p is singular at atmospheric pressure: the gauge pressures in it are bounded below by
+    ``friction.pressure_floor``.
+    """
+    shaft = p[SHAFT_RADIUS] * p[SHAFT_FRICTION] * abs(force_1 + force_2 - p[MASS] * p[GRAVITY])
+    gauge_1 = max(pressure_1 - p[ATMOSPHERE], p[PRESSURE_FLOOR])
+    gauge_2 = max(pressure_2 - p[ATMOSPHERE], p[PRESSURE_FLOOR])
+    square_1 = gauge_1 * gauge_1
+    square_2 = gauge_2 * gauge_2
+    return shaft + p[MUSCLE_FRICTION] * (square_1 + square_2) / (square_1 * square_2)
+
+
+@inlined
+def friction_torque(velocity, applied, coulomb, p):
+    """T_f [N m] by the law of Kikuuwe et al., equation (10), and whether the joint slides.
+
+    ψ̇(k) in the equation is the velocity that the joint would have after a step without friction,
+    ψ̇(k−1) + Z T_0(k), with Z = T_stp/J. (The paper prints J/T_stp, which is no velocity per torque.) Used
+    inside the Runge-Kutta stages the law is a Coulomb friction whose jump at rest is a steep ramp with
+    the time constant T_stp: a body that sticks comes to rest within a few steps and stays.
+
+    Args:
+        velocity: ψ̇ [rad/s].
+        applied: T_0 [N m], all torques but friction.
+        coulomb: T_s + T_p [N m].
+        p: parameter vector.
+
+    Returns:
+        T_f [N m], and 1.0 where the joint slides or 0.0 where it sticks.
+    """
+    z = p[FRICTION_STEP] / p[INERTIA]
+    free = velocity + z * applied
+    if abs(free) <= z * coulomb:
+        return free / z, 0.0
+    sign = 1.0 if free > 0.0 else -1.0
+    return (coulomb * sign + p[VISCOUS] * free) / (1.0 + z * p[VISCOUS]), 1.0
+
+
+@inlined
+def acceleration(angle, velocity, torque, coulomb, p):
+    """ψ̈ [rad/s²], equation (8): (τ − T_f − k_s ψ)/J, and whether the joint slides (1.0) or sticks (0.0)."""
+    applied = torque - p[STIFFNESS] * angle
+    friction, slides = friction_torque(velocity, applied, coulomb, p)
+    return (applied - friction) / p[INERTIA], slides

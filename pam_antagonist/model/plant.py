@@ -1,0 +1,171 @@
+"""A joint to practise on: the physics at a finer step, off its declared values, behind real sensors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import dynamics
+from pam_antagonist.model import parameters as par
+
+if TYPE_CHECKING:
+    from pam_antagonist.rig import Rig
+
+# What scatters together: a muscle that is a percent weaker is so in its whole force map, for instance.
+_SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
+    *(
+        tuple(f"muscle_{i}.{quantity}.{name}" for name in names)
+        for i in (1, 2)
+        for quantity, names in (("volume", ("d1", "d2", "d3")), ("force", ("v1", "v2", "w1", "w2")))
+    ),
+    ("valve_1.inflow_area",),
+    ("valve_1.outflow_area",),
+    ("valve_2.inflow_area",),
+    ("valve_2.outflow_area",),
+    ("gas.polytropic_flow",),
+    ("gas.polytropic_volume",),
+    ("supply.pressure",),
+    ("joint.inertia",),
+    ("joint.viscous_friction",),
+    ("friction.shaft",),
+    ("friction.muscle",),
+)
+
+
+class PlantSample(NamedTuple):
+    """What the sensors of a joint tell at the end of a step.
+
+    Attributes:
+        pressure: measured pressures (2,) [Pa].
+        voltage: voltages (2,) that were on the valves over the step [V].
+        angle: encoder [rad].
+        torque: torque meter [N m].
+        truth: the state itself (4,), which no sensor shows.
+    """
+
+    pressure: np.ndarray
+    voltage: np.ndarray
+    angle: float
+    torque: float
+    truth: np.ndarray
+
+
+def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndarray:
+    """Parameters of a joint that is not quite the declared one.
+
+    Args:
+        p: parameter vector (parameters.SIZE,).
+        spread: relative standard deviation of each independent factor [-].
+        rng: source of the scatter.
+
+    Returns:
+        New vector; volume and force map of a muscle are scaled as a whole, since their coefficients
+        nearly cancel.
+    """
+    factors = rng.normal(1.0, spread, len(_SCATTER_GROUPS))
+    changes = {
+        name: p[par.INDEX[name]] * factor
+        for group, factor in zip(_SCATTER_GROUPS, factors, strict=True)
+        for name in group
+    }
+    return par.changed(p, changes)
+
+
+class Plant:
+    """Ground truth for trials without hardware.
+
+    It runs the model's physics at ``substeps`` a sample, friction included, with parameters scattered by
+    ``mismatch`` and measured through noisy, quantised sensors, so that an estimator never meets its own
+    model. It is a simulator of this project: agreement with it says nothing about a real joint.
+
+    Args:
+        rig: the rig as declared.
+        joint: ``free`` or ``locked``.
+        lock_angle: angle [rad] at which a locked joint is held.
+        seed: of the scatter and the sensor noise.
+        substeps: integration steps a sample period.
+        mismatch: relative standard deviation of the parameters [-].
+        noise: False for exact sensors.
+        initial_pressure: of both muscles [Pa].
+        initial_angle: [rad]; default: at rest under the initial pressures.
+
+    Raises:
+        BadInput: fewer than one substep, a negative mismatch, or initial values that are not physical.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        joint: str = "free",
+        lock_angle: float = 0.0,
+        seed: int = 0,
+        substeps: int = 4,
+        mismatch: float = 0.0,
+        noise: bool = True,
+        initial_pressure: tuple[float, float] = (450e3, 450e3),
+        initial_angle: float | None = None,
+    ) -> None:
+        if substeps < 1:
+            raise BadInput(f"plant: {substeps} substeps, expected 1 or more")
+        if not 0.0 <= mismatch < 0.3:
+            raise BadInput(f"plant: mismatch {mismatch:g}, expected a relative scatter from 0 to 0.3")
+        lowest, highest = rig.atmosphere.pressure, rig.supply.pressure
+        if not all(lowest <= value <= highest for value in initial_pressure):
+            raise BadInput(
+                f"plant: initial pressures {initial_pressure} Pa, expected absolute ones from {lowest:g} to {highest:g}"
+            )
+        self._rng = np.random.default_rng(seed)
+        p = scattered(rig.parameters(joint, lock_angle), mismatch, self._rng)
+        self._dt = rig.sample_period / substeps
+        p[par.FRICTION_STEP] = self._dt
+        self._p = p
+        self._substeps = substeps
+        self._sensors = rig.sensors
+        self._noise = noise
+        if joint == "locked":
+            angle = lock_angle
+        else:
+            angle = dynamics.rest_angle(*initial_pressure, p) if initial_angle is None else initial_angle
+        self._x = np.array([angle, 0.0, *initial_pressure])
+        self._u = np.zeros(2)
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """The true parameter vector (a copy)."""
+        return self._p.copy()
+
+    def _measured(self, value: float, std: float, step: float) -> float:
+        if not self._noise:
+            return value
+        value += std * self._rng.standard_normal()
+        return round(value / step) * step if step > 0.0 else value
+
+    def step(self, voltage: tuple[float, float] | np.ndarray) -> PlantSample:
+        """Advance one sample period.
+
+        Args:
+            voltage: on the valves over the period (2,) [V].
+
+        Returns:
+            What the sensors show at its end.
+
+        Raises:
+            BadInput: a voltage that is not finite.
+        """
+        self._u[:] = voltage
+        if not np.all(np.isfinite(self._u)):
+            raise BadInput(f"plant: valve voltages {tuple(self._u)} V, expected finite ones")
+        for _ in range(self._substeps):
+            dynamics.rk4_step(self._x, self._u, self._p, self._dt, self._x)
+        sensors = self._sensors
+        return PlantSample(
+            pressure=np.array(
+                [self._measured(value, sensors.pressure_std, sensors.pressure_step) for value in self._x[2:4]]
+            ),
+            voltage=self._u.copy(),
+            angle=self._measured(self._x[0], sensors.angle_std, sensors.angle_step),
+            torque=self._measured(dynamics.torque(self._x, self._p), sensors.torque_std, sensors.torque_step),
+            truth=self._x.copy(),
+        )
