@@ -1,0 +1,6 @@
+"""Rigs: one validated YAML file each, and what the physics and the estimator read from it."""
+
+from pam_antagonist.rig.load import load_rig, rig_names
+from pam_antagonist.rig.schema import Rig, Tuning
+
+__all__ = ["Rig", "Tuning", "load_rig", "rig_names"]

@@ -1,0 +1,237 @@
+"""What a rig file may hold: every value with its unit, its bounds and what it is called in the paper.
+
+The bounds are wide enough for any pneumatic muscle joint that fits on a table, and narrow enough that a
+gauge pressure, degrees, kilopascals or millimetres are caught. Works with pydantic 1.10 and 2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Dict, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+
+import numpy as np
+import pydantic
+from pydantic import BaseModel, Field
+from typing_extensions import Self
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import parameters as par
+
+if pydantic.VERSION.startswith("1."):
+
+    class _Strict(BaseModel):
+        class Config:
+            extra = "forbid"
+            allow_mutation = False
+
+        def replaced(self, **fields: Any) -> Self:
+            """A copy with some fields replaced; what is put in is not checked again."""
+            return self.copy(update=fields)
+
+else:
+
+    class _Strict(BaseModel):  # type: ignore[no-redef]
+        model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+        def replaced(self, **fields: Any) -> Self:
+            """A copy with some fields replaced; what is put in is not checked again."""
+            return self.model_copy(update=fields)
+
+
+class Geometry(_Strict):
+    """Equation (2)."""
+
+    radius: float = Field(gt=1e-3, lt=0.5, description="r, radius of the seesaw [m]")
+    length: float = Field(gt=0.02, lt=2.0, description="L_0, muscle length at ψ = 0 [m]")
+
+
+class Volume(_Strict):
+    """Equation (3): V = d1 l² + d2 l + d3."""
+
+    d1: float = Field(description="D_1 [m]")
+    d2: float = Field(description="D_2 [m²]")
+    d3: float = Field(description="D_3 [m³]")
+
+
+class Force(_Strict):
+    """Equations (6), (7): F = (v1 l + v2) P + w1 l + w2, with absolute pressure."""
+
+    v1: float = Field(description="p_v1 [m]")
+    v2: float = Field(description="p_v2 [m²]")
+    w1: float = Field(description="p_w1 [N/m]")
+    w2: float = Field(description="p_w2 [N]")
+
+
+class Muscle(_Strict):
+    """One muscle."""
+
+    volume: Volume
+    force: Force
+
+
+class Curve(_Strict):
+    """α = κ(u), linear between the points."""
+
+    voltage: Tuple[float, ...] = Field(description="u [V], increasing")  # noqa: UP006
+    open_rate: Tuple[float, ...] = Field(description="α [-], 0 to 1, not decreasing")  # noqa: UP006
+
+
+class Valve(_Strict):
+    """Equation (5) and the valve's curve."""
+
+    inflow_area: float = Field(gt=1e-11, lt=1e-4, description="A_1, orifice area while the muscle fills [m²]")
+    outflow_area: float = Field(gt=1e-11, lt=1e-4, description="A_2, orifice area while it empties [m²]")
+    curve: Curve
+
+
+class ValveLimits(_Strict):
+    """What may be put on the valves."""
+
+    voltage_min: float = Field(ge=0.0, le=10.0, description="[V]")
+    voltage_max: float = Field(ge=0.0, le=10.0, description="[V]")
+
+
+class Gas(_Strict):
+    """Equations (4) and (5)."""
+
+    heat_ratio: float = Field(gt=1.0, lt=2.0, description="k [-]")
+    constant: float = Field(gt=50.0, lt=5000.0, description="R [J/(kg K)]")
+    temperature: float = Field(gt=200.0, lt=400.0, description="T [K]")
+    polytropic_flow: float = Field(gt=0.2, lt=2.0, description="k_1 [-]")
+    polytropic_volume: float = Field(gt=0.2, lt=2.0, description="k_2 [-]")
+
+
+class Supply(_Strict):
+    """The tank."""
+
+    pressure: float = Field(gt=150e3, lt=2e6, description="P_tank, absolute [Pa]")
+
+
+class Atmosphere(_Strict):
+    """The surroundings."""
+
+    pressure: float = Field(gt=50e3, lt=120e3, description="P_out, absolute [Pa]")
+
+
+class Joint(_Strict):
+    """Equations (8), (9) and T_s."""
+
+    inertia: float = Field(gt=1e-7, lt=10.0, description="J [kg m²]")
+    stiffness: float = Field(ge=0.0, lt=1e3, description="k_s [N m/rad]")
+    viscous_friction: float = Field(ge=0.0, lt=10.0, description="c_s [N m s/rad]")
+    shaft_radius: float = Field(gt=0.0, lt=0.1, description="r_p [m]")
+    mass: float = Field(ge=0.0, lt=100.0, description="M [kg]")
+    gravity: float = Field(ge=0.0, lt=25.0, description="g [m/s²]")
+    stop: Optional[float] = Field(gt=0.0, lt=math.pi / 2, description="mechanical stop at ± [rad], or null")  # noqa: UP045
+
+
+class Friction(_Strict):
+    """Equation (10)."""
+
+    shaft: float = Field(ge=0.0, lt=5.0, description="μ_s [-]")
+    muscle: float = Field(ge=0.0, lt=1e13, description="μ_p [N m Pa²], T_p' in the paper's tables")
+    pressure_floor: float = Field(
+        gt=0.0, lt=200e3, description="least gauge pressure in T_p, which is singular at the atmosphere's [Pa]"
+    )
+
+
+class Sensors(_Strict):
+    """Noise (one standard deviation) and step of the converter (0: none) of each sensor."""
+
+    pressure_std: float = Field(gt=0.0, lt=100e3, description="[Pa]")
+    pressure_step: float = Field(ge=0.0, lt=100e3, description="[Pa]")
+    angle_std: float = Field(ge=0.0, lt=0.2, description="validation only [rad]")
+    angle_step: float = Field(ge=0.0, lt=0.2, description="validation only [rad]")
+    torque_std: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
+    torque_step: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
+
+
+_Diagonal = Tuple[float, float, float, float]  # noqa: UP006
+
+
+class Tuning(_Strict):
+    """One tuning of the filter. Variances of [ψ, ψ̇, P_1, P_2] in [rad², rad²/s², Pa², Pa²]."""
+
+    initial: _Diagonal = Field(description="diagonal of P(0)")
+    process: _Diagonal = Field(description="diagonal of Q, a step")
+    measurement: Tuple[float, float] = Field(description="diagonal of R [Pa²]")  # noqa: UP006
+    kappa: float = Field(ge=0.0, lt=100.0, description="scaling of the sigma points [-]")
+    consider: bool = Field(description="carry the rig's uncertain parameters in the covariance")
+    gate: float = Field(gt=1.0, description="largest Mahalanobis distance of a pressure that is used [-]")
+
+
+class Rig(_Strict):
+    """A rig: the numbers of its model, sensors and filter tunings.
+
+    Read one with :func:`pam_antagonist.rig.load_rig`.
+    """
+
+    name: str
+    source: str = Field(description="where the numbers come from")
+    sample_period: float = Field(ge=1e-4, le=0.02, description="T_stp [s]")
+    geometry: Geometry
+    muscle_1: Muscle
+    muscle_2: Muscle
+    valve_1: Valve
+    valve_2: Valve
+    valves: ValveLimits
+    supply: Supply
+    atmosphere: Atmosphere
+    gas: Gas
+    joint: Joint
+    friction: Friction
+    sensors: Sensors
+    uncertainty: Dict[str, float]  # noqa: UP006
+    tunings: Dict[str, Tuning]  # noqa: UP006
+
+    def value(self, name: str) -> float:
+        """The number at a dotted path, such as ``muscle_1.force.w2``.
+
+        Raises:
+            KeyError: no such number.
+        """
+        node: Any = self
+        for part in name.split("."):
+            if not hasattr(node, part):
+                raise KeyError(name)
+            node = getattr(node, part)
+        return math.inf if node is None else float(node)
+
+    def parameters(
+        self, joint: str = "free", lock_angle: float = 0.0, changes: Mapping[str, float] | None = None
+    ) -> np.ndarray:
+        """The parameter vector of the physics.
+
+        Args:
+            joint: ``free`` or ``locked``.
+            lock_angle: angle [rad] at which a locked joint is held; states must start there.
+            changes: values that differ from the file's, by dotted path.
+
+        Returns:
+            Vector (parameters.SIZE,), float64.
+
+        Raises:
+            BadInput: a joint condition that does not exist, or a locked angle beyond the stop.
+        """
+        if joint not in ("free", "locked"):
+            raise BadInput(f"joint condition {joint!r}: expected 'free' or 'locked'")
+        if not abs(lock_angle) <= (self.joint.stop or math.pi / 2):
+            raise BadInput(f"lock angle {lock_angle:g} rad: expected within the joint's stop, ±{self.joint.stop} rad")
+        p = np.zeros(par.SIZE)
+        for name, index in par.INDEX.items():
+            p[index] = self.sample_period if name == "friction.time_step" else self.value(name)
+        p[par.LOCKED] = float(joint == "locked")
+        for number, valve in enumerate((self.valve_1, self.valve_2)):
+            par.set_curve(p, number, np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
+        return par.changed(p, changes or {})
+
+    def tuning(self, name: str) -> Tuning:
+        """The filter tuning of that name.
+
+        Raises:
+            BadInput: the rig has no such tuning.
+        """
+        if name not in self.tunings:
+            raise BadInput(f"tuning {name!r} of rig {self.name}: expected one of {', '.join(sorted(self.tunings))}")
+        return self.tunings[name]
