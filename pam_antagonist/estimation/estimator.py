@@ -1,0 +1,237 @@
+"""The estimator: angle and torque with their covariance from two pressures, live or over a recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import filter as kernels
+from pam_antagonist.estimation.filter import COUNTERS, ESTIMATE_DTYPE, ROW
+from pam_antagonist.model import dynamics
+from pam_antagonist.model.dynamics import STATES
+from pam_antagonist.rig import Rig
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What became of the samples that an estimator was given."""
+
+    processed: int
+    predicted_only: int
+    missing: int
+    outliers: int
+    late: int
+    duplicates: int
+    gaps: int
+    repaired: int
+    restarts: int
+
+
+@dataclass(frozen=True)
+class EstimateRun:
+    """Estimates over a recording.
+
+    Attributes:
+        rows: estimates (M,) of ``ESTIMATE_DTYPE``.
+        stamp_ns: their stamps (M,) [ns].
+        index: the sample of the recording that each belongs to (M,).
+        started_ns: stamp at which the filter behind each was started (M,) [ns].
+        counts: what became of the samples.
+    """
+
+    rows: np.ndarray
+    stamp_ns: np.ndarray
+    index: np.ndarray
+    started_ns: np.ndarray
+    counts: Counts
+
+
+@dataclass(frozen=True)
+class ModelRun:
+    """The model alone, driven by recorded voltages: (N,) [rad, rad/s], (N, 2) [Pa], (N,) [N m], (N,) σ."""
+
+    angle: np.ndarray
+    velocity: np.ndarray
+    pressure: np.ndarray
+    torque: np.ndarray
+    subsystem: np.ndarray
+
+
+class Estimator:
+    """The unscented Kalman filter of a rig, on pressures and valve voltages.
+
+    Args:
+        rig: the rig.
+        tuning: name of one of its tunings.
+        joint: ``free``, or ``locked`` where the joint is held.
+        lock_angle: angle [rad] at which a locked joint is held.
+
+    Raises:
+        BadInput: a tuning or joint condition that does not exist.
+    """
+
+    def __init__(self, rig: Rig, tuning: str = "default", joint: str = "free", lock_angle: float = 0.0) -> None:
+        chosen = rig.tuning(tuning)
+        nominal = rig.parameters(joint, lock_angle)
+        considered = dict(rig.uncertainty) if chosen.consider else {}
+        n, m = STATES, len(considered)
+        reach = math.sqrt(n + m + chosen.kappa)
+        if reach == 0.0:
+            raise BadInput(f"tuning {tuning!r}: kappa {chosen.kappa:g} leaves no spread for the sigma points")
+        parameter_sets = [nominal]
+        for name, std in considered.items():
+            parameter_sets.append(rig.parameters(joint, lock_angle, {name: rig.value(name) + reach * std}))
+            parameter_sets.append(rig.parameters(joint, lock_angle, {name: rig.value(name) - reach * std}))
+        held = np.array([0.0, 0.0, 1.0, 1.0]) if joint == "locked" else np.ones(4)
+        self._settings = (
+            np.array(parameter_sets),
+            np.array(chosen.initial) * held,
+            np.array(chosen.process) * held,
+            np.array(chosen.measurement),
+            np.array([rig.sample_period, chosen.kappa, chosen.gate, lock_angle]),
+        )
+        self._clock = np.zeros(kernels.CLOCK_SIZE, dtype=np.int64)
+        self._counts = np.zeros(len(COUNTERS), dtype=np.int64)
+        self._memory = (
+            np.zeros(n),
+            np.zeros((n, n)),
+            np.zeros((n, m)),
+            np.zeros(2),
+            self._clock,
+            self._counts,
+            np.zeros(2),
+            np.zeros((2, 2)),
+            np.zeros(2 + n),
+            np.zeros(n),
+        )
+        self._work = kernels.make_work(n, m)
+        self._row = np.zeros(ROW)
+        self._view = self._row.view(ESTIMATE_DTYPE)
+        self._y = np.zeros(2)
+        self._u = np.zeros(2)
+        self._compile()
+
+    def _compile(self) -> None:
+        """Compile, or load from the cache, everything that a sample needs: nothing is compiled in the loop."""
+        for stamp in (1, 1_000_001):
+            self.step(stamp, 4e5, 4e5, 5.0, 5.0)
+        self.reset()
+        self._counts[:] = 0
+
+    def reset(self) -> None:
+        """Forget the estimate; the next sample with both pressures and voltages starts the filter."""
+        self._clock[:] = 0
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the samples so far."""
+        return Counts(*(int(value) for value in self._counts))
+
+    @property
+    def started_ns(self) -> int | None:
+        """Stamp [ns] of the sample that started the running filter, None before that."""
+        return kernels.started_ns(self._clock)
+
+    def step(self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float) -> np.void | None:
+        """Take one sample in.
+
+        Args:
+            stamp_ns: its stamp [ns].
+            p1: pressure of muscle 1, absolute [Pa], NaN where missing.
+            p2: pressure of muscle 2, absolute [Pa], NaN where missing.
+            u1: voltage on valve 1 over the step that ends at the stamp [V], NaN where missing.
+            u2: voltage on valve 2, likewise.
+
+        Returns:
+            The estimate (an ``ESTIMATE_DTYPE``, overwritten by the next call), or None where there is none:
+            the sample was not newer than the last one, or the filter is not started yet.
+        """
+        y, u = self._y, self._u
+        y[0] = p1
+        y[1] = p2
+        u[0] = u1
+        u[1] = u2
+        if kernels.process(stamp_ns, y, u, self._memory, self._settings, self._work, self._row):
+            return self._view[0]
+        return None
+
+    def run(self, stamp_ns: np.ndarray, pressure: np.ndarray, voltage: np.ndarray) -> EstimateRun:
+        """Take a recording in, sample by sample; the same as calling :meth:`step` for each.
+
+        Args:
+            stamp_ns: stamps (N,) [ns].
+            pressure: pressures (N, 2) [Pa], NaN where missing.
+            voltage: voltages (N, 2) [V], NaN where missing.
+        """
+        samples = len(stamp_ns)
+        rows = np.zeros((samples, ROW))
+        index = np.zeros(samples, dtype=np.int64)
+        started = np.zeros(samples, dtype=np.int64)
+        stamps = np.ascontiguousarray(stamp_ns, dtype=np.int64)
+        count = kernels.process_all(
+            stamps,
+            np.array(pressure, dtype=np.float64, order="C"),
+            np.array(voltage, dtype=np.float64, order="C"),
+            self._memory,
+            self._settings,
+            self._work,
+            rows,
+            index,
+            started,
+        )
+        return EstimateRun(
+            rows=rows[:count].view(ESTIMATE_DTYPE)[:, 0],
+            stamp_ns=stamps[index[:count]],
+            index=index[:count],
+            started_ns=started[:count],
+            counts=self.counts,
+        )
+
+
+def simulate_model(
+    rig: Rig,
+    voltage: np.ndarray,
+    pressure0: np.ndarray,
+    joint: str = "free",
+    lock_angle: float = 0.0,
+    angle0: float | None = None,
+    substeps: int = 1,
+) -> ModelRun:
+    """The model alone from the first pressures on, without any measurement after them.
+
+    Args:
+        rig: the rig.
+        voltage: (N, 2) [V]; row k is held over the step that ends at sample k. A missing row (NaN) holds
+            the one before it.
+        pressure0: pressures (2,) [Pa] at the first sample.
+        joint: ``free`` or ``locked``.
+        lock_angle: angle [rad] of a locked joint.
+        angle0: angle [rad] of a free joint at the first sample; default: at rest under the pressures.
+        substeps: Runge-Kutta steps a sample.
+
+    Raises:
+        BadInput: the first pressures or voltages are not finite.
+    """
+    p = rig.parameters(joint, lock_angle)
+    held = _hold_last(np.array(voltage, dtype=np.float64, order="C"))
+    pressures = np.asarray(pressure0, dtype=np.float64)
+    if not (np.all(np.isfinite(pressures)) and np.all(np.isfinite(held))):
+        raise BadInput("the model alone needs two finite pressures and voltages to start from")
+    if joint == "locked":
+        angle = lock_angle
+    else:
+        angle = dynamics.rest_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
+    start = np.array([angle, 0.0, pressures[0], pressures[1]])
+    states, torques, sigma = dynamics.simulate(start, held, p, rig.sample_period, substeps)
+    return ModelRun(states[:, 0], states[:, 1], states[:, 2:4], torques, sigma)
+
+
+def _hold_last(voltage: np.ndarray) -> np.ndarray:
+    missing = ~np.all(np.isfinite(voltage), axis=1)
+    if missing.any() and not missing.all():
+        known = np.where(missing, 0, np.arange(len(voltage)))
+        voltage = voltage[np.maximum.accumulate(known)]
+    return voltage

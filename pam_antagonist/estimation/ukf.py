@@ -1,0 +1,251 @@
+"""The unscented Kalman filter as compiled kernels: the paper's equations (13) to (24), and one extension.
+
+The extension is consider (Schmidt-Kalman) parameters: m parameters of the model that are uncertain, and
+stay so. They enter as normalised θ ~ N(0, I), whose covariance the filter never reduces, and their cross
+covariance C = cov(x, θ) with the state is carried along. With m = 0 every formula below is the paper's.
+
+Sigma points of the joint vector [θ, x] come from its lower Cholesky factor
+
+    [ I  0 ]        c = √(m + n + κ),  L Lᵀ = P − C Cᵀ,
+    [ C  L ],
+
+so that a column of θ moves parameters *and* state, and a column of x the state alone. The perturbed
+parameter vectors are therefore the same at every step and are made once. The gain acts on the state only.
+
+Departures from the print, each with its reason: the gain is P_xy/P_yy, since P_yy already holds R; rows of
+the matrix square root in (14), (15) are columns of the lower factor.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist._jit import kernel
+from pam_antagonist.estimation.factor import factorise
+from pam_antagonist.model import dynamics
+from pam_antagonist.model.dynamics import PRESSURE_1
+
+_rk4_step, _torque = dynamics.rk4_step, dynamics.torque
+OUTPUTS = 2
+
+
+@kernel
+def spread_points(x, cross, lower, reach, points):
+    """Sigma points of the state, equations (13) to (15).
+
+    Args:
+        x: mean (n,).
+        cross: C (n, m).
+        lower: L (n, n).
+        reach: c.
+        points: result (1 + 2 m + 2 n, n): the mean, then a pair for each θ, then one for each state.
+    """
+    n = x.shape[0]
+    m = cross.shape[1]
+    for i in range(n):
+        points[0, i] = x[i]
+        for j in range(m):
+            step = reach * cross[i, j]
+            points[1 + 2 * j, i] = x[i] + step
+            points[2 + 2 * j, i] = x[i] - step
+        for j in range(n):
+            step = reach * lower[i, j]
+            points[1 + 2 * (m + j), i] = x[i] + step
+            points[2 + 2 * (m + j), i] = x[i] - step
+
+
+@kernel
+def conditional_factor(covariance, cross, scratch, lower):
+    """L with L Lᵀ = P − C Cᵀ; where a pivot was lost, P is set to C Cᵀ + L Lᵀ so that it is definite.
+
+    Returns:
+        Repaired pivots, -1 for a covariance that is not finite.
+    """
+    n = covariance.shape[0]
+    m = cross.shape[1]
+    for i in range(n):
+        for j in range(i + 1):
+            total = covariance[i, j]
+            for k in range(m):
+                total -= cross[i, k] * cross[j, k]
+            scratch[i, j] = total
+            if i == j and m > 0 and total < 1e-12 * covariance[i, i]:
+                scratch[i, j] = 1e-12 * covariance[i, i]
+    repaired = factorise(scratch, lower)
+    if repaired > 0:
+        for i in range(n):
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(m):
+                    total += cross[i, k] * cross[j, k]
+                for k in range(j + 1):
+                    total += lower[i, k] * lower[j, k]
+                covariance[i, j] = total
+                covariance[j, i] = total
+    return repaired
+
+
+@kernel
+def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
+    """Prediction step, equations (13) to (18), in place.
+
+    Args:
+        x: estimate (n,).
+        covariance: P (n, n).
+        cross: C (n, m).
+        u: input (2,) held over the step.
+        parameter_sets: (1 + 2 m, SIZE): nominal, then a pair for each θ at ±c.
+        dt: step [s].
+        noise: diagonal of Q (n,) for this step.
+        kappa: κ.
+        work: scratch, see :func:`pam_antagonist.estimation.filter.make_work`.
+
+    Returns:
+        Repaired pivots, -1 where the covariance is not finite.
+    """
+    points, lower, scratch, _, _ = work
+    n = x.shape[0]
+    m = cross.shape[1]
+    spread = m + n + kappa
+    reach = spread**0.5
+    repaired = conditional_factor(covariance, cross, scratch, lower)
+    if repaired < 0:
+        return repaired
+    spread_points(x, cross, lower, reach, points)
+    for k in range(1 + 2 * m + 2 * n):
+        which = k if k <= 2 * m else 0
+        _rk4_step(points[k], u, parameter_sets[which], dt, points[k])
+    centre_weight = kappa / spread
+    weight = 0.5 / spread
+    for i in range(n):
+        total = 0.0
+        for k in range(1, 1 + 2 * m + 2 * n):
+            total += points[k, i]
+        x[i] = centre_weight * points[0, i] + weight * total
+        for j in range(m):
+            cross[i, j] = weight * reach * (points[1 + 2 * j, i] - points[2 + 2 * j, i])
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(1, 1 + 2 * m + 2 * n):
+                total += (points[k, i] - x[i]) * (points[k, j] - x[j])
+            total = centre_weight * (points[0, i] - x[i]) * (points[0, j] - x[j]) + weight * total
+            if i == j:
+                total += noise[i]
+            covariance[i, j] = total
+            covariance[j, i] = total
+    return repaired
+
+
+@kernel
+def innovate(x, covariance, y, noise, innovation, innovation_covariance):
+    """Innovation and its covariance, equations (19) to (21).
+
+    g picks the pressures out of the state. For such a linear g the redrawn sigma points of (19) have
+    exactly the moments ŷ = g(x̂), P_yy = g P gᵀ + R and P_xy = P gᵀ (22), which are used directly.
+
+    Args:
+        x: prediction (n,).
+        covariance: P⁻ (n, n).
+        y: measured pressures (2,) [Pa].
+        noise: diagonal of R (2,).
+        innovation: result (2,).
+        innovation_covariance: result (2, 2).
+    """
+    for a in range(OUTPUTS):
+        innovation[a] = y[a] - x[PRESSURE_1 + a]
+        for b in range(OUTPUTS):
+            innovation_covariance[a, b] = covariance[PRESSURE_1 + a, PRESSURE_1 + b]
+        innovation_covariance[a, a] += noise[a]
+
+
+@kernel
+def update(x, covariance, cross, innovation, noise, use_1, use_2, work):
+    """Update step, equations (23) and (24), for the pressures that are to be used, in place.
+
+    The gain K = P_xy/P_yy of the whole P⁻ acts on the state; C ← C − K g C. The covariance is updated in
+    Joseph's form, (I − K g) P⁻ (I − K g)ᵀ + K R Kᵀ, which equals (24) for this gain and stays symmetric
+    and non-negative under rounding.
+
+    Returns:
+        Normalised innovation squared of the pressures used.
+    """
+    _, factor, scratch, gain, _ = work
+    n = x.shape[0]
+    m = cross.shape[1]
+    s11 = covariance[PRESSURE_1, PRESSURE_1] + noise[0]
+    s22 = covariance[PRESSURE_1 + 1, PRESSURE_1 + 1] + noise[1]
+    s12 = covariance[PRESSURE_1, PRESSURE_1 + 1]
+    i11, i12, i22 = 0.0, 0.0, 0.0
+    if use_1 and use_2:
+        determinant = s11 * s22 - s12 * s12
+        i11, i12, i22 = s22 / determinant, -s12 / determinant, s11 / determinant
+    elif use_1:
+        i11 = 1.0 / s11
+    elif use_2:
+        i22 = 1.0 / s22
+    v1 = innovation[0] if use_1 else 0.0
+    v2 = innovation[1] if use_2 else 0.0
+    for i in range(n):
+        a = covariance[i, PRESSURE_1]
+        b = covariance[i, PRESSURE_1 + 1]
+        gain[i, 0] = a * i11 + b * i12
+        gain[i, 1] = a * i12 + b * i22
+        x[i] += gain[i, 0] * v1 + gain[i, 1] * v2
+    for j in range(m):
+        c1 = cross[PRESSURE_1, j]
+        c2 = cross[PRESSURE_1 + 1, j]
+        for i in range(n):
+            cross[i, j] -= gain[i, 0] * c1 + gain[i, 1] * c2
+    # (I − K g) P⁻: K g takes two rows of P⁻.
+    for i in range(n):
+        for j in range(n):
+            scratch[i, j] = (
+                covariance[i, j] - gain[i, 0] * covariance[PRESSURE_1, j] - gain[i, 1] * covariance[PRESSURE_1 + 1, j]
+            )
+    for i in range(n):
+        for j in range(i + 1):
+            value = (
+                scratch[i, j]
+                - scratch[i, PRESSURE_1] * gain[j, 0]
+                - scratch[i, PRESSURE_1 + 1] * gain[j, 1]
+                + gain[i, 0] * noise[0] * gain[j, 0]
+                + gain[i, 1] * noise[1] * gain[j, 1]
+            )
+            factor[i, j] = value
+    for i in range(n):
+        for j in range(i + 1):
+            covariance[i, j] = factor[i, j]
+            covariance[j, i] = factor[i, j]
+    return v1 * v1 * i11 + 2.0 * v1 * v2 * i12 + v2 * v2 * i22
+
+
+@kernel
+def torque_moments(x, covariance, cross, parameter_sets, kappa, work, moments):
+    """Torque and its covariances by the unscented transform of equation (9).
+
+    Args:
+        moments: result (1 + 1 + n,): mean of τ [N m], its variance, its covariance with each state.
+
+    Returns:
+        Repaired pivots, -1 where the covariance is not finite.
+    """
+    points, lower, scratch, _, torques = work
+    n = x.shape[0]
+    m = cross.shape[1]
+    spread = m + n + kappa
+    repaired = conditional_factor(covariance, cross, scratch, lower)
+    if repaired < 0:
+        return repaired
+    spread_points(x, cross, lower, spread**0.5, points)
+    mean = 0.0
+    for k in range(1 + 2 * m + 2 * n):
+        weight = kappa / spread if k == 0 else 0.5 / spread
+        torques[k] = _torque(points[k], parameter_sets[k if k <= 2 * m else 0])
+        mean += weight * torques[k]
+    moments[:] = 0.0
+    moments[0] = mean
+    for k in range(1 + 2 * m + 2 * n):
+        weight = kappa / spread if k == 0 else 0.5 / spread
+        moments[1] += weight * (torques[k] - mean) ** 2
+        for i in range(n):
+            moments[2 + i] += weight * (torques[k] - mean) * (points[k, i] - x[i])
+    return repaired

@@ -1,0 +1,94 @@
+"""The covariance: definite whatever comes, right for the torque, and honest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recordings import START_NS, trial
+
+from pam_antagonist.estimation import Estimator, simulate_model
+from pam_antagonist.model import dynamics
+from pam_antagonist.rig import load_rig
+
+RIG = load_rig("shin2022")
+PRESSURE = st.one_of(st.floats(-1e6, 3e6), st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1e30, -1e30]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    samples=st.lists(st.tuples(PRESSURE, PRESSURE, st.floats(-20, 30), st.integers(0, 50)), min_size=5, max_size=60),
+    tuning=st.sampled_from(["default", "published"]),
+    joint=st.sampled_from(["free", "locked"]),
+)
+def test_stays_finite_and_definite_whatever_the_sensors_say(samples, tuning, joint) -> None:
+    stamps = START_NS + np.cumsum([1 + gap for *_, gap in samples]) * 1_000_000
+    pressure = np.array([(a, b) for a, b, _, _ in samples])
+    pressure[0] = 4e5
+    voltage = np.array([(u, 10.0 - u) for _, _, u, _ in samples])
+    run = Estimator(RIG, tuning, joint).run(stamps, pressure, voltage)
+    assert len(run.rows) > 0
+    for row in run.rows:
+        assert np.isfinite([row["angle"], row["velocity"], row["torque"]]).all()
+        assert np.isfinite(row["covariance"]).all()
+        scale = np.sqrt(np.maximum(np.diag(row["covariance"]), 1e-300))
+        eigenvalues = np.linalg.eigvalsh(row["covariance"] / np.outer(scale, scale))
+        assert eigenvalues.min() > -1e-9
+        if joint == "free":
+            assert np.all(np.diag(row["covariance"]) > 0.0)
+
+
+def test_torque_variance_is_that_of_its_parts() -> None:
+    """Held at 0°, (9) is linear: its variance is that of the force intercepts plus that of the pressures."""
+    recording = trial(2.0, seed=9)
+    arrays = recording.stamp_ns, recording.pressure, recording.voltage
+    locked = Estimator(RIG, joint="locked").run(*arrays).rows[-1]
+    radius = RIG.geometry.radius
+    intercepts = radius * np.hypot(RIG.uncertainty["muscle_1.force.w2"], RIG.uncertainty["muscle_2.force.w2"])
+    slopes = [m.force.v1 * RIG.geometry.length + m.force.v2 for m in (RIG.muscle_1, RIG.muscle_2)]
+    pressures = radius * np.hypot(*slopes) * RIG.sensors.pressure_std
+    deviation = np.sqrt(locked["covariance"][2, 2])
+    assert intercepts < deviation < np.hypot(intercepts, pressures)
+    # A free joint gives way until friction holds it, so its torque is known better.
+    free = Estimator(RIG).run(*arrays).rows[-1]
+    assert free["covariance"][2, 2] < locked["covariance"][2, 2]
+
+
+def test_stiffness_and_forces_belong_to_the_estimate() -> None:
+    recording = trial(2.0, seed=9)
+    row = Estimator(RIG).run(recording.stamp_ns, recording.pressure, recording.voltage).rows[-1]
+    p = RIG.parameters()
+    x = np.array([row["angle"], row["velocity"], *row["pressure"]])
+    assert tuple(row["force"]) == dynamics.forces(x, p)
+    left, right = x.copy(), x.copy()
+    left[0] -= 1e-6
+    right[0] += 1e-6
+    slope = (dynamics.torque(right, p) - dynamics.torque(left, p)) / 2e-6
+    assert row["stiffness"] == pytest.approx(slope, rel=1e-6)
+    assert row["stiffness"] < 0.0  # muscles pull back
+
+
+def test_intervals_cover_the_truth_of_scattered_plants() -> None:
+    """Honest on the whole: over plants scattered by 1 %, not on each of them."""
+    angle, torque = [], []
+    for seed in range(20):
+        recording = trial(8.0, seed=seed)
+        rows = Estimator(RIG).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+        deviation = np.sqrt(rows["covariance"][:, 0, 0] + RIG.sensors.angle_std**2)
+        angle.append(np.mean(np.abs(rows["angle"] - recording.angle) < 1.96 * deviation))
+        deviation = np.sqrt(rows["covariance"][:, 2, 2] + RIG.sensors.torque_std**2)
+        torque.append(np.mean(np.abs(rows["torque"] - recording.torque) < 1.96 * deviation))
+    assert 0.85 <= np.mean(angle) <= 0.99, np.round(angle, 2)
+    assert 0.85 <= np.mean(torque) <= 0.99, np.round(torque, 2)
+
+
+def test_the_published_tuning_is_as_bad_as_the_notes_say() -> None:
+    """R of 10 kPa puts the NIS near 0.01, and Q throws sigma points out of stiction (NOTES, point 11)."""
+    recording = trial(20.0, seed=2, mismatch=0.0)
+    published = Estimator(RIG, "published").run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+    model = simulate_model(RIG, recording.voltage, recording.pressure[0])
+    alone = np.sqrt(np.mean((model.angle - recording.truth[:, 0]) ** 2))
+    filtered = np.sqrt(np.mean((published["angle"] - recording.truth[:, 0]) ** 2))
+    assert np.nanmean(published["nis"]) < 0.05
+    assert filtered > 5.0 * alone

@@ -1,0 +1,117 @@
+"""The compiled filter against filterpy's UKF, which shares no line with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter, unscented_transform
+from recordings import trial
+
+from pam_antagonist.estimation import Estimator
+from pam_antagonist.model import dynamics
+from pam_antagonist.rig import Rig, load_rig
+
+SCALE = np.array([0.1, 1.0, 1e5, 1e5])
+
+
+def _step(p: np.ndarray, dt: float):
+    def step(x: np.ndarray, _dt: float, u: np.ndarray) -> np.ndarray:
+        result = np.empty(4)
+        dynamics.rk4_step(x, u, p, dt, result)
+        return result
+
+    return step
+
+
+def _oracle(rig: Rig, tuning: str, recording, joint: str) -> tuple[np.ndarray, np.ndarray]:
+    chosen = rig.tuning(tuning)
+    held = np.array([0.0, 0.0, 1.0, 1.0]) if joint == "locked" else np.ones(4)
+    # filterpy's Cholesky needs a definite matrix: a locked joint gets a variance far below any rounding.
+    tiny = 1e-30 * (1.0 - held)
+    p = rig.parameters(joint)
+    ukf = UnscentedKalmanFilter(
+        dim_x=4,
+        dim_z=2,
+        dt=rig.sample_period,
+        fx=_step(p, rig.sample_period),
+        hx=lambda x: x[2:4],
+        points=JulierSigmaPoints(4, kappa=chosen.kappa),
+    )
+    first = recording.pressure[0]
+    ukf.x = np.array([0.0 if joint == "locked" else dynamics.rest_angle(first[0], first[1], p), 0.0, *first])
+    ukf.P = np.diag(np.array(chosen.initial) * held + tiny)
+    ukf.Q = np.diag(np.array(chosen.process) * held + tiny)
+    ukf.R = np.diag(chosen.measurement)
+    states, covariances = [ukf.x.copy()], [ukf.P[:2, :2].copy()]
+    for y, u in zip(recording.pressure[1:], recording.voltage[1:], strict=True):
+        ukf.predict(u=u)
+        ukf.update(y)
+        states.append(ukf.x.copy())
+        covariances.append(ukf.P[:2, :2].copy())
+    return np.array(states), np.array(covariances)
+
+
+def _without_consider(rig: Rig) -> Rig:
+    # A gate that never closes: filterpy has none.
+    open_gate = {name: tuning.replaced(consider=False, gate=1e9) for name, tuning in rig.tunings.items()}
+    return rig.replaced(tunings=open_gate)
+
+
+@pytest.mark.parametrize(("tuning", "joint"), [("published", "free"), ("default", "free"), ("published", "locked")])
+def test_equals_filterpy_over_a_whole_recording(tuning: str, joint: str) -> None:
+    rig = _without_consider(load_rig("shin2022"))
+    recording = trial(20.0, seed=3, joint=joint)
+    states, covariances = _oracle(rig, tuning, recording, joint)
+    run = Estimator(rig, tuning, joint).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+    ours = np.column_stack([run["angle"], run["velocity"], run["pressure"]])
+    assert len(ours) == len(states)
+    assert np.abs((ours - states) / SCALE).max() < 1e-9
+    reference = covariances[:, :2, :2]
+    assert np.abs(run["covariance"][:, :2, :2] - reference).max() < 1e-9 * max(np.abs(reference).max(), 1e-9)
+    # An agreement that means something: the joint moved.
+    assert joint == "locked" or np.ptp(run["angle"]) > 0.1
+
+
+def test_consider_parameters_equal_an_augmented_filter() -> None:
+    """filterpy's sigma points and transform on the augmented vector [θ, x], with Schmidt's gain."""
+    rig = load_rig("shin2022")
+    chosen = rig.tuning("default")
+    recording = trial(3.0, seed=5)
+    names = list(rig.uncertainty)
+    m, n = len(names), 4
+    points = JulierSigmaPoints(n + m, kappa=chosen.kappa)
+
+    def advance(z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        p = rig.parameters(changes={k: rig.value(k) + t * rig.uncertainty[k] for k, t in zip(names, z[:m], strict=True)})
+        x = np.empty(n)
+        dynamics.rk4_step(z[m:], u, p, rig.sample_period, x)
+        return np.concatenate([z[:m], x])
+
+    first = recording.pressure[0]
+    mean = np.concatenate([np.zeros(m), [dynamics.rest_angle(*first, rig.parameters()), 0.0], first])
+    cov = np.diag(np.concatenate([np.ones(m), chosen.initial]))
+    noise = np.diag(np.concatenate([np.zeros(m), chosen.process]))
+    pick = np.zeros((2, n + m))
+    pick[0, m + 2] = pick[1, m + 3] = 1.0
+    measurement = np.diag(chosen.measurement)
+    expected = [mean[m:].copy()]
+    deviations = [np.sqrt(np.diag(cov))[m]]
+    for y, u in zip(recording.pressure[1:], recording.voltage[1:], strict=True):
+        sigmas = np.array([advance(z, u) for z in points.sigma_points(mean, cov)])
+        mean, cov = unscented_transform(sigmas, points.Wm, points.Wc, noise)
+        gain = cov @ pick.T @ np.linalg.inv(pick @ cov @ pick.T + measurement)
+        gain[:m] = 0.0
+        mean = mean + gain @ (y - pick @ mean)
+        keep = np.eye(n + m) - gain @ pick
+        cov = keep @ cov @ keep.T + gain @ measurement @ gain.T
+        expected.append(mean[m:].copy())
+        deviations.append(np.sqrt(np.diag(cov))[m])
+    open_gate = rig.replaced(tunings={"default": chosen.replaced(gate=1e9)})
+    run = Estimator(open_gate).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+    ours = np.column_stack([run["angle"], run["velocity"], run["pressure"]])
+    assert np.abs((ours - np.array(expected)) / SCALE).max() < 1e-9
+    assert np.allclose(np.sqrt(run["covariance"][:, 0, 0]), deviations, rtol=1e-6, atol=0.0)
+    # The parameters' uncertainty is in the covariance: without them it would be far smaller.
+    plain = open_gate.replaced(uncertainty={})
+    bare = Estimator(plain).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+    assert run["covariance"][-1, 0, 0] > 4.0 * bare["covariance"][-1, 0, 0]
