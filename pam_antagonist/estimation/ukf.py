@@ -122,12 +122,15 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
         x[i] = centre_weight * points[0, i] + weight * total
         for j in range(m):
             cross[i, j] = weight * reach * (points[1 + 2 * j, i] - points[2 + 2 * j, i])
+    for k in range(1 + 2 * m + 2 * n):
+        for i in range(n):
+            points[k, i] -= x[i]
     for i in range(n):
         for j in range(i + 1):
             total = 0.0
             for k in range(1, 1 + 2 * m + 2 * n):
-                total += (points[k, i] - x[i]) * (points[k, j] - x[j])
-            total = centre_weight * (points[0, i] - x[i]) * (points[0, j] - x[j]) + weight * total
+                total += points[k, i] * points[k, j]
+            total = centre_weight * points[0, i] * points[0, j] + weight * total
             if i == j:
                 total += noise[i]
             covariance[i, j] = total

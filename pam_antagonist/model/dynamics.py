@@ -25,21 +25,21 @@ _open_rate = flow.open_rate
 _muscle_torque, _coulomb_torque, _acceleration = joint.muscle_torque, joint.coulomb_torque, joint.acceleration
 
 
-@kernel
+@inlined
 def forces(x, p):
     """Contraction forces F_1, F_2 [N] of a state."""
     sine = math.sin(x[ANGLE])
     return _force(0, _length(0, sine, p), x[PRESSURE_1], p), _force(1, _length(1, sine, p), x[PRESSURE_2], p)
 
 
-@kernel
+@inlined
 def torque(x, p):
     """τ [N m] of a state, the last row of equation (11b)."""
     force_1, force_2 = forces(x, p)
     return _muscle_torque(math.cos(x[ANGLE]), force_1, force_2, p)
 
 
-@kernel
+@inlined
 def torque_slope(x, p):
     """Joint stiffness ∂τ/∂ψ [N m/rad] at constant pressures, from (2), (6), (7) and (9)."""
     force_1, force_2 = forces(x, p)
@@ -129,7 +129,7 @@ def rk4_step(x, u, p, dt, result):
         result[VELOCITY] = max(result[VELOCITY], 0.0)
 
 
-@kernel
+@inlined
 def subsystem(x, p):
     """Index σ of the subsystem that is active, 1 to 18.
 

@@ -113,7 +113,8 @@ def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
         p: parameter vector.
     """
     supplied = p[POLYTROPIC_FLOW] * p[GAS_CONSTANT] * p[TEMPERATURE] * flow
-    return (supplied - p[POLYTROPIC_VOLUME] * volume_rate * pressure) / chamber_volume
+    # The reciprocal is ready long before the flow is: one division less to wait for.
+    return (supplied - p[POLYTROPIC_VOLUME] * volume_rate * pressure) * (1.0 / chamber_volume)
 
 
 @inlined

@@ -1,14 +1,17 @@
-"""Voltages that make a joint show what it can do: built-in profiles for simulated recordings, and real rigs.
+"""Voltages that make a joint show what it can do: built-in profiles for simulated recordings, and tables.
 
-A profile is written as a drive between −1 and 1 for each valve: 0 is the voltage at rest, −1 and 1 the lowest and the highest
-one. With the default voltages and the valve curve of rig ``shin2022`` these are steady pressures of about 200, 450 and 700 kPa,
-the range of Shin, Ibayashi and Kogiso (2022), who show their own input as a picture only.
+A profile is written as a drive between -1 and 1 for each valve: 0 is the voltage at rest, -1 and 1 the lowest and
+the highest one. With the default voltages and the valve curve of rig ``shin2022`` these are steady pressures of
+about 200, 450 and 700 kPa, the range of Shin, Ibayashi and Kogiso (2022), who show their own input as a picture only.
 """
 
 from __future__ import annotations
 
+import csv
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +23,9 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Span:
-    """Voltages of drive −1, 0 and 1 [V]."""
+    """Voltages of drive -1, 0 and 1 [V]."""
 
-    lowest: float = 4.2
+    lowest: float = 4.15
     rest: float = 5.5
     highest: float = 7.5
 
@@ -31,14 +34,18 @@ class Span:
         return np.interp(drive, [-1.0, 0.0, 1.0], [self.lowest, self.rest, self.highest])
 
 
-# Drives of (valve 1, valve 2), each held for 5 s: differences of both signs and growing size, then both valves together (the
-# joint stiffens), then one at a time.
-_PAPER_HOLD = 5.0
-_PAPER_LEVELS = (
-    (0.0, 0.0), (0.3, -0.3), (0.0, 0.0), (-0.3, 0.3), (0.6, -0.6), (-0.6, 0.6), (1.0, -1.0), (-1.0, 1.0), (0.0, 0.0),
-    (0.8, 0.8), (1.0, 0.5), (0.5, 1.0), (-0.5, -0.5), (-0.9, -0.4), (-0.4, -0.9), (0.0, 0.0), (1.0, 0.0), (0.0, 1.0),
-    (-1.0, 0.0), (0.0, -1.0), (0.7, -0.2), (-0.2, 0.7), (1.0, -0.6), (-0.6, 1.0), (0.3, -0.9), (0.0, 0.0),
+# Hold time [s] and drives of valves 1 and 2: differences of both signs and growing size, then both valves together (the
+# joint stiffens), then one at a time. Extremes are held longest: a muscle takes seconds to empty.
+_PAPER = np.array(
+    [
+        (4, 0.0, 0.0), (4, 0.4, -0.4), (4, -0.4, 0.4), (4, 0.7, -0.7), (4, -0.7, 0.7), (3, 0.0, 0.0),
+        (9, 1.0, -1.0), (10, -1.0, 1.0), (5, 0.0, 0.0), (5, 0.7, 0.7), (5, 1.0, 0.5), (5, 0.5, 1.0),
+        (6, -0.5, -0.5), (8, -1.0, -0.4), (8, -0.4, -1.0), (5, 0.0, 0.0), (5, 1.0, 0.0), (5, 0.0, 1.0),
+        (5, -0.8, 0.2), (5, 0.2, -0.8), (9, 1.0, -1.0), (9, -1.0, 1.0), (3, 0.0, 0.0),
+    ]
 )  # fmt: skip
+PAPER_DURATION = float(_PAPER[:, 0].sum())
+"""Length of the profile ``paper`` [s]: 130, as in the paper."""
 
 
 def paper(time: FloatArray, seed: int) -> FloatArray:
@@ -51,8 +58,8 @@ def paper(time: FloatArray, seed: int) -> FloatArray:
     Returns:
         Drive (N, 2).
     """
-    level = (time // _PAPER_HOLD).astype(np.int64) % len(_PAPER_LEVELS)
-    return np.array(_PAPER_LEVELS)[level]
+    ends = np.cumsum(_PAPER[:, 0])
+    return np.asarray(_PAPER[np.searchsorted(ends, time % PAPER_DURATION, side="right"), 1:])
 
 
 def steps(time: FloatArray, seed: int) -> FloatArray:
@@ -100,8 +107,6 @@ def multisine(time: FloatArray, seed: int) -> FloatArray:
 
 PROFILES: dict[str, Callable[[FloatArray, int], FloatArray]] = {"paper": paper, "steps": steps, "multisine": multisine}
 """Built-in profiles by name."""
-PAPER_DURATION = _PAPER_HOLD * len(_PAPER_LEVELS)
-"""Length of the profile ``paper`` [s]."""
 
 
 def profile(name: str, duration: float, period: float, seed: int = 0, span: Span | None = None) -> FloatArray:
@@ -112,7 +117,7 @@ def profile(name: str, duration: float, period: float, seed: int = 0, span: Span
         duration: [s].
         period: sample period [s].
         seed: of what is random in it.
-        span: voltages; default: 4.2, 5.5, 7.5 V.
+        span: voltages; default: 4.15, 5.5, 7.5 V.
 
     Returns:
         (N, 2) [V], N = duration / period; row k is held over sample period k.
@@ -123,7 +128,42 @@ def profile(name: str, duration: float, period: float, seed: int = 0, span: Span
     if name not in PROFILES:
         raise BadInput(f"profile {name!r}: expected one of {', '.join(PROFILES)}, or a CSV file")
     time = np.arange(round(duration / period)) * period
-    return (span or Span()).voltage(PROFILES[name](time, seed))
+    return (span or Span()).voltage(PROFILES[name](np.asarray(time, dtype=np.float64), seed))
+
+
+def read_table(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Read voltages from a CSV file with the header ``t_s,u1,u2``: time [s], then both voltages [V].
+
+    Args:
+        path: the file.
+
+    Returns:
+        Times (K,) [s] and voltages (K, 2) [V].
+
+    Raises:
+        BadInput: not such a file, or times that do not increase.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = [row for row in csv.reader(stream) if row]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadInput(f"{path}: cannot be read as CSV: {error}") from None
+    if not rows or [cell.strip() for cell in rows[0]] != ["t_s", "u1", "u2"]:
+        raise BadInput(f"{path}: the first line is {','.join(rows[0]) if rows else 'missing'!r}, expected t_s,u1,u2")
+    table = np.empty((len(rows) - 1, 3))
+    for number, row in enumerate(rows[1:], 2):
+        try:
+            table[number - 2] = [float(cell) for cell in row]
+        except ValueError:
+            raise BadInput(f"{path}: row {number} is {','.join(row)!r}, expected three numbers") from None
+        if not all(math.isfinite(value) for value in table[number - 2]):
+            raise BadInput(f"{path}: row {number} is {','.join(row)!r}, expected finite numbers")
+    if len(table) < 2:
+        raise BadInput(f"{path}: {len(table)} rows, expected two or more: a voltage holds until the next row")
+    if np.any(np.diff(table[:, 0]) <= 0.0):
+        number = int(np.argmax(np.diff(table[:, 0]) <= 0.0)) + 3
+        raise BadInput(f"{path}: time t_s does not increase at row {number}")
+    return table[:, 0].copy(), table[:, 1:].copy()
 
 
 def held(time: FloatArray, voltage: FloatArray, duration: float, period: float) -> FloatArray:

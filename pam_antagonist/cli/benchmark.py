@@ -1,0 +1,104 @@
+"""``benchmark``: what the package costs, as ratios measured in one run."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+
+from pam_antagonist.benchmark.figure import Figure
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.report.software import versions
+from pam_antagonist.report.strict_json import write_json
+from pam_antagonist.report.table import Table, number
+from pam_antagonist.rig import load_rig
+
+_DESCRIPTION = """\
+Measure what the package costs on this machine.
+
+  kernels   a UKF step against bare RK4 steps of the same model, and against filterpy's UKF around it
+  replay    the whole replay command against the length of the recording
+  pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): losses,
+            and the round trip pressure -> command against that of a pipeline that passes messages through
+
+Every figure is a ratio of two things that were timed in turn, so that a busy machine slows both.
+Status: 0 whether or not a bound holds, 2 bad input.
+"""
+PARTS = ("kernels", "replay", "pipeline")
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("benchmark", _DESCRIPTION)
+    out.add_argument("--only", choices=PARTS, action="append", help="this part alone; may be given several times")
+    out.add_argument(
+        "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
+    )
+    out.add_argument("--bag", type=Path, metavar="BAG", help="recording for the replay (default: 60 s are simulated)")
+    out.add_argument(
+        "--duration", type=float, default=60.0, metavar="S", help="length of the pipeline's run [s] (default: 60)"
+    )
+    out.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE as well; must not exist")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    if arguments.json is not None and arguments.json.exists():
+        raise BadInput(f"{arguments.json}: exists; expected a new file, nothing is overwritten")
+    rig = load_rig(arguments.rig)
+    parts = [part for part in PARTS if part in (arguments.only or PARTS)]
+    figures: list[Figure] = []
+    with common.progress(len(parts), "benchmark", "parts") as bar:
+        for part in parts:
+            if part == "kernels":
+                from pam_antagonist.benchmark import kernels  # noqa: PLC0415  (compiles)
+
+                figures += kernels.measure(rig)
+            elif part == "replay":
+                from pam_antagonist.benchmark import offline  # noqa: PLC0415
+
+                figures += offline.measure(arguments.rig, arguments.bag)
+            else:
+                from pam_antagonist.benchmark import pipeline  # noqa: PLC0415  (needs ROS)
+
+                figures += pipeline.measure(arguments.rig, arguments.duration)
+            bar.update(1)
+    print(_table(figures).text(indent=""))
+    print("\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures))
+    if arguments.json is not None:
+        machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+        content = {
+            "figures": {figure.name: dataclasses.asdict(figure) for figure in figures},
+            "machine": machine,
+            "software": versions(),
+        }
+        write_json(arguments.json, content)
+    return common.DONE
+
+
+def _table(figures: Sequence[Figure]) -> Table:
+    mark = {True: "yes", False: "NO", None: ""}
+    return Table(
+        ("figure", "measured", "wanted", "holds"),
+        tuple(
+            (figure.name, f"{number(figure.value)} {figure.unit}".strip(), figure.wanted, mark[figure.holds])
+            for figure in figures
+        ),
+    )
+
+
+def _parts(figure: Figure) -> str:
+    return ", ".join(f"{name} {number(value)}" for name, value in figure.parts.items())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
