@@ -1,0 +1,52 @@
+"""Recordings: rosbag2 bags <-> arrays.
+
+``read_bag`` makes a :class:`Recording` of a bag, ``write_bag`` and :class:`BagWriter` make bags, ``TOPICS`` names the
+topics. Names are imported when they are first used: nodes need the topic table only, not the libraries that read bags.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, TOPICS, Topic
+
+if TYPE_CHECKING:
+    from .reader import read_bag
+    from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
+    from .storage import bag_hash
+    from .writer import BagWriter, write_bag
+
+_LAZY = {
+    "read_bag": "reader",
+    "ESTIMATE_SHAPES": "recording",
+    "Arrival": "recording",
+    "RecordedEstimate": "recording",
+    "RecordedReference": "recording",
+    "Recording": "recording",
+    "bag_hash": "storage",
+    "BagWriter": "writer",
+    "write_bag": "writer",
+}
+
+__all__ = [
+    "DEFAULT_NAMESPACE",
+    "ESTIMATE_SHAPES",
+    "SAMPLE_TOPICS",
+    "TOPICS",
+    "Arrival",
+    "BagWriter",
+    "RecordedEstimate",
+    "RecordedReference",
+    "Recording",
+    "Topic",
+    "bag_hash",
+    "read_bag",
+    "write_bag",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_LAZY[name]}", __name__), name)

@@ -1,0 +1,98 @@
+"""Decompression that never yields more than was announced."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_PIECE = 1 << 20  # [bytes]
+
+
+class CompressionError(ValueError):
+    """Compressed data that are damaged, or larger than they claimed."""
+
+
+def inflate(data: bytes | memoryview, compression: str, size: int) -> bytes:
+    """Unpack a block whose unpacked size is known.
+
+    Args:
+        data: Packed bytes.
+        compression: "", "zstd" or "lz4" (frame format).
+        size: Unpacked size [bytes]; no more than that is ever allocated.
+
+    Raises:
+        CompressionError: Damaged, of another size, or another compression.
+    """
+    if compression == "":
+        result = bytes(data)
+    elif compression in ("zstd", "lz4"):
+        decompressor: Any = zstd.ZstdDecompressor() if compression == "zstd" else LZ4FrameDecompressor()
+        try:
+            result = decompressor.decompress(data, max_length=size + 1)
+        except (zstd.ZstdError, RuntimeError, EOFError) as exc:
+            raise CompressionError(str(exc)) from exc
+        if len(result) == size and not decompressor.eof:
+            raise CompressionError(f"{compression} data end early")
+    else:
+        raise CompressionError(f"compression {compression!r} is not known, expected zstd, lz4 or none")
+    if len(result) != size:
+        more = "more" if len(result) > size else str(len(result))
+        raise CompressionError(f"{size} bytes were announced, {more} are there")
+    return result
+
+
+def inflate_message(data: bytes | memoryview, limit: int = 1 << 26) -> bytes:
+    """Unpack one zstd-compressed message of at most ``limit`` bytes.
+
+    Raises:
+        CompressionError: Damaged or larger.
+    """
+    decompressor = zstd.ZstdDecompressor()
+    try:
+        result = decompressor.decompress(data, max_length=limit)
+    except zstd.ZstdError as exc:
+        raise CompressionError(str(exc)) from exc
+    if not decompressor.eof:
+        raise CompressionError(f"a message is cut off or larger than {limit} bytes")
+    return result
+
+
+def inflate_file(source: Path, target: Path, limit: int) -> str | None:
+    """Unpack a zstd file piece by piece.
+
+    Returns:
+        None, or how the file is damaged; what comes before the damage is in ``target``.
+
+    Raises:
+        CompressionError: More than ``limit`` bytes come out.
+    """
+    written = 0
+    decompressor = zstd.ZstdDecompressor()
+    with source.open("rb") as infile, target.open("wb") as outfile:
+        while True:
+            piece = b""
+            if decompressor.eof:  # a file may hold several frames
+                piece = decompressor.unused_data or infile.read(_PIECE)
+                if not piece:
+                    return None
+                decompressor = zstd.ZstdDecompressor()
+            elif decompressor.needs_input:
+                piece = infile.read(_PIECE)
+                if not piece:
+                    return f"its zstd data end early, after {source.stat().st_size} bytes"
+            try:
+                unpacked = decompressor.decompress(piece, max_length=_PIECE)
+            except zstd.ZstdError as exc:
+                return f"its zstd data are damaged ({exc})"
+            written += outfile.write(unpacked)
+            if written > limit:
+                raise CompressionError(f"it unpacks to more than {limit >> 20} MiB; unpack it with zstd -d first")

@@ -1,0 +1,127 @@
+"""Which topic of a bag is which: namespaces, other names, and what is missing or of the wrong type."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..errors import BadInput
+from .messages import definition_differs
+from .raw import Channel, RawTopic
+from .storage import RawBag
+from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, TOPICS, Topic, find_topic
+
+READ_TOPICS = tuple(name for name in TOPICS if name != "diagnostics")
+"""Logical names of the topics that a recording is made from."""
+
+_LISTED = 12  # topics named in an error message
+
+
+def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str | None) -> dict[str, RawTopic]:
+    """Find the package's topics in a bag.
+
+    Args:
+        bag: The bag.
+        topics: Logical (or relative) name -> topic in the bag, for topics that have another name there.
+        namespace: Namespace of the others; None to find it in the bag.
+
+    Returns:
+        Logical name -> messages; the sample topics are all there and not empty. What had to be left out is said in
+        ``bag.issues``.
+
+    Raises:
+        BadInput: A sample topic, or one named in ``topics``, is missing, empty or of the wrong type.
+    """
+    if not any(len(raw.log_ns) for raw in bag.topics.values()):
+        raise BadInput(f"{bag.path}: no samples, the bag holds no messages ({_list(bag)})")
+    renamed = _renamed(topics or {})
+    if namespace is None:
+        namespace = _find_namespace(bag, renamed)
+    chosen = {}
+    for name in READ_TOPICS:
+        topic = TOPICS[name]
+        actual = renamed.get(name, topic.resolve(namespace))
+        needed = name in SAMPLE_TOPICS or name in renamed
+        problem = _problem(bag, topic, actual)
+        if problem is None:
+            chosen[name] = bag.topics[actual]
+        elif needed:
+            raise BadInput(f"{bag.path}: {problem}{_hint(bag, topic, actual, namespace)}")
+        elif actual in bag.topics and len(bag.topics[actual].log_ns):
+            bag.issues.append(f"{problem}: left out")
+    return chosen
+
+
+def _renamed(topics: Mapping[str, str]) -> dict[str, str]:
+    renamed = {}
+    for name, actual in topics.items():
+        topic = find_topic(name)
+        if topic is None or topic.name not in READ_TOPICS:
+            raise BadInput(f"topic name {name!r} is unknown, expected one of {', '.join(READ_TOPICS)}")
+        renamed[topic.name] = actual if actual.startswith("/") else f"/{actual}"
+    return renamed
+
+
+def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
+    """The one namespace whose topics look like ours."""
+    for names in (SAMPLE_TOPICS, READ_TOPICS):
+        open_names = [name for name in names if name not in renamed]
+        found: dict[str, int] = {}
+        for actual, raw in bag.topics.items():
+            for name in open_names:
+                ending = f"/{TOPICS[name].relative}"
+                if actual.endswith(ending) and raw.channel.msgtype == TOPICS[name].type:
+                    prefix = actual[: -len(ending)]
+                    found[prefix] = found.get(prefix, 0) + 1
+        if names is READ_TOPICS:
+            # "/pam/measured/joint_states" is no joint_states of a namespace "/pam/measured".
+            found = {prefix: count for prefix, count in found.items() if not prefix.endswith("/measured")}
+        best = [prefix for prefix, count in found.items() if count == max(found.values())]
+        if len(best) > 1:
+            listed = ", ".join(sorted(prefix or "/" for prefix in best))
+            raise BadInput(f"{bag.path}: several namespaces hold such topics ({listed}), choose one with --namespace")
+        if best:
+            return best[0]
+    return DEFAULT_NAMESPACE
+
+
+def _problem(bag: RawBag, topic: Topic, actual: str) -> str | None:
+    """What is wrong with a topic, or None."""
+    raw = bag.topics.get(actual)
+    if raw is None:
+        return f"topic {actual} is missing"
+    if actual in bag.conflicts:
+        return f"topic {actual} was recorded with several types ({', '.join(bag.conflicts[actual])})"
+    if len(raw.log_ns) == 0:
+        return f"topic {actual} has no samples"
+    return _channel_problem(raw.channel, topic, actual)
+
+
+def _channel_problem(channel: Channel, topic: Topic, actual: str) -> str | None:
+    if channel.msgtype != topic.type:
+        return f"topic {actual} is a {channel.msgtype or 'message without a type'}, expected {topic.type}"
+    if channel.encoding != "cdr":
+        return f"topic {actual} is encoded as {channel.encoding!r}, expected cdr"
+    if definition_differs(channel.msgtype, channel.digest, channel.definition):
+        return f"topic {actual} was recorded with another definition of {topic.type} than this package has"
+    return None
+
+
+def _hint(bag: RawBag, topic: Topic, actual: str, namespace: str) -> str:
+    """What to do about a missing topic."""
+    if actual in bag.topics:
+        return ""
+    command = TOPICS["valve_command"].resolve(namespace)
+    if topic.name == "valve_state" and command in bag.topics:
+        return (
+            f"; {command} is there, but says what was asked for, not what was on the valves: "
+            f"if that is the same on this rig, use --topic valve_state={command}"
+        )
+    return f"; {_list(bag)}; if one of them is it, use --topic {topic.name}=/NAME"
+
+
+def _list(bag: RawBag) -> str:
+    if not bag.topics:
+        return "no topics are in it"
+    names = [f"{name} ({raw.channel.msgtype})" for name, raw in sorted(bag.topics.items())]
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return f"the topics in it are {', '.join(names[:_LISTED])}{more}"

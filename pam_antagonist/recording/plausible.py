@@ -1,0 +1,120 @@
+"""Values that cannot be what their topic promises: gauge pressure, other units, degrees.
+
+A single odd value is an outlier, which the estimator gates; it is counted and left as it is. More than one in a
+thousand (and more than five) is a recording in another unit, and is refused.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+
+Floats = NDArray[np.float64]
+
+MIN_PRESSURE = 80e3
+"""Lowest absolute pressure that a muscle can have [Pa]: vented, it holds the atmosphere's, 79 kPa at 2,000 m."""
+MAX_PRESSURE = 2e6
+"""Highest absolute pressure that is believed [Pa]; pneumatic muscles work up to about 0.9 MPa."""
+MIN_VOLTAGE, MAX_VOLTAGE = -0.5, 10.5
+"""Voltages that are believed [V]: the range of 0 to 10 V and the error of whoever measures it."""
+MAX_ANGLE = 3.2
+"""Largest joint angle that is believed [rad]: half a turn."""
+MAX_TORQUE = 1e3
+"""Largest joint torque that is believed [N m]."""
+
+
+def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Floats:
+    """Values with NaN for everything that is not finite; what was there is counted in ``issues``."""
+    bad = ~np.isfinite(values)
+    if not np.any(bad):
+        return values
+    issues.append(f"{np.count_nonzero(bad)} of {values.size} values of {what} on {topic} are not finite: left out")
+    return np.where(bad, np.nan, values)
+
+
+def _beyond(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, issues: list[str]) -> bool:
+    """Whether so many values are odd that they mean something; fewer are only mentioned."""
+    count = int(np.count_nonzero(odd))
+    if count > max(5, 0.001 * values.size) or 2 * count > values.size:
+        return True
+    if count:
+        issues.append(f"{count} of {values.size} values on {topic} {what}: kept, for the estimator to judge")
+    return False
+
+
+def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) -> None:
+    """Refuse what is no absolute pressure in Pa.
+
+    Raises:
+        BadInput: Gauge pressure, another unit, or no value at all.
+    """
+    values = _some(where, topic, "pressure", pressure)
+    expected = "expected absolute pressure in Pa"
+    low = values < MIN_PRESSURE
+    if _beyond(topic, values, low, f"lie below {MIN_PRESSURE / 1e3:g} kPa absolute", issues):
+        top = float(np.quantile(np.abs(values), 0.99))
+        if top == 0.0:
+            raise BadInput(f"{where}: {topic} is 0 throughout, {expected}; is the sensor connected?")
+        for unit, bound in (("MPa", 2.0), ("bar", 20.0), ("kPa or psi", 2e3), ("hPa", MIN_PRESSURE / 4)):
+            if top <= bound:
+                raise BadInput(f"{where}: {topic} looks like {unit} (values up to {top:.4g}), {expected}")
+        raise BadInput(
+            f"{where}: {topic} looks like gauge pressure ({np.count_nonzero(low)} of {len(values)} values lie below "
+            f"{MIN_PRESSURE / 1e3:g} kPa, the lowest at {values.min() / 1e3:.4g} kPa), {expected}; "
+            "a vented muscle holds about 101 kPa absolute"
+        )
+    if _beyond(topic, values, values > MAX_PRESSURE, f"lie above {MAX_PRESSURE / 1e6:g} MPa", issues):
+        raise BadInput(f"{where}: {topic} has values up to {values.max():.4g}, {expected}, {MAX_PRESSURE:g} at most")
+
+
+def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) -> None:
+    """Refuse voltages (N, 2) outside the valves' range.
+
+    Raises:
+        BadInput: Too many values outside 0 to 10 V, or no value at all.
+    """
+    values = _some(where, topic, "voltage", voltage)
+    odd = (values < MIN_VOLTAGE) | (values > MAX_VOLTAGE)
+    if _beyond(topic, values, odd, "lie outside 0 to 10 V", issues):
+        top = float(np.quantile(np.abs(values), 0.99))
+        unit = "" if top <= 24.0 else ", which looks like percent" if top <= 100.0 else ", which looks like mV"
+        raise BadInput(
+            f"{where}: {topic} has values from {values.min():.4g} to {values.max():.4g}{unit}, expected 0 to 10 V"
+        )
+
+
+def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> None:
+    """Refuse an angle in degrees.
+
+    Raises:
+        BadInput: Too many values beyond half a turn in rad.
+    """
+    values = angle[np.isfinite(angle)]
+    if _beyond(topic, values, np.abs(values) > MAX_ANGLE, f"lie beyond {MAX_ANGLE:g} rad", issues):
+        raise BadInput(
+            f"{where}: the position on {topic} goes from {values.min():.4g} to {values.max():.4g}, which looks like "
+            "degrees, expected rad"
+        )
+
+
+def check_torque(where: str, topic: str, torque: Floats, issues: list[str]) -> None:
+    """Refuse a torque in N mm.
+
+    Raises:
+        BadInput: Too many values beyond what a joint bears in N m.
+    """
+    values = torque[np.isfinite(torque)]
+    if _beyond(topic, values, np.abs(values) > MAX_TORQUE, f"lie beyond {MAX_TORQUE:g} N m", issues):
+        raise BadInput(
+            f"{where}: the torque on {topic} goes from {values.min():.4g} to {values.max():.4g}, which looks like "
+            "N mm, expected N m"
+        )
+
+
+def _some(where: str, topic: str, what: str, values: Floats) -> Floats:
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        raise BadInput(f"{where}: {topic} holds no finite {what} in {len(values)} messages")
+    return np.asarray(finite)

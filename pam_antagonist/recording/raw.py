@@ -1,0 +1,82 @@
+"""Raw messages, by topic, whatever file they came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cdr import Payloads
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What a bag says about one of its topics.
+
+    Attributes:
+        topic: Absolute topic name.
+        msgtype: Message type, such as "sensor_msgs/msg/FluidPressure"; "" where the bag does not say.
+        encoding: Serialization, "cdr" for ROS 2.
+        definition: Definition in .msg or IDL syntax, or "".
+        digest: RIHS01 hash of the type, or "".
+    """
+
+    topic: str
+    msgtype: str
+    encoding: str
+    definition: str = ""
+    digest: str = ""
+
+
+@dataclass(frozen=True)
+class RawTopic:
+    """Messages of one channel in the order of the file.
+
+    Attributes:
+        channel: Name and type.
+        log_ns: When the recorder got each message (N,) [ns].
+        payloads: The messages, or None where nobody asked for this type.
+    """
+
+    channel: Channel
+    log_ns: NDArray[np.int64]
+    payloads: Payloads | None
+
+    @staticmethod
+    def joined(channel: Channel, parts: list[RawTopic]) -> RawTopic:
+        """One topic of several pieces (the files of a split bag, several publishers)."""
+        log_ns = np.concatenate([part.log_ns for part in parts])
+        chosen = [part.payloads for part in parts if part.payloads is not None]
+        if len(chosen) != len(parts):
+            return RawTopic(channel, log_ns, None)
+        data = np.concatenate([payloads.data for payloads in chosen])
+        return RawTopic(channel, log_ns, Payloads(data, np.concatenate([payloads.length for payloads in chosen])))
+
+
+@dataclass
+class Collector:
+    """Gathers messages of one channel: appends are cheap, and ``join`` packs what came since the last one."""
+
+    channel: Channel
+    wanted: bool
+    log_ns: list[int] = field(default_factory=list)
+    pieces: list[bytes | memoryview] = field(default_factory=list)
+    _blocks: list[RawTopic] = field(default_factory=list)
+
+    def join(self) -> None:
+        """Pack the pending messages into one block."""
+        if not self.log_ns:
+            return
+        # Log times are unsigned in the file; what does not fit a signed number is no time.
+        log_ns = np.minimum(np.array(self.log_ns, np.uint64), np.uint64(2**63 - 1)).astype(np.int64)
+        payloads = Payloads.of(self.pieces) if self.wanted else None
+        self._blocks.append(RawTopic(self.channel, log_ns, payloads))
+        self.log_ns, self.pieces = [], []
+
+    def finish(self) -> RawTopic:
+        """Everything that was collected."""
+        self.join()
+        if not self._blocks:
+            return RawTopic(self.channel, np.empty(0, np.int64), Payloads.of([]) if self.wanted else None)
+        return RawTopic.joined(self.channel, self._blocks)

@@ -1,0 +1,245 @@
+"""A bag -> one :class:`~pam_antagonist.recording.recording.Recording`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+from . import plausible, stamps
+from .cdr import CdrError, Decoded, decode
+from .compression import CompressionError
+from .naming import READ_TOPICS, choose_topics
+from .raw import RawTopic
+from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
+from .stamps import Restarts
+from .storage import RawBag, read_raw, unpack_messages
+from .topics import SAMPLE_TOPICS, TOPICS
+
+Floats = NDArray[np.float64]
+
+
+@dataclass
+class _Topic:
+    """Messages of one topic, decoded, in the order of their stamps once :func:`_sort` has been there."""
+
+    name: str
+    actual: str
+    decoded: Decoded
+    log_ns: NDArray[np.int64]
+    stamp_ns: NDArray[np.int64]
+    keep: NDArray[np.intp]
+
+    def values(self, path: str) -> NDArray[Any]:
+        """A field of the kept messages (K,) or (K, n)."""
+        return self.decoded.fixed(path)[self.keep]
+
+    @property
+    def arrival(self) -> Arrival:
+        return Arrival(self.log_ns[self.keep], self.stamp_ns[self.keep])
+
+
+def read_bag(
+    path: str | Path,
+    *,
+    topics: Mapping[str, str] | None = None,
+    namespace: str | None = None,
+    joint_name: str | None = None,
+    restarts: Restarts = "refuse",
+    recover: bool = False,
+) -> Recording:
+    """Read a rosbag2 recording of a rig.
+
+    Samples are the union of the stamps of the two pressures and the valve state; a value that has no message at a stamp
+    is NaN. Pressures are absolute, in Pa.
+
+    Args:
+        path: Bag folder, or one .mcap or .db3 file; compressed or not.
+        topics: Logical name (see ``TOPICS``) -> topic in the bag, where it has another name there.
+        namespace: Namespace of the topics; None to find it.
+        joint_name: Name of the joint in ``measured/joint_states``; None for the first.
+        restarts: What to do where stamps jump backwards by more than 0.5 s: "refuse" the bag, or read what follows
+            the "last" restart.
+        recover: Read what stands before a damaged or cut off place instead of refusing the bag.
+
+    Raises:
+        BadInput: Not a bag, damaged, a topic missing or of another type, no samples, time running backwards, or values
+            that cannot be what they should be (gauge pressure, other units).
+    """
+    path = Path(path)
+    if restarts not in ("refuse", "last"):
+        raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
+    bag = read_raw(path, {TOPICS[name].type for name in READ_TOPICS}, recover=recover)
+    chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
+    if restarts == "last":
+        _cut(chosen, bag.issues)
+    for topic in chosen.values():
+        _sort(path, topic, bag.issues)
+    samples = stamps.union([chosen[name].arrival.stamp_ns for name in SAMPLE_TOPICS])
+    pressure, voltage = _samples(bag, chosen, samples)
+    measured = chosen.get("measured_joint_states")
+    angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, joint_name)
+    external = chosen.get("measured_external_torque")
+    estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
+    return Recording(
+        path=path,
+        stamp_ns=samples,
+        pressure=pressure,
+        voltage=voltage,
+        angle=angle,
+        torque=torque,
+        external_torque=None if external is None else _external(bag, external, samples),
+        estimate=None if estimate is None else _estimate(estimate),
+        reference=None if reference is None else _reference(reference),
+        received_ns={name: topic.arrival for name, topic in chosen.items()},
+        topics={name: topic.actual for name, topic in chosen.items()},
+        issues=tuple(bag.issues),
+    )
+
+
+def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:
+    """Decode one topic into the order of reception."""
+    actual = raw.channel.topic
+    try:
+        raw = unpack_messages(raw)
+        assert raw.payloads is not None
+        decoded = decode(raw.payloads, raw.channel.msgtype)
+        stamp_ns = decoded.stamp_ns("header.stamp")
+    except (CdrError, CompressionError) as exc:
+        raise BadInput(f"{path}: {actual} cannot be read as {raw.channel.msgtype}, {exc}") from exc
+    return _Topic(name, actual, decoded, raw.log_ns, stamp_ns, np.argsort(raw.log_ns, kind="stable"))
+
+
+def _cut(chosen: Mapping[str, _Topic], issues: list[str]) -> None:
+    """Leave only what came after the last restart; topics that show none are cut at the same time."""
+    starts = {name: stamps.last_restart(topic.stamp_ns[topic.keep]) for name, topic in chosen.items()}
+    restarted = [int(chosen[name].log_ns[chosen[name].keep[start]]) for name, start in starts.items() if start]
+    if not restarted:
+        return
+    for name, topic in chosen.items():
+        late = topic.log_ns[topic.keep] >= min(restarted)
+        topic.keep = topic.keep[starts[name] :] if starts[name] else topic.keep[late]
+    issues.append("time runs backwards in the recording: read what follows the last restart")
+
+
+def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
+    """Bring the kept messages into the order of their stamps."""
+    stamp_ns = topic.stamp_ns[topic.keep]
+    if topic.name == "reference":  # whoever publishes one by hand leaves the stamp at 0; it stays in order of reception
+        unset = stamp_ns == 0
+        topic.stamp_ns = topic.stamp_ns.copy()
+        topic.stamp_ns[topic.keep[unset]] = topic.log_ns[topic.keep[unset]]
+        return
+    if len(stamp_ns):
+        topic.keep = topic.keep[stamps.order(str(path), topic.actual, stamp_ns, issues)]
+
+
+def _samples(bag: RawBag, chosen: Mapping[str, _Topic], samples: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Pressures and voltages at the sample stamps (N, 2) each."""
+    where = str(bag.path)
+    columns: dict[str, Floats] = {}
+    present: dict[str, NDArray[np.bool_]] = {}
+    for name in SAMPLE_TOPICS:
+        topic = chosen[name]
+        if len(topic.keep) == 0:
+            raise BadInput(f"{where}: {topic.actual} has no samples after the last restart")
+        field, what = ("voltage", "voltage") if name == "valve_state" else ("fluid_pressure", "pressure")
+        values = plausible.finite_only(topic.actual, what, topic.values(field), bag.issues)
+        check = plausible.check_voltage if name == "valve_state" else plausible.check_pressure
+        check(where, topic.actual, values, bag.issues)
+        stamp_ns = topic.arrival.stamp_ns
+        columns[name] = np.column_stack(
+            [stamps.spread(samples, stamp_ns, column) for column in values.reshape(len(values), -1).T]
+        )
+        present[topic.actual] = np.isin(samples, stamp_ns, assume_unique=True)
+    stamps.judge_pairing(where, samples, present, bag.issues)
+    return np.column_stack([columns["pressure_1"], columns["pressure_2"]]), columns["valve_state"]
+
+
+def _measured(
+    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], joint: str | None
+) -> tuple[Floats | None, Floats | None]:
+    """Measured angle and torque at the sample stamps (N,), None where the topic has no such field."""
+    position, effort = _joint(bag, topic, joint)
+    angle = _validation(bag, topic, samples, "position", position)
+    return angle, _validation(bag, topic, samples, "effort", effort)
+
+
+def _joint(bag: RawBag, topic: _Topic, joint: str | None) -> tuple[Floats, Floats]:
+    """Position and effort of one joint of a JointState topic (K,), NaN where a message has none."""
+    names = _joint_names(topic.decoded)
+    if joint is not None and joint not in names:
+        listed = ", ".join(names) or "no names"
+        raise BadInput(f"{bag.path}: {topic.actual} has no joint {joint!r}; it has {listed}")
+    if joint is None and names:
+        joint = names[0]
+        if len(names) > 1:
+            bag.issues.append(f"{topic.actual} has {len(names)} joints ({', '.join(names)}): took the first, {joint}")
+    result = {"position": np.full(topic.decoded.size, np.nan), "effort": np.full(topic.decoded.size, np.nan)}
+    for group in topic.decoded.groups:
+        for index in range(max(1, group.counts["name"])):
+            if joint is None or group.counts["name"] == 0:
+                chosen = np.ones(len(group.rows), bool)
+            else:
+                chosen = group.columns[f"name[{index}]"] == joint.encode()
+            for field, values in result.items():
+                if index < group.counts[field]:
+                    values[group.rows[chosen]] = group.columns[field][chosen, index]
+    return result["position"][topic.keep], result["effort"][topic.keep]
+
+
+def _joint_names(decoded: Decoded) -> list[str]:
+    """Joint names in the order of their first appearance."""
+    names: dict[bytes, int] = {}
+    for group in decoded.groups:
+        for index in range(group.counts["name"]):
+            values, first = np.unique(group.columns[f"name[{index}]"], return_index=True)
+            for value, row in zip(values.tolist(), group.rows[first].tolist(), strict=True):
+                place = row * 1000 + index
+                names[value] = min(place, names.get(value, place))
+    return [name.decode(errors="replace") for name in sorted(names, key=lambda name: names[name])]
+
+
+def _external(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Floats | None:
+    """Torque from outside at the sample stamps (N,) [N m]."""
+    torque = np.asarray(topic.values("wrench.torque.z"), np.float64)
+    return _validation(bag, topic, samples, "torque about z", torque)
+
+
+def _validation(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], what: str, values: Floats) -> Floats | None:
+    """A validation signal at the sample stamps (N,), None where it holds nothing.
+
+    Signals that carry the stamps of the samples are taken as they are. A signal with stamps of its own (another
+    driver, another rate) is interpolated, and that is said.
+    """
+    if not np.any(np.isfinite(values)):
+        bag.issues.append(f"{topic.actual} holds no {what}")
+        return None
+    values = plausible.finite_only(topic.actual, what, values, bag.issues)
+    check = plausible.check_angle if what == "position" else plausible.check_torque
+    check(str(bag.path), topic.actual, values, bag.issues)
+    stamp_ns = topic.arrival.stamp_ns
+    alone = len(stamp_ns) - np.count_nonzero(np.isin(stamp_ns, samples, assume_unique=True))
+    if 2 * alone <= len(stamp_ns):
+        if alone:
+            bag.issues.append(f"{alone} values of {what} on {topic.actual} belong to no sample: left out")
+        return stamps.spread(samples, stamp_ns, values)
+    bag.issues.append(f"{what} on {topic.actual} has stamps of its own: interpolated at the samples")
+    result = stamps.interpolate(samples, stamp_ns, values)
+    return result if np.any(np.isfinite(result)) else None
+
+
+def _estimate(topic: _Topic) -> RecordedEstimate:
+    size = len(topic.keep)
+    columns = {name: topic.values(name).reshape(size, *shape) for name, shape in ESTIMATE_SHAPES.items()}
+    started_ns = topic.decoded.stamp_ns("started")[topic.keep]
+    return RecordedEstimate(topic.arrival.stamp_ns, started_ns, **columns)
+
+
+def _reference(topic: _Topic) -> RecordedReference:
+    return RecordedReference(topic.arrival.stamp_ns, topic.values("mode"), topic.values("value"))

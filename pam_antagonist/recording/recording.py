@@ -1,0 +1,257 @@
+"""One recording of a rig as arrays, whatever it was read from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_LOCKED_RANGE = np.radians(0.2)  # [rad] a held joint moves less than that
+_TELLING_PRESSURE = 50e3  # [Pa] change of p1 - p2 that certainly moves a free joint (about 0.08 deg/kPa)
+
+
+class Arrival(NamedTuple):
+    """When the messages of a topic were stamped and when the recorder got them, in stamp order.
+
+    Attributes:
+        log_ns: Recorder's clock at reception (K,) [ns].
+        stamp_ns: Header stamp (K,) [ns].
+    """
+
+    log_ns: Stamps
+    stamp_ns: Stamps
+
+
+def _frozen(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
+    """A read-only array of the type and shape; None in the shape is any length."""
+    array = np.array(value, dtype)
+    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
+        expected = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} has shape {array.shape}, expected ({expected})")
+    array.setflags(write=False)
+    return array
+
+
+def _check_increasing(stamp_ns: Stamps, name: str) -> None:
+    if np.any(np.diff(stamp_ns) <= 0):
+        index = int(np.argmax(np.diff(stamp_ns) <= 0)) + 1
+        raise ValueError(f"{name} is not strictly increasing at index {index}")
+
+
+ESTIMATE_SHAPES: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {
+        "angle": (), "velocity": (), "torque": (), "covariance": (3, 3), "pressure": (2,), "force": (2,),
+        "stiffness": (), "innovation": (2,), "innovation_covariance": (2, 2), "nis": (), "subsystem": (), "flags": (),
+    }
+)  # fmt: skip
+"""Fields of JointEstimate beside its times -> shape of one sample."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedEstimate:
+    """The estimator's output (M samples), named as in ``pam_antagonist_msgs/msg/JointEstimate``.
+
+    Attributes:
+        stamp_ns: Stamps (M,) [ns], strictly increasing.
+        started_ns: Stamp of the first sample since the filter was last started (M,) [ns].
+        angle: (M,) [rad].
+        velocity: (M,) [rad/s].
+        torque: (M,) [N m].
+        covariance: Of angle, velocity and torque (M, 3, 3).
+        pressure: (M, 2) [Pa absolute].
+        force: (M, 2) [N].
+        stiffness: (M,) [N m/rad].
+        innovation: (M, 2) [Pa].
+        innovation_covariance: (M, 2, 2) [Pa^2].
+        nis: (M,).
+        subsystem: 1 to 18 (M,) uint8.
+        flags: (M,) uint8.
+    """
+
+    stamp_ns: Stamps
+    started_ns: Stamps
+    angle: Floats
+    velocity: Floats
+    torque: Floats
+    covariance: Floats
+    pressure: Floats
+    force: Floats
+    stiffness: Floats
+    innovation: Floats
+    innovation_covariance: Floats
+    nis: Floats
+    subsystem: NDArray[np.uint8]
+    flags: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        size = len(self.stamp_ns)
+        for name in ("stamp_ns", "started_ns"):
+            object.__setattr__(self, name, _frozen(getattr(self, name), np.int64, (size,), f"estimate.{name}"))
+        for name, shape in ESTIMATE_SHAPES.items():
+            dtype = np.uint8 if name in ("subsystem", "flags") else np.float64
+            object.__setattr__(self, name, _frozen(getattr(self, name), dtype, (size, *shape), f"estimate.{name}"))
+        _check_increasing(self.stamp_ns, "estimate.stamp_ns")
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    @classmethod
+    def from_rows(cls, stamp_ns: Stamps, started_ns: Stamps, rows: NDArray[Any]) -> RecordedEstimate:
+        """Make one from a structured array whose fields are named like the attributes (M,)."""
+        return cls(stamp_ns, started_ns, **{name: rows[name] for name in ESTIMATE_SHAPES})
+
+    def take(self, index: Any) -> RecordedEstimate:
+        """The samples chosen by a slice, mask or index array."""
+        return RecordedEstimate(**{item.name: getattr(self, item.name)[index] for item in fields(self)})
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedReference:
+    """What the joint was asked to do (K messages, in the order of reception).
+
+    Attributes:
+        stamp_ns: Header stamps (K,) [ns]; the time of reception where a message carried none.
+        mode: JointReference.ANGLE = 0 or TORQUE = 1 (K,) uint8.
+        value: (K,) [rad] or [N m].
+    """
+
+    stamp_ns: Stamps
+    mode: NDArray[np.uint8]
+    value: Floats
+
+    def __post_init__(self) -> None:
+        size = len(self.stamp_ns)
+        for name, dtype in (("stamp_ns", np.int64), ("mode", np.uint8), ("value", np.float64)):
+            object.__setattr__(self, name, _frozen(getattr(self, name), dtype, (size,), f"reference.{name}"))
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording of one rig: N samples, one stamp each, NaN where a value is missing.
+
+    Attributes:
+        path: Where it was read from.
+        stamp_ns: Stamps (N,) [ns], strictly increasing.
+        pressure: Muscle pressures (N, 2) [Pa absolute].
+        voltage: Voltages on the valves over the sample that ends at the stamp (N, 2) [V].
+        angle: Measured joint angle (N,) [rad], or None where none was recorded.
+        torque: Measured joint torque (N,) [N m], or None.
+        external_torque: Torque applied from outside (N,) [N m], or None.
+        estimate: Recorded estimator output, or None.
+        reference: Recorded references, or None.
+        received_ns: Logical topic name -> :class:`Arrival`, for latencies and losses.
+        topics: Logical topic name -> name in the bag, for the topics that were used.
+        issues: Sentences about what was repaired, dropped or is doubtful.
+    """
+
+    path: Path
+    stamp_ns: Stamps
+    pressure: Floats
+    voltage: Floats
+    angle: Floats | None = None
+    torque: Floats | None = None
+    external_torque: Floats | None = None
+    estimate: RecordedEstimate | None = None
+    reference: RecordedReference | None = None
+    received_ns: Mapping[str, Arrival] = field(default_factory=dict)
+    topics: Mapping[str, str] = field(default_factory=dict)
+    issues: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        size = len(self.stamp_ns)
+        if size == 0:
+            raise ValueError("a recording needs a sample at least")
+        object.__setattr__(self, "path", Path(self.path))
+        object.__setattr__(self, "stamp_ns", _frozen(self.stamp_ns, np.int64, (size,), "stamp_ns"))
+        _check_increasing(self.stamp_ns, "stamp_ns")
+        for name in ("pressure", "voltage"):
+            object.__setattr__(self, name, _frozen(getattr(self, name), np.float64, (size, 2), name))
+        for name in ("angle", "torque", "external_torque"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _frozen(getattr(self, name), np.float64, (size,), name))
+        arrivals = {}
+        for name, (log_ns, stamp_ns) in self.received_ns.items():
+            log = _frozen(log_ns, np.int64, (None,), f"received_ns[{name!r}].log_ns")
+            arrivals[name] = Arrival(log, _frozen(stamp_ns, np.int64, (len(log),), f"received_ns[{name!r}].stamp_ns"))
+        object.__setattr__(self, "received_ns", MappingProxyType(arrivals))
+        object.__setattr__(self, "topics", MappingProxyType(dict(self.topics)))
+        object.__setattr__(self, "issues", tuple(self.issues))
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    @property
+    def time_s(self) -> Floats:
+        """Time since the first sample (N,) [s]."""
+        return np.asarray((self.stamp_ns - self.stamp_ns[0]) * 1e-9)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.stamp_ns[-1] - self.stamp_ns[0]) * 1e-9
+
+    @property
+    def sample_period_s(self) -> float:
+        """Median time between samples [s]; NaN for a single one."""
+        return float(np.median(np.diff(self.stamp_ns))) * 1e-9 if len(self) > 1 else float("nan")
+
+    @property
+    def joint(self) -> Literal["free", "locked"] | None:
+        """Whether the joint was free or held, told from the measured angle; None where that cannot be told.
+
+        Locked is a joint that stays within 0.2 deg while the pressure difference changes by more than 50 kPa.
+        """
+        if self.angle is None or not np.any(np.isfinite(self.angle)):
+            return None
+        if np.nanmax(self.angle) - np.nanmin(self.angle) >= _LOCKED_RANGE:
+            return "free"
+        difference = self.pressure[:, 0] - self.pressure[:, 1]
+        difference = difference[np.isfinite(difference)]
+        if len(difference) == 0 or np.ptp(difference) < _TELLING_PRESSURE:
+            return None
+        return "locked"
+
+    def slice(self, start_s: float, stop_s: float) -> Recording:
+        """The samples of ``start_s <= time < stop_s``, counted in seconds from the first sample.
+
+        Raises:
+            ValueError: No sample lies there.
+        """
+        first = int(self.stamp_ns[0])
+        low, high = (first + round(t * 1e9) if np.isfinite(t) else t for t in (start_s, stop_s))
+
+        def inside(stamp_ns: Stamps) -> NDArray[np.bool_]:
+            return np.asarray((stamp_ns >= low) & (stamp_ns < high))
+
+        mask = inside(self.stamp_ns)
+        if not np.any(mask):
+            raise ValueError(f"no sample between {start_s} and {stop_s} s of {self.duration_s:.3f} s in {self.path}")
+        arrays: dict[str, Any] = {
+            name: None if getattr(self, name) is None else getattr(self, name)[mask]
+            for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque")
+        }
+        reference = self.reference
+        if reference is not None:
+            keep = inside(reference.stamp_ns)
+            reference = RecordedReference(reference.stamp_ns[keep], reference.mode[keep], reference.value[keep])
+        return replace(
+            self,
+            **arrays,
+            estimate=None if self.estimate is None else self.estimate.take(inside(self.estimate.stamp_ns)),
+            reference=reference,
+            received_ns={
+                name: Arrival(log[inside(stamp)], stamp[inside(stamp)])
+                for name, (log, stamp) in self.received_ns.items()
+            },
+        )

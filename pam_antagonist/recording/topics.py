@@ -1,0 +1,91 @@
+"""The topics of the package, written once: nodes publish and subscribe by this table, bags are read by it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+DEFAULT_NAMESPACE = "/pam"
+"""Namespace of nodes and recordings unless somebody chose another."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of the package.
+
+    Attributes:
+        name: Logical name, as used by ``read_bag(topics=...)`` and ``--topic NAME=/other``.
+        relative: Name relative to the namespace; one that starts with "/" belongs to no namespace.
+        type: Full ROS message type, such as "sensor_msgs/msg/FluidPressure".
+        meaning: One line with the unit.
+    """
+
+    name: str
+    relative: str
+    type: str
+    meaning: str
+
+    def resolve(self, namespace: str) -> str:
+        """Absolute name of this topic in ``namespace`` ("" and "/" both mean the root)."""
+        if self.relative.startswith("/"):
+            return self.relative
+        return f"{normalize_namespace(namespace)}/{self.relative}"
+
+
+def normalize_namespace(namespace: str) -> str:
+    """Write a namespace as "/a/b" without a trailing slash; the root is the empty string."""
+    stripped = namespace.strip("/")
+    return f"/{stripped}" if stripped else ""
+
+
+_TABLE = (
+    Topic("pressure_1", "pressure_1", "sensor_msgs/msg/FluidPressure", "absolute pressure in muscle 1 [Pa]"),
+    Topic("pressure_2", "pressure_2", "sensor_msgs/msg/FluidPressure", "absolute pressure in muscle 2 [Pa]"),
+    Topic(
+        "valve_state",
+        "valve_state",
+        "pam_antagonist_msgs/msg/ValveCommand",
+        "voltages on the valves over the sample that ends at the stamp [V]",
+    ),
+    Topic("valve_command", "valve_command", "pam_antagonist_msgs/msg/ValveCommand", "voltages asked for [V]"),
+    Topic(
+        "joint_estimate",
+        "joint_estimate",
+        "pam_antagonist_msgs/msg/JointEstimate",
+        "estimated angle [rad], velocity [rad/s], torque [N m] and what helps to judge them",
+    ),
+    Topic(
+        "joint_states",
+        "joint_states",
+        "sensor_msgs/msg/JointState",
+        "estimated angle [rad], velocity [rad/s], torque [N m] for larger stacks",
+    ),
+    Topic("reference", "reference", "pam_antagonist_msgs/msg/JointReference", "angle [rad] or torque [N m] wanted"),
+    Topic(
+        "measured_joint_states",
+        "measured/joint_states",
+        "sensor_msgs/msg/JointState",
+        "encoder angle [rad] and torque meter [N m], for validation only",
+    ),
+    Topic(
+        "measured_external_torque",
+        "measured/external_torque",
+        "geometry_msgs/msg/WrenchStamped",
+        "torque applied from outside about +z [N m], for validation and identification only",
+    ),
+    Topic("diagnostics", "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "health of the nodes"),
+)
+
+TOPICS: Mapping[str, Topic] = MappingProxyType({topic.name: topic for topic in _TABLE})
+"""Logical name -> :class:`Topic`."""
+
+SAMPLE_TOPICS = ("pressure_1", "pressure_2", "valve_state")
+"""The topics without which there is no recording; the three messages of one sample carry one stamp."""
+
+
+def find_topic(name: str) -> Topic | None:
+    """Topic of a logical name ("measured_joint_states") or a relative one ("measured/joint_states"), else None."""
+    if name in TOPICS:
+        return TOPICS[name]
+    return next((topic for topic in _TABLE if topic.relative == name), None)

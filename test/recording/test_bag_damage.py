@@ -1,0 +1,196 @@
+"""Bags that were cut off or damaged: refused in one line, or read as far as they go on request."""
+
+from __future__ import annotations
+
+import resource
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from backports import zstd
+from fake_bags import FakeRig
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import read_bag
+from pam_antagonist.recording.mcap import MAGIC, MAX_CHUNK
+
+
+@contextmanager
+def little_memory(limit: int = 1 << 30) -> Iterator[None]:
+    """Let nothing allocate more than ``limit`` bytes on top of what the process has."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def refusal(path: Path, **options) -> str:
+    with pytest.raises(BadInput) as caught:
+        read_bag(path, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert str(path) in text
+    return text
+
+
+def record(opcode: int, body: bytes, size: int | None = None) -> bytes:
+    return struct.pack("<BQ", opcode, len(body) if size is None else size) + body
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def chunk(data: bytes, compression: str, size: int, *, packed: int | None = None, crc: int = 0) -> bytes:
+    head = struct.pack("<QQQI", 0, 0, size, crc) + text(compression)
+    return record(6, head + struct.pack("<Q", len(data) if packed is None else packed) + data)
+
+
+HEADER = MAGIC + record(1, text("ros2") + text("test"))
+FOOTER = record(2, bytes(20)) + MAGIC
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [("mcap", "none"), ("mcap", "chunk"), ("mcap", "file"), ("sqlite3", "none"), ("sqlite3", "file")],
+)
+def test_every_cut_is_refused(rig: FakeRig, tmp_path: Path, storage: str, compression: str) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams(), storage=storage, compression=compression)
+    file = next(path for path in bag.iterdir() if path.name != "metadata.yaml")
+    whole = file.read_bytes()
+    for size in [1, 7, 8, 20, *np.linspace(50, len(whole) - 1, 25).astype(int)]:
+        file.write_bytes(whole[:size])
+        said = refusal(bag)
+        assert str(file) in said or "damaged" in said or "no samples" in said
+
+
+def test_a_cut_says_where(rig: FakeRig, tmp_path: Path) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams())
+    file = bag / "bag.mcap"
+    whole = file.read_bytes()
+    (header,) = struct.unpack_from("<Q", whole, len(MAGIC) + 1)
+    start = len(MAGIC) + 9 + header  # the first record after the header is the one chunk
+    file.write_bytes(whole[:2000])
+    assert f"the chunk record at byte {start} has" in refusal(bag)
+    assert "bytes, of which" in refusal(bag)
+    file.write_bytes(whole[:-37])  # footer and closing magic
+    assert f"it ends at byte {len(whole) - 37} without a footer; 200 messages stand before that" in refusal(bag)
+
+
+def test_what_stands_before_the_cut_is_read_on_request(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    long = FakeRig(6000)  # several chunks
+    long.write(bag, {topic: s for topic, s in long.streams().items() if "measured" not in topic})
+    file = bag / "bag.mcap"
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(0.8 * len(whole))])
+    recording = read_bag(bag, recover=True)
+    size = len(recording)
+    assert 2000 < size < 6000
+    both = np.isfinite(recording.pressure).all(axis=1)
+    assert np.count_nonzero(~both) <= 1
+    np.testing.assert_array_equal(recording.pressure[both], long.pressure[:size][both])
+    assert any("is truncated or damaged, the " in issue and "read the" in issue for issue in recording.issues)
+
+
+def test_what_stands_before_the_cut_of_a_packed_file(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    long = FakeRig(6000)
+    long.write(bag, {t: s for t, s in long.streams().items() if "measured" not in t}, compression="file")
+    file = bag / "bag.mcap.zstd"
+    file.write_bytes(file.read_bytes()[: int(0.8 * file.stat().st_size)])
+    assert "its zstd data end early" in refusal(bag)
+    assert 2000 < len(read_bag(bag, recover=True)) < 6000
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [("mcap", "none"), ("mcap", "chunk"), ("mcap", "message"), ("mcap", "file"), ("sqlite3", "none")],
+)
+def test_flipped_bytes_never_do_more_than_refuse(rig: FakeRig, tmp_path: Path, storage: str, compression: str) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams(), storage=storage, compression=compression)
+    file = next(path for path in bag.iterdir() if path.name != "metadata.yaml")
+    whole = file.read_bytes()
+    rng = np.random.default_rng(7)
+    refused = 0
+    with little_memory():
+        for recover in (False, True) * 20:
+            damaged = bytearray(whole)
+            for position in rng.integers(0, len(whole), rng.integers(1, 8)):
+                damaged[position] = rng.integers(256)
+            file.write_bytes(damaged)
+            try:
+                read_bag(bag, recover=recover)
+            except BadInput as exc:
+                assert "\n" not in str(exc)
+                refused += 1
+    assert refused > 0
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        (record(6, b"", size=2**62), "record at byte 33 has 4611686018427387904 bytes, of which 37 are there"),
+        (record(5, b"", size=2**63), "the message record at byte 33 has 9223372036854775808 bytes"),
+        (record(5, bytes(5)), "a message record at byte 33 has 5 bytes, expected 22 or more"),
+        (record(5, bytes(30)), "a message at byte 33 belongs to channel 0, which is not declared"),
+        (record(4, bytes(4) + struct.pack("<I", 2**32 - 1)), "the channel record at byte 33 is damaged (a text of"),
+        (record(3, b"\0\0" + struct.pack("<I", 2) + b"\xff\xff"), "the schema record at byte 33 is damaged"),
+        (bytes(64), "there is no record at byte 33"),
+        (chunk(b"", "", 2**50), f"claims 1125899906842624 bytes, expected {MAX_CHUNK} at most"),
+        (chunk(b"abc", "", 3, packed=2**50), "claims 1125899906842624 packed bytes, but has 3"),
+        (chunk(b"abc", "", 4), "4 bytes were announced, 3 are there"),
+        (chunk(b"abc", "rar", 4), "compression 'rar' is not known, expected zstd, lz4 or none"),
+        (chunk(b"abc", "zstd", 4), "the chunk record at byte 33 is damaged"),
+        (chunk(b"abc", "lz4", 4), "the chunk record at byte 33 is damaged"),
+        (chunk(bytes(9), "", 9, crc=1), "the chunk at byte 33 does not match its checksum"),
+        (chunk(record(9, b"", size=77), "", 9), "the attachment record at byte 0 of the chunk at byte 33 has 77 bytes"),
+        (chunk(chunk(b"", "", 0), "", 49), "there is a chunk inside the chunk at byte 33"),
+    ],
+)  # fmt: skip
+def test_impossible_records_are_refused_at_once(tmp_path: Path, body: bytes, said: str) -> None:
+    file = tmp_path / "bag.mcap"
+    file.write_bytes(HEADER + body + FOOTER)
+    began = time.monotonic()
+    with little_memory():
+        assert said in refusal(file)
+    assert time.monotonic() - began < 2.0
+
+
+def test_chunk_that_unpacks_to_more_than_it_claims(tmp_path: Path) -> None:
+    file = tmp_path / "bag.mcap"
+    file.write_bytes(HEADER + chunk(zstd.compress(bytes(100 << 20), 1), "zstd", 1000) + FOOTER)
+    with little_memory(16 << 20):
+        assert "1000 bytes were announced, more are there" in refusal(file)
+
+
+def test_file_that_unpacks_without_end(tmp_path: Path, monkeypatch) -> None:
+    file = tmp_path / "bag.mcap.zstd"
+    file.write_bytes(zstd.compress(HEADER + bytes(64 << 20), 1))
+    monkeypatch.setattr("pam_antagonist.recording.storage.MAX_UNPACKED", 16 << 20)
+    assert "it unpacks to more than" in refusal(file)
+
+
+def test_lengths_in_the_metadata_are_not_believed(rig: FakeRig, tmp_path: Path) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams())
+    metadata = (bag / "metadata.yaml").read_text()
+    assert "message_count: 40" in metadata
+    (bag / "metadata.yaml").write_text(metadata.replace("message_count: 40", "message_count: 4000000000000"))
+    with little_memory():
+        rig.assert_same(read_bag(bag))
+
+
+def test_a_log_beside_an_sqlite3_file_is_mentioned(rig: FakeRig, tmp_path: Path) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams(), storage="sqlite3")
+    (bag / "bag.db3-wal").write_bytes(bytes(4096))
+    recording = read_bag(bag)
+    rig.assert_same(recording)
+    assert len(recording.issues) == 1
+    assert "bag.db3-wal holds messages that were not read" in recording.issues[0]

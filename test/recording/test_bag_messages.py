@@ -1,0 +1,70 @@
+"""The definitions in Python against the .msg files, and the topic table."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from rosbags.typesys import get_types_from_msg
+
+from pam_antagonist.recording import TOPICS
+from pam_antagonist.recording.messages import DEFINITIONS, definition_differs, typestore
+from pam_antagonist.recording.topics import find_topic
+
+MSG = Path(__file__).parents[2] / "pam_antagonist_msgs" / "msg"
+VALVE = "pam_antagonist_msgs/msg/ValveCommand"
+
+
+def test_definitions_equal_the_msg_files() -> None:
+    files = {f"pam_antagonist_msgs/msg/{file.stem}": file for file in MSG.glob("*.msg")}
+    assert files.keys() == DEFINITIONS.keys()
+    for name, file in files.items():
+        theirs = get_types_from_msg(file.read_text(), name)[name]
+        ours = get_types_from_msg(DEFINITIONS[name], name)[name]
+        assert ours == theirs, f"{file.name} and messages.py differ"
+
+
+def test_valve_command_has_the_hash_of_existing_recordings(rig_a: Path) -> None:
+    metadata = yaml.safe_load((rig_a / "nominal" / "free" / "metadata.yaml").read_text())
+    topics = metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
+    hashes = {entry["topic_metadata"]["type"]: entry["topic_metadata"]["type_description_hash"] for entry in topics}
+    assert VALVE in hashes
+    for msgtype, digest in hashes.items():
+        assert typestore().hash_rihs01(msgtype) == digest
+
+
+def test_every_topic_has_a_known_type_and_a_name() -> None:
+    for name, topic in TOPICS.items():
+        assert topic.type in typestore().fielddefs
+        assert find_topic(name) is topic
+        assert find_topic(topic.relative) is topic
+    assert TOPICS["pressure_1"].resolve("pam") == "/pam/pressure_1"
+    assert TOPICS["pressure_1"].resolve("/") == "/pressure_1"
+    assert TOPICS["diagnostics"].resolve("/pam") == "/diagnostics"
+
+
+@pytest.mark.parametrize(
+    ("digest", "definition", "differs"),
+    [
+        ("", "", False),
+        (typestore().hash_rihs01(VALVE), "", False),
+        ("RIHS01_" + "0" * 64, "", True),
+        ("", typestore().generate_msgdef(VALVE, ros_version=2)[0], False),
+        ("", "std_msgs/Header header\nfloat64[3] voltage\n", True),
+        ("", "std_msgs/Header header\nfloat32[2] voltage\n", True),
+        ("", "@@@", False),
+    ],
+)
+def test_other_definitions_are_noticed(digest: str, definition: str, differs: bool) -> None:
+    assert definition_differs(VALVE, digest, definition) is differs
+
+
+def test_topic_table_needs_no_bag_library() -> None:
+    code = (
+        "import sys, pam_antagonist.recording as r; r.TOPICS; print('rosbags' in sys.modules or 'numpy' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "False"

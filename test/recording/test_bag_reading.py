@@ -1,0 +1,291 @@
+"""Bags of every kind are read to the same arrays."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_bags import ESTIMATE, FIRST_NS, JOINT, PERIOD_NS, REFERENCE, FakeRig, Stream
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import bag_hash, read_bag
+from pam_antagonist.recording.messages import typestore
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [("mcap", "none"), ("mcap", "chunk"), ("mcap", "message"), ("mcap", "file")]
+    + [("sqlite3", "none"), ("sqlite3", "message"), ("sqlite3", "file")],
+)
+def test_storages_and_compressions(rig: FakeRig, tmp_path: Path, storage: str, compression: str) -> None:
+    recording = read_bag(rig.write(tmp_path / "bag", rig.streams(), storage=storage, compression=compression))
+    rig.assert_same(recording)
+    assert recording.issues == ()
+    assert recording.path == tmp_path / "bag"
+    assert recording.estimate is None and recording.reference is None
+    np.testing.assert_array_equal(recording.received_ns["pressure_2"].log_ns, rig.stamp_ns + 150_000)
+    np.testing.assert_array_equal(recording.received_ns["pressure_2"].stamp_ns, rig.stamp_ns)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_files_without_metadata(rig: FakeRig, tmp_path: Path, storage: str) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams(), storage=storage)
+    rig.assert_same(read_bag(bag / "metadata.yaml"))
+    (bag / "metadata.yaml").unlink()
+    file = next(bag.iterdir())
+    bare = read_bag(file)
+    rig.assert_same(bare)
+    assert bare.issues == ()
+    folder = read_bag(bag)
+    rig.assert_same(folder)
+    assert len(folder.issues) == 1 and "no metadata.yaml" in folder.issues[0]
+
+
+def test_big_endian(rig: FakeRig, tmp_path: Path) -> None:
+    rig.little_endian = False
+    rig.assert_same(read_bag(rig.write(tmp_path / "bag", rig.streams())))
+
+
+def test_layouts_that_change_on_the_way(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    for i, stamp in enumerate(rig.stamp_ns):
+        rig.little_endian = i % 3 > 0
+        frame = "muscle_with_a_long_name"[: i % 7]
+        streams["/pam/pressure_1"].items[i] = rig.pressure_message(stamp, rig.pressure[i, 0], frame=frame)
+    rig.assert_same(read_bag(rig.write(tmp_path / "bag", streams)))
+
+
+@pytest.mark.parametrize("namespace", ["", "/lab/left", "/pam"])
+def test_namespace_is_found(rig: FakeRig, tmp_path: Path, namespace: str) -> None:
+    recording = read_bag(rig.write(tmp_path / "bag", rig.streams(namespace)))
+    rig.assert_same(recording)
+    assert recording.topics["measured_joint_states"] == f"{namespace}/measured/joint_states"
+
+
+def test_two_rigs_in_one_bag_want_a_choice(rig: FakeRig, tmp_path: Path) -> None:
+    other = FakeRig()
+    other.pressure = other.pressure + 1e3
+    bag = rig.write(tmp_path / "bag", rig.streams("/left") | other.streams("/right"))
+    with pytest.raises(BadInput, match=r"several namespaces hold such topics \(/left, /right\)"):
+        read_bag(bag)
+    rig.assert_same(read_bag(bag, namespace="left"))
+    other.assert_same(read_bag(bag, namespace="/right/"))
+
+
+def test_other_names(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/tank/sensor"] = streams.pop("/pam/pressure_2")
+    streams["/encoder"] = streams.pop("/pam/measured/joint_states")
+    bag = rig.write(tmp_path / "bag", streams)
+    rig.assert_same(read_bag(bag, topics={"pressure_2": "/tank/sensor", "measured/joint_states": "encoder"}))
+    everywhere = {name: f"/{name}" for name in ("pressure_1", "pressure_2", "valve_state", "measured_joint_states")}
+    streams = {f"/{topic.split('/', 2)[2]}" if topic.startswith("/pam") else topic: s for topic, s in streams.items()}
+    streams["/pressure_2"], streams["/measured_joint_states"] = streams.pop("/tank/sensor"), streams.pop("/encoder")
+    rig.assert_same(read_bag(rig.write(tmp_path / "all", streams), topics=everywhere))
+
+
+def test_several_files(rig: FakeRig, tmp_path: Path) -> None:
+    half = rig.size // 2
+    parts = []
+    for k, rows in enumerate((slice(None, half), slice(half, None))):
+        streams = {topic: Stream(s.type, s.items[rows]) for topic, s in rig.streams().items()}
+        parts.append(rig.write(tmp_path / f"part_{k}", streams) / f"part_{k}.mcap")
+    bag = tmp_path / "part_0"
+    shutil.copy(parts[1], bag)
+    text = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(text.replace("  - part_0.mcap", "  - part_0.mcap\n  - part_1.mcap", 1))
+    rig.assert_same(read_bag(bag))
+    (bag / "metadata.yaml").unlink()
+    rig.assert_same(read_bag(bag))
+
+
+def test_missing_messages_are_nan(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    del streams["/pam/pressure_2"].items[3:5]
+    del streams["/pam/valve_state"].items[7]
+    del streams["/pam/measured/joint_states"].items[9]
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    np.testing.assert_array_equal(recording.stamp_ns, rig.stamp_ns)
+    assert np.flatnonzero(np.isnan(recording.pressure[:, 1])).tolist() == [3, 4]
+    assert not np.any(np.isnan(recording.pressure[:, 0]))
+    assert np.flatnonzero(np.isnan(recording.voltage).any(axis=1)).tolist() == [7]
+    assert np.flatnonzero(np.isnan(recording.angle)).tolist() == [9]
+    assert "2 of 40 samples without /pam/pressure_2" in recording.issues
+    assert "1 of 40 samples without /pam/valve_state" in recording.issues
+
+
+def test_values_that_are_not_finite_are_nan(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    for i, value in ((2, np.nan), (5, np.inf), (6, -np.inf)):
+        streams["/pam/pressure_1"].items[i] = rig.pressure_message(rig.stamp_ns[i], value)
+    streams["/pam/valve_state"].items[4] = rig.valve_message(rig.stamp_ns[4], [np.nan, 5.0])
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    assert np.flatnonzero(np.isnan(recording.pressure[:, 0])).tolist() == [2, 5, 6]
+    assert np.isnan(recording.voltage[4, 0]) and recording.voltage[4, 1] == 5.0
+    assert "3 of 40 values of pressure on /pam/pressure_1 are not finite: left out" in recording.issues
+
+
+def test_repeated_stamps_keep_the_first_message(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    stamp = rig.stamp_ns[6]
+    streams["/pam/pressure_1"].items.append(rig.pressure_message(stamp, 123e3, log_ns=int(stamp) + 400_000))
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    rig.assert_same(recording)
+    assert recording.issues == ("1 messages of /pam/pressure_1 repeat a stamp: the first of each stamp was kept",)
+
+
+def test_late_messages_are_sorted(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    log, data = streams["/pam/pressure_1"].items[6]
+    streams["/pam/pressure_1"].items[6] = (log + 3 * PERIOD_NS + 1, data)
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    rig.assert_same(recording)
+    assert recording.issues == ("1 messages of /pam/pressure_1 came out of order, by 3 ms at most: sorted by stamp",)
+    assert recording.received_ns["pressure_1"].log_ns[6] == log + 3 * PERIOD_NS + 1
+
+
+def test_messages_without_a_stamp_are_dropped(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/pressure_1"].items.insert(0, rig.pressure_message(0, 4e5, log_ns=FIRST_NS - 1))
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    rig.assert_same(recording)
+    assert recording.issues == ("1 messages of /pam/pressure_1 without a stamp: dropped",)
+
+
+def restarted(rig: FakeRig) -> dict[str, Stream]:
+    """Half a second recorded ten seconds later than the rest, but received before it."""
+    streams = rig.streams()
+    early = FakeRig(7)
+    early.pressure = early.pressure + 5e3
+    early.stamp_ns = early.stamp_ns + 10**10
+    for topic, stream in early.streams().items():
+        streams[topic].items.extend((log - 2 * 10**10, data) for log, data in stream.items)
+    return streams
+
+
+def test_last_restart_is_read_on_request(rig: FakeRig, tmp_path: Path) -> None:
+    streams = restarted(rig)
+    bag = rig.write(tmp_path / "bag", streams)
+    with pytest.raises(BadInput, match="runs backwards on /pam/pressure_1, message 7 is stamped 17800000"):
+        read_bag(bag)
+    recording = read_bag(bag, restarts="last")
+    rig.assert_same(recording)
+    assert recording.issues == ("time runs backwards in the recording: read what follows the last restart",)
+    with pytest.raises(ValueError, match="restarts is 'first'"):
+        read_bag(bag, restarts="first")
+
+
+def test_a_gap_is_said(rig: FakeRig, tmp_path: Path) -> None:
+    rig.stamp_ns = rig.stamp_ns + 3 * 10**9 * (np.arange(rig.size) >= 10)
+    recording = read_bag(rig.write(tmp_path / "bag", rig.streams()))
+    rig.assert_same(recording)
+    assert recording.issues == ("no samples for 3.001 s, from 0.009 s after the first one on",)
+
+
+def test_several_joints(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    names = ["elbow", "wrist"]
+    for i, stamp in enumerate(rig.stamp_ns):
+        order = [0, 1] if i % 2 else [1, 0]
+        position, effort = np.array([[rig.angle[i], 1.0], [rig.torque[i], 2.0]])[:, order]
+        message = rig.joint_message(stamp, position, effort, [names[k] for k in order])
+        streams["/pam/measured/joint_states"].items[i] = message
+    bag = rig.write(tmp_path / "bag", streams)
+    rig.assert_same(read_bag(bag, joint_name="elbow"))
+    first = read_bag(bag)
+    assert np.all(first.angle == 1.0) and np.all(first.torque == 2.0)  # the wrist comes first in the first message
+    assert first.issues == ("/pam/measured/joint_states has 2 joints (wrist, elbow): took the first, wrist",)
+    with pytest.raises(BadInput, match="has no joint 'knee'; it has wrist, elbow"):
+        read_bag(bag, joint_name="knee")
+
+
+def test_joint_states_without_effort_or_names(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/measured/joint_states"].items = [
+        rig.joint_message(stamp, [angle], [], name=()) for stamp, angle in zip(rig.stamp_ns, rig.angle, strict=True)
+    ]
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    np.testing.assert_array_equal(recording.angle, rig.angle)
+    assert recording.torque is None
+    assert recording.issues == ("/pam/measured/joint_states holds no effort",)
+
+
+def test_encoder_with_stamps_of_its_own_is_interpolated(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    stamps = FIRST_NS + 300_000 + 2 * PERIOD_NS * np.arange(12)
+    stamps = np.concatenate([stamps[:6], stamps[6:] + 40 * PERIOD_NS])  # with a gap
+    ramp = (stamps - FIRST_NS) * 1e-9
+    streams["/pam/measured/joint_states"].items = [
+        rig.joint_message(stamp, [value], []) for stamp, value in zip(stamps, ramp, strict=True)
+    ]
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    expected = (rig.stamp_ns - FIRST_NS) * 1e-9
+    outside = (rig.stamp_ns < stamps[0]) | ((rig.stamp_ns > stamps[5]) & (rig.stamp_ns < stamps[6]))
+    assert np.count_nonzero(outside) == 30
+    np.testing.assert_allclose(recording.angle, np.where(outside, np.nan, expected), atol=1e-12)
+    assert (
+        "position on /pam/measured/joint_states has stamps of its own: interpolated at the samples" in recording.issues
+    )
+
+
+def test_estimate_and_reference(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    time = typestore().types["builtin_interfaces/msg/Time"](1_780_000_000, 122_000_000)
+    estimates, references = Stream(ESTIMATE), Stream(REFERENCE)
+    for i, stamp in enumerate(rig.stamp_ns):
+        fields = {"angle": 0.1 * i, "velocity": 0.2 * i, "torque": 0.3 * i, "covariance": np.arange(9.0) + i,
+                  "pressure": np.array([1.0, 2.0]) * i, "force": np.array([3.0, 4.0]) * i, "stiffness": 5.0 * i,
+                  "innovation": np.array([np.nan, 6.0]), "innovation_covariance": np.arange(4.0) - i, "nis": 7.0 * i,
+                  "subsystem": i % 18 + 1, "flags": i % 128}  # fmt: skip
+        estimates.items.append(rig.message(ESTIMATE, stamp, started=time, **fields))
+    references.items.append(rig.message(REFERENCE, FIRST_NS, mode=1, value=0.5))
+    references.items.append(rig.message(REFERENCE, 0, mode=0, value=-0.25, log_ns=FIRST_NS + 200_000))
+    streams |= {"/pam/joint_estimate": estimates, "/pam/reference": references}
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    estimate, steps = recording.estimate, np.arange(rig.size)
+    np.testing.assert_array_equal(estimate.stamp_ns, rig.stamp_ns)
+    assert np.all(estimate.started_ns == 1_780_000_000_122_000_000)
+    np.testing.assert_array_equal(estimate.torque, [0.3 * i for i in steps])
+    np.testing.assert_array_equal(estimate.covariance[:, 1, 2], 5.0 + steps)
+    np.testing.assert_array_equal(estimate.innovation_covariance[:, 1, 0], 2.0 - steps)
+    np.testing.assert_array_equal(estimate.force, np.outer(steps, [3.0, 4.0]))
+    assert np.all(np.isnan(estimate.innovation[:, 0])) and np.all(estimate.innovation[:, 1] == 6.0)
+    np.testing.assert_array_equal(estimate.subsystem, steps % 18 + 1)
+    np.testing.assert_array_equal(estimate.flags, steps % 128)
+    np.testing.assert_array_equal(recording.reference.stamp_ns, [FIRST_NS, FIRST_NS + 200_000])
+    np.testing.assert_array_equal(recording.reference.mode, [1, 0])
+    np.testing.assert_array_equal(recording.reference.value, [0.5, -0.25])
+
+
+def test_a_validation_topic_of_another_type_is_left_out_and_said(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/measured/joint_states"] = streams["/pam/valve_state"]
+    recording = read_bag(rig.write(tmp_path / "bag", streams))
+    assert recording.angle is None
+    assert recording.issues == (
+        f"topic /pam/measured/joint_states is a pam_antagonist_msgs/msg/ValveCommand, expected {JOINT}: left out",
+    )
+
+
+def test_rare_outliers_stay_and_are_counted(rig: FakeRig, tmp_path: Path) -> None:
+    rig.pressure[5, 0] = 0.0
+    rig.voltage[6, 1] = 12.0
+    recording = read_bag(rig.write(tmp_path / "bag", rig.streams()))
+    rig.assert_same(recording)
+    assert len(recording.issues) == 2
+    assert "1 of 40 values on /pam/pressure_1 lie below 80 kPa absolute: kept" in recording.issues[0]
+    assert "1 of 80 values on /pam/valve_state lie outside 0 to 10 V: kept" in recording.issues[1]
+
+
+def test_hash_is_that_of_the_message_file(rig: FakeRig, tmp_path: Path) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams())
+    digest = hashlib.sha256((bag / "bag.mcap").read_bytes()).hexdigest()
+    assert bag_hash(bag) == bag_hash(bag / "bag.mcap") == digest
+    shutil.copytree(bag, tmp_path / "other")
+    (tmp_path / "other" / "metadata.yaml").write_text((bag / "metadata.yaml").read_text() + "\n")
+    assert bag_hash(tmp_path / "other") == digest
+    rig.pressure[0, 0] += 1.0
+    assert bag_hash(rig.write(tmp_path / "third", rig.streams())) != digest

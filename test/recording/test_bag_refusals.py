@@ -1,0 +1,229 @@
+"""What is no usable recording is refused in one line that says what, where and what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_bags import FLUID, FakeRig, Stream
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import read_bag
+
+
+def refusal(path: Path, **options) -> str:
+    """Message of the refusal: one line that names the bag."""
+    with pytest.raises(BadInput) as caught:
+        read_bag(path, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert str(path) in text
+    return text
+
+
+def test_nothing_there(tmp_path: Path) -> None:
+    assert "there is no such bag" in refusal(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "data.csv", "free.mcap", "free.db3"])
+def test_file_of_another_kind(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("t_s,torque_Nm\n0.0,1.0\n")
+    assert "neither MCAP nor sqlite3, expected a folder with metadata.yaml" in refusal(tmp_path / name)
+
+
+def test_ros_1_bag(tmp_path: Path) -> None:
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    assert "ROS 1 bag" in refusal(tmp_path / "old.bag")
+
+
+def test_folder_without_a_bag(tmp_path: Path) -> None:
+    (tmp_path / "readme.txt").write_text("nothing")
+    assert "not a rosbag2, expected a folder with metadata.yaml" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["bag.mcap", "bag.db3"])
+def test_empty_file(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).touch()
+    assert "is empty" in refusal(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "not readable as YAML"),
+        ("", "not the metadata of a rosbag2"),
+        ("a: 1", "entry 'rosbag2_bagfile_information' is missing"),
+        ("rosbag2_bagfile_information: 7", "not the metadata of a rosbag2"),
+        ("rosbag2_bagfile_information:\n  relative_file_paths: []", "names no message files"),
+        ("rosbag2_bagfile_information:\n  relative_file_paths: [gone.mcap]", "names gone.mcap, which is not there"),
+        ("rosbag2_bagfile_information:\n  relative_file_paths: [3]", "not the metadata of a rosbag2"),
+        ("[" * 1500, "not readable as YAML"),
+    ],
+)
+def test_metadata_that_makes_no_sense(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "metadata.yaml").write_text(text)
+    assert said in refusal(tmp_path)
+
+
+def test_metadata_that_is_no_text(tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_bytes(b"\xff\xfe\x00")
+    assert "not readable as YAML" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("topics", [{}, {"/pam/pressure_1": Stream(FLUID)}])
+def test_bag_without_messages(rig: FakeRig, tmp_path: Path, topics: dict[str, Stream]) -> None:
+    assert "no samples, the bag holds no messages" in refusal(rig.write(tmp_path / "bag", topics))
+
+
+def test_topic_without_messages(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/pressure_2"].items.clear()
+    assert "topic /pam/pressure_2 has no samples" in refusal(rig.write(tmp_path / "bag", streams))
+
+
+def test_missing_topic_lists_what_is_there(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    del streams["/pam/pressure_2"]
+    text = refusal(rig.write(tmp_path / "bag", streams))
+    assert "topic /pam/pressure_2 is missing" in text
+    assert "/pam/pressure_1 (sensor_msgs/msg/FluidPressure)" in text
+    assert "--topic pressure_2=/NAME" in text
+
+
+def test_commands_are_not_taken_for_the_valve_state(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/valve_command"] = streams.pop("/pam/valve_state")
+    bag = rig.write(tmp_path / "bag", streams)
+    assert "--topic valve_state=/pam/valve_command" in refusal(bag)
+    rig.assert_same(read_bag(bag, topics={"valve_state": "/pam/valve_command"}))
+
+
+def test_bag_of_somebody_else(rig: FakeRig, tmp_path: Path) -> None:
+    streams = {f"/tank_{k}": Stream(FLUID, rig.streams()["/pam/pressure_1"].items) for k in range(15)}
+    text = refusal(rig.write(tmp_path / "bag", streams))
+    assert "topic /pam/pressure_1 is missing" in text
+    assert "/tank_0 (" in text and "and 3 more" in text
+
+
+def test_wrong_type(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/pressure_1"] = streams["/pam/measured/joint_states"]
+    text = refusal(rig.write(tmp_path / "bag", streams))
+    assert "topic /pam/pressure_1 is a sensor_msgs/msg/JointState, expected sensor_msgs/msg/FluidPressure" in text
+
+
+def test_names_that_were_given_and_do_not_fit(rig: FakeRig, tmp_path: Path) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams())
+    text = refusal(bag, topics={"measured_joint_states": "/pam/valve_state"})
+    assert "expected sensor_msgs/msg/JointState" in text
+    assert "topic /gone is missing" in refusal(bag, topics={"pressure_1": "/gone"})
+    assert "topic /lab/pressure_1 is missing" in refusal(bag, namespace="lab")
+    with pytest.raises(BadInput, match="topic name 'presure_1' is unknown, expected one of pressure_1, pressure_2"):
+        read_bag(bag, topics={"presure_1": "/x"})
+
+
+def test_other_definition_of_a_message(rig: FakeRig, tmp_path: Path) -> None:
+    bag = rig.write(tmp_path / "bag", rig.streams())
+    text = (bag / "metadata.yaml").read_text()
+    assert "RIHS01_ffe012138403d148" in text
+    (bag / "metadata.yaml").write_text(text.replace("RIHS01_ffe012138403d148", "RIHS01_0000000000000000"))
+    assert "topic /pam/valve_state was recorded with another definition" in refusal(bag)
+
+
+def test_payload_of_another_type(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    items = streams["/pam/pressure_1"].items
+    items[3] = (items[3][0], streams["/pam/measured/joint_states"].items[3][1])
+    text = refusal(rig.write(tmp_path / "bag", streams))
+    assert "/pam/pressure_1 cannot be read as sensor_msgs/msg/FluidPressure, message 3" in text
+
+
+def test_no_stamps(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/pressure_1"].items = [
+        rig.pressure_message(0, 4e5, log_ns=log) for log, _ in streams["/pam/pressure_1"].items
+    ]
+    assert "no message of /pam/pressure_1 carries a stamp" in refusal(rig.write(tmp_path / "bag", streams))
+
+
+@pytest.mark.parametrize("options", [{}, {"restarts": "last"}])
+def test_time_that_creeps_backwards(rig: FakeRig, tmp_path: Path, options: dict[str, str]) -> None:
+    streams = rig.streams()
+    for topic in list(streams):
+        log = [log for log, _ in streams[topic].items]
+        streams[topic].items = [
+            (time, rig.pressure_message(int(rig.stamp_ns[0]) - 100_000_000 * i, 4e5)[1])
+            if topic == "/pam/pressure_1"
+            else streams[topic].items[i]
+            for i, time in enumerate(log)
+        ]
+    text = refusal(rig.write(tmp_path / "bag", streams), **options)
+    assert "time runs backwards on /pam/pressure_1, message 6 is stamped" in text
+
+
+def test_pressures_that_never_share_a_stamp(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/pressure_2"].items = [
+        rig.pressure_message(stamp + 1000, value) for stamp, value in zip(rig.stamp_ns, rig.pressure[:, 1], strict=True)
+    ]
+    text = refusal(rig.write(tmp_path / "bag", streams))
+    assert "/pam/pressure_1 and /pam/pressure_2 share a stamp in 0 of 80 samples" in text
+
+
+def set_pressure(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[FakeRig], None]:
+    def apply(rig: FakeRig) -> None:
+        rig.pressure[:, 1] = change(rig.pressure[:, 1])
+
+    return apply
+
+
+def set_to(name: str, values: np.ndarray | float) -> Callable[[FakeRig], None]:
+    def apply(rig: FakeRig) -> None:
+        getattr(rig, name)[...] = values
+
+    return apply
+
+
+def scale(name: str, factor: float) -> Callable[[FakeRig], None]:
+    def apply(rig: FakeRig) -> None:
+        setattr(rig, name, factor * getattr(rig, name))
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (set_pressure(lambda p: np.linspace(0.0, 3e5, len(p))), "/pam/pressure_2 looks like gauge pressure"),
+        (set_pressure(lambda p: np.linspace(-2e3, 1.2e5, len(p))), "/pam/pressure_2 looks like gauge pressure"),
+        (set_pressure(lambda p: p / 1e6), "/pam/pressure_2 looks like MPa (values up to 0.6"),
+        (set_pressure(lambda p: p / 1e5), "/pam/pressure_2 looks like bar (values up to"),
+        (set_pressure(lambda p: p / 1e3), "/pam/pressure_2 looks like kPa or psi (values up to 6"),
+        (set_pressure(lambda p: p / 1e2), "/pam/pressure_2 looks like hPa (values up to 6"),
+        (set_pressure(lambda p: p * 0.0), "/pam/pressure_2 is 0 throughout"),
+        (set_pressure(lambda p: p * 10.0), "/pam/pressure_2 has values up to 6"),
+        (set_pressure(lambda p: p * np.nan), "/pam/pressure_2 holds no finite pressure in 40 messages"),
+        (set_to("voltage", 11.5), "/pam/valve_state has values from 11.5 to 11.5, expected 0 to 10 V"),
+        (scale("voltage", 10.0), "which looks like percent, expected 0 to 10 V"),
+        (scale("voltage", 1000.0), "which looks like mV, expected 0 to 10 V"),
+        (scale("voltage", -1.0), "/pam/valve_state has values from -"),
+        (set_to("voltage", np.nan), "/pam/valve_state holds no finite voltage"),
+        (scale("angle", 57.3), "the position on /pam/measured/joint_states goes from -16.71"),
+        (scale("torque", 1000.0), "the torque on /pam/measured/joint_states goes from -"),
+        (scale("external", 10000.0), "the torque on /pam/measured/external_torque goes from -"),
+    ],
+)
+def test_values_in_another_unit(rig: FakeRig, tmp_path: Path, change: Callable[[FakeRig], None], said: str) -> None:
+    change(rig)
+    assert said in refusal(rig.write(tmp_path / "bag", rig.streams()))
+
+
+def test_vented_and_full_muscles_are_fine(rig: FakeRig, tmp_path: Path) -> None:
+    rig.pressure[:20] = 101325.0
+    rig.pressure[20:] = 850e3
+    rig.voltage[:20], rig.voltage[20:] = 0.0, 10.0
+    recording = read_bag(rig.write(tmp_path / "bag", rig.streams()))
+    rig.assert_same(recording)
+    assert recording.issues == ()

@@ -1,0 +1,243 @@
+"""Bags that the package writes: read back the same, never overwritten, never lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_bags import FLUID, FakeRig
+from rosbags.rosbag2 import Reader
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import (
+    ESTIMATE_SHAPES,
+    Arrival,
+    BagWriter,
+    RecordedEstimate,
+    RecordedReference,
+    Recording,
+    read_bag,
+    write_bag,
+)
+
+SIZE = 30
+STAMPS = 1_780_000_000 * 10**9 + 10**6 * np.arange(SIZE)
+
+
+def make_recording() -> Recording:
+    rng = np.random.default_rng(4)
+    columns = {name: rng.normal(size=(SIZE, *shape)) for name, shape in ESTIMATE_SHAPES.items()}
+    columns["innovation"][3] = np.nan
+    columns |= {"subsystem": rng.integers(1, 19, SIZE), "flags": rng.integers(0, 128, SIZE)}
+    pressure = rng.uniform(2e5, 7e5, (SIZE, 2))
+    pressure[4, 1] = np.nan
+    voltage = rng.uniform(0.0, 10.0, (SIZE, 2))
+    voltage[5] = np.nan
+    angle, torque = rng.normal(size=(2, SIZE))
+    angle[6] = torque[6] = np.nan
+    return Recording(
+        path=Path("nowhere"),
+        stamp_ns=STAMPS,
+        pressure=pressure,
+        voltage=voltage,
+        angle=angle,
+        torque=torque,
+        external_torque=rng.normal(size=SIZE),
+        estimate=RecordedEstimate(STAMPS, np.full(SIZE, STAMPS[0]), **columns),
+        reference=RecordedReference(STAMPS[[2, 9]], [0, 1], [0.1, -0.5]),
+        received_ns={"pressure_1": Arrival(STAMPS + 12345, STAMPS)},
+    )
+
+
+def assert_equal(left: Recording, right: Recording) -> None:
+    for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(right, name), err_msg=name)
+    for name in ("stamp_ns", "started_ns", *ESTIMATE_SHAPES):
+        np.testing.assert_array_equal(getattr(left.estimate, name), getattr(right.estimate, name), err_msg=name)
+    for name in ("stamp_ns", "mode", "value"):
+        np.testing.assert_array_equal(getattr(left.reference, name), getattr(right.reference, name), err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [("mcap", None), ("mcap", "none"), ("mcap", "message"), ("mcap", "file"), ("sqlite3", None), ("sqlite3", "file")],
+)
+def test_a_recording_survives_the_round_trip(tmp_path: Path, storage, compression) -> None:
+    recording = make_recording()
+    write_bag(tmp_path / "a" / "bag", recording, namespace="/lab", storage=storage, compression=compression)
+    back = read_bag(tmp_path / "a" / "bag")
+    assert_equal(back, recording)
+    assert back.topics["joint_estimate"] == "/lab/joint_estimate"
+    np.testing.assert_array_equal(back.received_ns["pressure_1"].log_ns, STAMPS + 12345)
+    np.testing.assert_array_equal(back.received_ns["valve_state"].log_ns, np.delete(STAMPS, 5))
+
+
+def test_other_readers_see_a_bag_of_jazzy(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", make_recording(), pressure_variance=2.5)
+    with Reader(tmp_path / "bag") as reader:
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert counts["/pam/pressure_1"] == SIZE and counts["/pam/pressure_2"] == SIZE - 1
+        times = [time for _, time, _ in reader.messages()]
+        assert times == sorted(times)
+        connection = next(c for c in reader.connections if c.topic == "/pam/measured/joint_states")
+        assert connection.digest.startswith("RIHS01_a13ee3a330e346c9")
+
+
+def test_estimate_in_place_of_the_recorded_one(tmp_path: Path) -> None:
+    recording = make_recording()
+    other = recording.estimate.take(slice(5, 20))
+    write_bag(tmp_path / "bag", recording, estimate=other)
+    np.testing.assert_array_equal(read_bag(tmp_path / "bag").estimate.angle, other.angle)
+
+
+def test_only_what_there_is_is_written(tmp_path: Path) -> None:
+    recording = Recording(Path("x"), STAMPS, np.full((SIZE, 2), 4e5), np.full((SIZE, 2), 5.0), angle=np.zeros(SIZE))
+    write_bag(tmp_path / "bag", recording)
+    back = read_bag(tmp_path / "bag")
+    assert back.angle is not None
+    assert back.torque is None and back.external_torque is None and back.estimate is None and back.reference is None
+
+
+@pytest.mark.parametrize("kind", ["folder", "file", "dangling link"])
+def test_nothing_is_overwritten(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "bag"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "file":
+        path.write_text("mine")
+    else:
+        path.symlink_to(tmp_path / "gone")
+    with pytest.raises(BadInput, match="bag: exists already, and nothing is overwritten"):
+        BagWriter(path)
+    with pytest.raises(BadInput, match="exists already"):
+        write_bag(path, make_recording())
+    assert path.is_symlink() or (path.read_text() == "mine" if kind == "file" else not any(path.iterdir()))
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match=r"file/bag: cannot be made \("):
+        BagWriter(tmp_path / "file" / "bag")
+    with pytest.raises(BadInput, match="storage 'rosbag1' of .* is unknown, expected mcap or sqlite3"):
+        BagWriter(tmp_path / "bag", storage="rosbag1")
+    with pytest.raises(BadInput, match="compression 'chunk' of .* is not possible with sqlite3"):
+        BagWriter(tmp_path / "bag", storage="sqlite3", compression="chunk")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_topics_keep_their_type(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/pam/pressure_1", FLUID)
+        bag.add_topic("/pam/pressure_1", FLUID)
+        with pytest.raises(BadInput, match="topic /pam/pressure_1 is a sensor_msgs/msg/FluidPressure, cannot also be"):
+            bag.add_topic("/pam/pressure_1", "sensor_msgs/msg/JointState")
+        with pytest.raises(BadInput, match="message type 'foo/msg/Bar' of /x is unknown"):
+            bag.write("/x", "foo/msg/Bar", 1, b"")
+    with Reader(tmp_path / "bag") as reader:
+        assert [(c.topic, c.msgcount) for c in reader.connections] == [("/pam/pressure_1", 0)]
+
+
+def test_messages_of_many_threads_all_arrive(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    with BagWriter(tmp_path / "bag") as bag:
+
+        def send(topic: str) -> None:
+            for log_ns, data in streams[topic].items:
+                bag.write(topic, streams[topic].type, log_ns, data)
+
+        threads = [threading.Thread(target=send, args=(topic,)) for topic in streams]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    rig.assert_same(read_bag(tmp_path / "bag"))
+
+
+def test_an_exception_loses_nothing(rig: FakeRig, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "bag") as bag:
+        for topic, stream in rig.streams().items():
+            for log_ns, data in stream.items:
+                bag.write(topic, stream.type, log_ns, data)
+        raise KeyboardInterrupt
+    rig.assert_same(read_bag(tmp_path / "bag"))
+    bag.close()
+    with pytest.raises(ValueError, match="bag is closed"):
+        bag.write("/pam/pressure_1", FLUID, 1, b"")
+
+
+def test_a_write_that_fails_is_reported(rig: FakeRig, tmp_path: Path, monkeypatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    bag = BagWriter(tmp_path / "bag")
+    monkeypatch.setattr(bag._writer, "write", fail)
+    bag.write("/pam/pressure_1", FLUID, 1, b"")
+    with pytest.raises(OSError, match="No space left"):
+        bag.close()
+    bag.close()
+
+
+RECORDER = """
+import sys, time
+sys.path[:0] = {path!r}
+import pam_antagonist.recording.writer as writer
+from pathlib import Path
+from fake_bags import FakeRig
+writer._FLUSH_S = 0.05
+rig = FakeRig(1500)
+streams = rig.streams()
+bag = writer.BagWriter({bag!r})
+print("go", flush=True)
+try:
+    for i in range(rig.size):
+        for topic, stream in streams.items():
+            bag.write(topic, stream.type, *stream.items[i])
+        time.sleep(0.001)
+        if i == 300:
+            print("some", flush=True)
+    time.sleep(20)
+finally:
+    {end}
+"""
+
+
+def run_recorder(bag: Path, number: int, end: str) -> int:
+    """Start a process that records, end it with a signal, and return what it returned."""
+    code = RECORDER.format(path=[str(Path(__file__).parent), *sys.path], bag=str(bag), end=end)
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"go\n"
+            assert process.stdout.readline() == b"some\n"
+            os.kill(process.pid, number)
+            return process.wait(timeout=20)
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("end", ["bag.close()", "pass"])
+def test_an_interrupted_recorder_leaves_a_whole_bag(tmp_path: Path, end: str) -> None:
+    assert run_recorder(tmp_path / "bag", signal.SIGINT, end) != 0
+    recording = read_bag(tmp_path / "bag")
+    assert len(recording) > 300
+    rig = FakeRig(1500)
+    whole = np.isfinite(recording.pressure).all(axis=1)
+    assert np.count_nonzero(~whole) <= 1
+    np.testing.assert_array_equal(recording.pressure[whole], rig.pressure[: len(recording)][whole])
+
+
+def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> None:
+    assert run_recorder(tmp_path / "bag", signal.SIGKILL, "pass") == -signal.SIGKILL
+    with pytest.raises(BadInput, match=r"bag.mcap: truncated or damaged, .*; \d+ messages stand before that"):
+        read_bag(tmp_path / "bag")
+    recording = read_bag(tmp_path / "bag", recover=True)
+    assert len(recording) > 100
+    rig = FakeRig(1500)
+    whole = np.isfinite(recording.pressure).all(axis=1)
+    np.testing.assert_array_equal(recording.pressure[whole], rig.pressure[: len(recording)][whole])
