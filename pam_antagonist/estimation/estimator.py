@@ -91,6 +91,7 @@ class Estimator:
             np.array(chosen.initial) * held,
             np.array(chosen.process) * held,
             np.array(chosen.measurement),
+            np.array(chosen.measurement) * (2.0 if chosen.gain == "printed" else 1.0),
             np.array([rig.sample_period, chosen.kappa, chosen.gate, lock_angle]),
         )
         self._clock = np.zeros(kernels.CLOCK_SIZE, dtype=np.int64)

@@ -91,7 +91,7 @@ def make_work(states: int, considered: int) -> tuple[np.ndarray, ...]:
 def _start(stamp, y, u, memory, settings):
     """Set the filter to what a first sample tells: its pressures, and a joint at rest under them."""
     x, covariance, cross, held, clock, counts, _, _, _, _ = memory
-    parameter_sets, initial, _, _, scalars = settings
+    parameter_sets, initial, _, _, _, scalars = settings
     n = x.shape[0]
     p = parameter_sets[0]
     x[:] = 0.0
@@ -145,7 +145,7 @@ def _finite(x, covariance):
 def _write(row, memory, settings, nis, flags, work):
     """Put the estimate into its row; False where the covariance is lost."""
     x, covariance, cross, held, _, _, innovation, innovation_covariance, moments, _ = memory
-    parameter_sets, _, _, _, scalars = settings
+    parameter_sets, _, _, _, _, scalars = settings
     p = parameter_sets[0]
     if _torque_moments(x, covariance, cross, parameter_sets, scalars[1], work, moments) < 0:
         return False
@@ -188,7 +188,7 @@ def process(stamp, y, u, memory, settings, work, row):
         started from it.
     """
     x, covariance, cross, held, clock, counts, innovation, innovation_covariance, _, noise = memory
-    parameter_sets, _, process_noise, measurement_noise, scalars = settings
+    parameter_sets, _, process_noise, measurement_noise, gain_noise, scalars = settings
     period, kappa, gate = scalars[0], scalars[1], scalars[2]
     finite_1 = math.isfinite(y[0])
     finite_2 = math.isfinite(y[1])
@@ -256,7 +256,7 @@ def process(stamp, y, u, memory, settings, work, row):
         clock[_REJECTED] = 0
     nis = np.nan
     if use_1 or use_2:
-        nis = _update(x, covariance, cross, innovation, measurement_noise, use_1, use_2, work)
+        nis = _update(x, covariance, cross, innovation, measurement_noise, gain_noise, use_1, use_2, work)
     else:
         counts[_PREDICTED_ONLY] += 1
     if not use_1:

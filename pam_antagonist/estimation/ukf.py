@@ -12,13 +12,13 @@ Sigma points of the joint vector [θ, x] come from its lower Cholesky factor
 so that a column of θ moves parameters *and* state, and a column of x the state alone. The perturbed
 parameter vectors are therefore the same at every step and are made once. The gain acts on the state only.
 
-Departures from the print, each with its reason: the gain is P_xy/P_yy, since P_yy already holds R; rows of
-the matrix square root in (14), (15) are columns of the lower factor.
+Departures from the print, each with its reason: the gain is P_xy/P_yy, since P_yy already holds R (the
+printed one is an option of a tuning); rows of the matrix square root in (14), (15) are columns of the lower factor.
 """
 
 from __future__ import annotations
 
-from pam_antagonist._jit import kernel
+from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.estimation.factor import factorise
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import PRESSURE_1
@@ -160,13 +160,36 @@ def innovate(x, covariance, y, noise, innovation, innovation_covariance):
         innovation_covariance[a, a] += noise[a]
 
 
+@inlined
+def _inverse(covariance, noise, use_1, use_2):
+    """Inverse of P_yy = g P gᵀ + R over the pressures that are used; zero for the others."""
+    s11 = covariance[PRESSURE_1, PRESSURE_1] + noise[0]
+    s22 = covariance[PRESSURE_1 + 1, PRESSURE_1 + 1] + noise[1]
+    if use_1 and use_2:
+        s12 = covariance[PRESSURE_1, PRESSURE_1 + 1]
+        determinant = s11 * s22 - s12 * s12
+        return s22 / determinant, -s12 / determinant, s11 / determinant
+    return (1.0 / s11 if use_1 else 0.0), 0.0, (1.0 / s22 if use_2 else 0.0)
+
+
 @kernel
-def update(x, covariance, cross, innovation, noise, use_1, use_2, work):
+def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, work):
     """Update step, equations (23) and (24), for the pressures that are to be used, in place.
 
     The gain K = P_xy/P_yy of the whole P⁻ acts on the state; C ← C − K g C. The covariance is updated in
     Joseph's form, (I − K g) P⁻ (I − K g)ᵀ + K R Kᵀ, which equals (24) for this gain and stays symmetric
-    and non-negative under rounding.
+    and non-negative under rounding; for any other gain it is the covariance that this gain really leaves.
+
+    Args:
+        x: prediction (n,), becomes the estimate.
+        covariance: P⁻ (n, n), becomes P.
+        cross: C (n, m).
+        innovation: (2,) [Pa].
+        noise: diagonal of R (2,).
+        gain_noise: what stands for it in the gain: R, or 2 R for the gain as it is printed.
+        use_1: whether the first pressure is used.
+        use_2: whether the second one is.
+        work: scratch.
 
     Returns:
         Normalised innovation squared of the pressures used.
@@ -174,19 +197,11 @@ def update(x, covariance, cross, innovation, noise, use_1, use_2, work):
     _, factor, scratch, gain, _ = work
     n = x.shape[0]
     m = cross.shape[1]
-    s11 = covariance[PRESSURE_1, PRESSURE_1] + noise[0]
-    s22 = covariance[PRESSURE_1 + 1, PRESSURE_1 + 1] + noise[1]
-    s12 = covariance[PRESSURE_1, PRESSURE_1 + 1]
-    i11, i12, i22 = 0.0, 0.0, 0.0
-    if use_1 and use_2:
-        determinant = s11 * s22 - s12 * s12
-        i11, i12, i22 = s22 / determinant, -s12 / determinant, s11 / determinant
-    elif use_1:
-        i11 = 1.0 / s11
-    elif use_2:
-        i22 = 1.0 / s22
     v1 = innovation[0] if use_1 else 0.0
     v2 = innovation[1] if use_2 else 0.0
+    i11, i12, i22 = _inverse(covariance, noise, use_1, use_2)
+    nis = v1 * v1 * i11 + 2.0 * v1 * v2 * i12 + v2 * v2 * i22
+    i11, i12, i22 = _inverse(covariance, gain_noise, use_1, use_2)
     for i in range(n):
         a = covariance[i, PRESSURE_1]
         b = covariance[i, PRESSURE_1 + 1]
@@ -218,7 +233,7 @@ def update(x, covariance, cross, innovation, noise, use_1, use_2, work):
         for j in range(i + 1):
             covariance[i, j] = factor[i, j]
             covariance[j, i] = factor[i, j]
-    return v1 * v1 * i11 + 2.0 * v1 * v2 * i12 + v2 * v2 * i22
+    return nis
 
 
 @kernel

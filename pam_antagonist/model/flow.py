@@ -25,9 +25,6 @@ from pam_antagonist.model.parameters import (
     VALVE_SIZE,
 )
 
-_LEAST_PRESSURE = 1e3
-"""[Pa] Bound for sigma points that fall out of the physical range; no chamber gets near it."""
-
 INFLOW_CHOKED, BOTH_CHOKED, OUTFLOW_CHOKED = 0, 1, 2
 """Flow regimes of one muscle; the third subsystem index, friction, is in ``joint``."""
 
@@ -95,8 +92,7 @@ def mass_flow(valve, alpha, pressure, p):
         pressure: P_i [Pa].
         p: parameter vector.
     """
-    chamber = max(pressure, _LEAST_PRESSURE)
-    flow = alpha * orifice_flow(p[SUPPLY], chamber, p) - (1.0 - alpha) * orifice_flow(chamber, p[ATMOSPHERE], p)
+    flow = alpha * orifice_flow(p[SUPPLY], pressure, p) - (1.0 - alpha) * orifice_flow(pressure, p[ATMOSPHERE], p)
     area = VALVE + valve * VALVE_SIZE + (INFLOW_AREA if flow > 0.0 else OUTFLOW_AREA)
     return p[area] * flow
 

@@ -17,7 +17,7 @@ from pam_antagonist.model.parameters import (
     W2,
 )
 
-_LEAST_VOLUME = 1e-6
+_LEAST_VOLUME = 1e-8
 """[m³] Bound for lengths far outside the joint's range, where the parabola (3) falls through zero."""
 
 

@@ -92,7 +92,7 @@ class Plant:
         initial_angle: [rad]; default: at rest under the initial pressures.
 
     Raises:
-        BadInput: fewer than one substep, a negative mismatch, or initial values that are not physical.
+        BadInput: fewer than one substep, a negative mismatch or seed, or initial values that are not physical.
     """
 
     def __init__(
@@ -116,6 +116,11 @@ class Plant:
             raise BadInput(
                 f"plant: initial pressures {initial_pressure} Pa, expected absolute ones from {lowest:g} to {highest:g}"
             )
+        if seed < 0:
+            raise BadInput(f"plant: seed {seed}, expected 0 or more")
+        bound = np.pi / 2 if rig.joint.stop is None else rig.joint.stop
+        if initial_angle is not None and not abs(initial_angle) <= bound:
+            raise BadInput(f"plant: initial angle {initial_angle:g} rad, expected within ±{bound:g} rad")
         self._rng = np.random.default_rng(seed)
         p = scattered(rig.parameters(joint, lock_angle), mismatch, self._rng)
         self._dt = rig.sample_period / substeps

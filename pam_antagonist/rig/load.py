@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import difflib
-import math
 import reprlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 from pydantic import ValidationError
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import parameters as par
 from pam_antagonist.paths import config_dir
+from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.schema import Rig
 
 _LARGEST_FILE = 100_000
 _LONGEST_CHAIN = 4
+_DEEPEST = 5
+_SWITCHES = ("consider",)
 
 
 class _StrictLoader(yaml.SafeLoader):
@@ -56,14 +57,29 @@ def load_rig(name_or_path: str | Path) -> Rig:
         BadInput: unknown name, unreadable file, unknown or missing key, a value that is not physical.
     """
     path = _locate(str(name_or_path), Path())
+    content = _read_with_base(path)
+    for name in _switches(content):
+        if name.rsplit(".", 1)[-1] not in _SWITCHES:
+            raise BadInput(f"{path}: {name} is yes or no: expected a number")
     try:
-        rig = Rig(**_read_with_base(path))
+        rig = Rig(**content)
     except ValidationError as error:
         raise BadInput(f"{path}: {_first_complaint(error)}") from None
-    complaint = _unphysical(rig)
+    except OverflowError as error:  # pydantic 1 meets an integer of hundreds of digits
+        raise BadInput(f"{path}: a number is too large: {error}") from None
+    complaint = unphysical(rig)
     if complaint:
         raise BadInput(f"{path}: {complaint}")
     return rig
+
+
+def _switches(content: dict[str, Any], prefix: str = "", depth: int = 0) -> Iterator[str]:
+    """Paths of all values that YAML reads as true or false; pydantic would take them for 1 and 0."""
+    for key, value in content.items():
+        if isinstance(value, bool):
+            yield f"{prefix}{key}"
+        elif isinstance(value, dict) and depth < _DEEPEST:
+            yield from _switches(value, f"{prefix}{key}.", depth + 1)
 
 
 def _locate(name_or_path: str, beside: Path) -> Path:
@@ -146,60 +162,3 @@ def _description(location: tuple[Any, ...]) -> str:
         text = info.description or ""
         node = getattr(field, "annotation", None) or getattr(field, "outer_type_", None)
     return text
-
-
-def _unphysical(rig: Rig) -> str:
-    """What fields alone cannot tell; empty where nothing is wrong."""
-    if not all(math.isfinite(rig.value(name)) for name in par.INDEX if name not in ("joint.stop", "friction.time_step")):
-        return "a value is not finite"
-    if rig.supply.pressure <= rig.atmosphere.pressure * 1.2:
-        return (
-            f"supply.pressure {rig.supply.pressure:g} Pa: expected an absolute pressure well above "
-            f"atmosphere.pressure, {rig.atmosphere.pressure:g} Pa"
-        )
-    if rig.valves.voltage_min >= rig.valves.voltage_max:
-        return f"valves.voltage_min {rig.valves.voltage_min:g} V: expected below voltage_max, {rig.valves.voltage_max:g} V"
-    for name, valve in (("valve_1", rig.valve_1), ("valve_2", rig.valve_2)):
-        complaint = _bad_curve(f"{name}.curve", np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
-        if complaint:
-            return complaint
-    reach = rig.geometry.radius * math.sin(rig.joint.stop if rig.joint.stop is not None else math.radians(25.0))
-    for name, muscle in (("muscle_1", rig.muscle_1), ("muscle_2", rig.muscle_2)):
-        for length in (rig.geometry.length - reach, rig.geometry.length, rig.geometry.length + reach):
-            volume = (muscle.volume.d1 * length + muscle.volume.d2) * length + muscle.volume.d3
-            if not 1e-7 < volume < 0.1:
-                return (
-                    f"{name}.volume gives {volume:.3g} m³ at a length of {length:g} m: expected 1e-7 to 0.1 m³ "
-                    "within the joint's range"
-                )
-        slope = muscle.force.v1 * rig.geometry.length + muscle.force.v2
-        if not 1e-7 < slope < 0.1:
-            return (
-                f"{name}.force gives dF/dP = {slope:.3g} m² at geometry.length: expected 1e-7 to 0.1 m² "
-                "(force in N over absolute pressure in Pa)"
-            )
-    for name, std in rig.uncertainty.items():
-        if name not in par.INDEX or name == "friction.time_step":
-            close = difflib.get_close_matches(name, par.INDEX, 1)
-            return f"uncertainty: unknown parameter {name!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
-        if not (math.isfinite(std) and std > 0.0):
-            return f"uncertainty of {name}: {std:g}, expected a standard deviation above 0"
-    for name, tuning in rig.tunings.items():
-        numbers = np.array([*tuning.initial, *tuning.process, *tuning.measurement])
-        if not (np.all(np.isfinite(numbers)) and np.all(numbers >= 0.0) and min(tuning.measurement) > 0.0):
-            return f"tunings.{name}: expected variances, finite and not negative, those of the measurement above 0"
-    if "default" not in rig.tunings:
-        return "tunings: expected one that is called 'default'"
-    return "" if np.all(np.isfinite(rig.parameters()[par.LOCKED :])) else "gas: these constants give no finite flow"
-
-
-def _bad_curve(where: str, voltage: np.ndarray, rate: np.ndarray) -> str:
-    if not 2 <= len(voltage) <= par.MAX_KNOTS:
-        return f"{where}: {len(voltage)} points, expected 2 to {par.MAX_KNOTS}"
-    if len(voltage) != len(rate):
-        return f"{where}: {len(voltage)} voltages but {len(rate)} open rates"
-    if not (np.all(np.isfinite(voltage)) and np.all(np.diff(voltage) > 0.0)):
-        return f"{where}.voltage: expected increasing values [V]"
-    if not (np.all(np.diff(rate) >= 0.0) and rate[0] >= 0.0 and rate[-1] <= 1.0):
-        return f"{where}.open_rate: expected values from 0 to 1 that do not decrease"
-    return ""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Dict, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+from typing import Any, Dict, Literal, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
 
 import numpy as np
 import pydantic
@@ -24,6 +24,14 @@ if pydantic.VERSION.startswith("1."):
         class Config:
             extra = "forbid"
             allow_mutation = False
+
+        @pydantic.validator("*", allow_reuse=True)
+        def _finite(cls, value: Any) -> Any:
+            """What ``allow_inf_nan`` does in pydantic 2."""
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
+                raise ValueError("expected finite numbers")
+            return value
 
         def replaced(self, **fields: Any) -> Self:
             """A copy with some fields replaced; what is put in is not checked again."""
@@ -132,14 +140,14 @@ class Friction(_Strict):
     shaft: float = Field(ge=0.0, lt=5.0, description="μ_s [-]")
     muscle: float = Field(ge=0.0, lt=1e13, description="μ_p [N m Pa²], T_p' in the paper's tables")
     pressure_floor: float = Field(
-        gt=0.0, lt=200e3, description="least gauge pressure in T_p, which is singular at the atmosphere's [Pa]"
+        gt=500.0, lt=200e3, description="least gauge pressure in T_p, which is singular at the atmosphere's [Pa]"
     )
 
 
 class Sensors(_Strict):
     """Noise (one standard deviation) and step of the converter (0: none) of each sensor."""
 
-    pressure_std: float = Field(gt=0.0, lt=100e3, description="[Pa]")
+    pressure_std: float = Field(gt=1.0, lt=100e3, description="[Pa]")
     pressure_step: float = Field(ge=0.0, lt=100e3, description="[Pa]")
     angle_std: float = Field(ge=0.0, lt=0.2, description="validation only [rad]")
     angle_step: float = Field(ge=0.0, lt=0.2, description="validation only [rad]")
@@ -159,6 +167,9 @@ class Tuning(_Strict):
     kappa: float = Field(ge=0.0, lt=100.0, description="scaling of the sigma points [-]")
     consider: bool = Field(description="carry the rig's uncertain parameters in the covariance")
     gate: float = Field(gt=1.0, description="largest Mahalanobis distance of a pressure that is used [-]")
+    gain: Literal["standard", "printed"] = Field(
+        "standard", description="standard: P_xy/P_yy; printed: P_xy/(P_yy + R), which counts R twice"
+    )
 
 
 class Rig(_Strict):
@@ -183,6 +194,7 @@ class Rig(_Strict):
     friction: Friction
     sensors: Sensors
     uncertainty: Dict[str, float]  # noqa: UP006
+    priors: Dict[str, float] = Field({}, description="standard deviations before identification, by parameter")  # noqa: UP006
     tunings: Dict[str, Tuning]  # noqa: UP006
 
     def value(self, name: str) -> float:
@@ -216,8 +228,9 @@ class Rig(_Strict):
         """
         if joint not in ("free", "locked"):
             raise BadInput(f"joint condition {joint!r}: expected 'free' or 'locked'")
-        if not abs(lock_angle) <= (self.joint.stop or math.pi / 2):
-            raise BadInput(f"lock angle {lock_angle:g} rad: expected within the joint's stop, ±{self.joint.stop} rad")
+        bound = math.pi / 2 if self.joint.stop is None else self.joint.stop
+        if not abs(lock_angle) <= bound:
+            raise BadInput(f"lock angle {lock_angle:g} rad: expected within ±{bound:g} rad")
         p = np.zeros(par.SIZE)
         for name, index in par.INDEX.items():
             p[index] = self.sample_period if name == "friction.time_step" else self.value(name)

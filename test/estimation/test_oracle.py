@@ -115,3 +115,21 @@ def test_consider_parameters_equal_an_augmented_filter() -> None:
     plain = open_gate.replaced(uncertainty={})
     bare = Estimator(plain).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
     assert run["covariance"][-1, 0, 0] > 4.0 * bare["covariance"][-1, 0, 0]
+
+
+def test_the_printed_gain_counts_the_measurement_noise_twice() -> None:
+    """With it the first step is that of a sensor with twice the variance; the covariance says what it costs."""
+    rig = load_rig("shin2022")
+    recording = trial(2.0, seed=6)
+    arrays = recording.stamp_ns[:2], recording.pressure[:2], recording.voltage[:2]
+    published = rig.tuning("published")
+
+    def second(**changes) -> np.void:
+        return Estimator(rig.replaced(tunings={"default": published.replaced(**changes)})).run(*arrays).rows[1]
+
+    doubled = tuple(2.0 * value for value in published.measurement)
+    standard, printed, noisy = second(), second(gain="printed"), second(measurement=doubled)
+    assert np.allclose(printed["pressure"], noisy["pressure"], rtol=1e-12, atol=0.0)
+    assert not np.allclose(printed["pressure"], standard["pressure"], rtol=1e-6, atol=0.0)
+    assert printed["nis"] == standard["nis"]
+    assert printed["covariance"][2, 2] > standard["covariance"][2, 2]

@@ -1,0 +1,268 @@
+"""Figures of merit of an estimate: how wrong it is, and whether it knows how wrong it is.
+
+The three figures of Shin, Ibayashi and Kogiso (2022), section "Model Validation", are
+
+    I(z) = sqrt(sum z^2 / N)          root mean square error,
+    M(z) = max |z|                    largest error,
+    Q(z, xi) = M(z) / (max xi - min xi)   largest error over the range of the measured signal.
+
+The paper sums N + 1 samples and divides by N; here the sum is divided by the number of samples.
+The rest judges the filter's own covariance: the coverage of its intervals, the normalised innovation
+squared (NIS) against its chi-square law, and the whiteness of the innovations.
+
+Samples that are not finite (nothing was measured, or nothing was used) are left out throughout. Where nothing
+is left, the answer is NaN, never a number that looks like one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaincc, gammaincinv, ndtri
+
+FloatArray = NDArray[np.float64]
+
+
+def _finite(values: ArrayLike) -> FloatArray:
+    array = np.asarray(values, dtype=np.float64).ravel()
+    return array[np.isfinite(array)]
+
+
+def _complete(series: FloatArray) -> NDArray[np.bool_]:
+    """Rows (N, m) in which everything is finite, (N,)."""
+    return np.asarray(np.isfinite(series).all(axis=1))
+
+
+def rmse(error: ArrayLike) -> float:
+    """Root mean square of an error: the paper's I, divided by the number of samples.
+
+    Args:
+        error: estimate minus measurement, (N,), in any unit.
+
+    Returns:
+        The RMSE in the unit of `error`, NaN where no sample is finite.
+    """
+    z = _finite(error)
+    return float(np.sqrt(np.mean(z * z))) if z.size else float("nan")
+
+
+def max_error(error: ArrayLike) -> float:
+    """Largest absolute error: the paper's M.
+
+    Args:
+        error: estimate minus measurement, (N,), in any unit.
+
+    Returns:
+        The maximum in the unit of `error`, NaN where no sample is finite.
+    """
+    z = _finite(error)
+    return float(np.max(np.abs(z))) if z.size else float("nan")
+
+
+def estimation_ratio(error: ArrayLike, signal: ArrayLike) -> float:
+    """Largest error over the range of the measured signal: the paper's Q, as a fraction.
+
+    Args:
+        error: estimate minus measurement, (N,).
+        signal: the measured signal, (N,), in the unit of `error`.
+
+    Returns:
+        M(error) / (max signal - min signal), NaN where the signal has no range.
+    """
+    measured = _finite(signal)
+    span = float(np.ptp(measured)) if measured.size else 0.0
+    return max_error(error) / span if span > 0.0 else float("nan")
+
+
+def interval_half_width(variance: ArrayLike, reference_std: float = 0.0, level: float = 0.95) -> FloatArray:
+    """Half width of the interval in which a *measured* value is expected around the estimate.
+
+    The reference sensor is noisy too: its variance adds to that of the estimate, or an exact estimate
+    with an exact covariance would seem to miss.
+
+    Args:
+        variance: variance of the estimate, (N,).
+        reference_std: standard deviation of the reference sensor, in the unit of the estimate.
+        level: probability of the two-sided interval, between 0 and 1.
+
+    Returns:
+        z sqrt(variance + reference_std^2), (N,), with z = 1.96 for 95 %.
+    """
+    z = float(ndtri(0.5 * (1.0 + level)))
+    return z * np.sqrt(np.asarray(variance, dtype=np.float64) + reference_std**2)
+
+
+def coverage(error: ArrayLike, variance: ArrayLike, reference_std: float, level: float = 0.95) -> float:
+    """Share of the samples whose measured value lies inside the estimate's interval.
+
+    Args:
+        error: estimate minus measurement, (N,).
+        variance: variance of the estimate, (N,).
+        reference_std: standard deviation of the sensor that measured the reference.
+        level: probability that the interval claims, between 0 and 1.
+
+    Returns:
+        A share between 0 and 1 (`level` for an honest filter), NaN where nothing can be judged.
+    """
+    z = np.asarray(error, dtype=np.float64)
+    half = interval_half_width(variance, reference_std, level)
+    known = np.isfinite(z) & np.isfinite(half)
+    return float(np.mean(np.abs(z[known]) <= half[known])) if known.any() else float("nan")
+
+
+def chi_square_bounds(dof: int, level: float = 0.95) -> tuple[float, float]:
+    """Two-sided bounds of a chi-square variable, the same probability left out on either side.
+
+    Args:
+        dof: degrees of freedom.
+        level: probability between the bounds.
+
+    Returns:
+        (lower, upper); for two degrees of freedom and 95 %: (0.0506, 7.378).
+    """
+    tail = 0.5 * (1.0 - level)
+    return 2.0 * float(gammaincinv(0.5 * dof, tail)), 2.0 * float(gammaincinv(0.5 * dof, 1.0 - tail))
+
+
+@dataclass(frozen=True)
+class NisConsistency:
+    """How the normalised innovation squared compares with its chi-square law.
+
+    Attributes:
+        mean: mean over the samples that used both pressures; 2 where the covariance is right.
+        in_95: share of all samples inside the two-sided 95 % bounds for their number of pressures; 0.95 is right.
+        samples: number of samples judged.
+    """
+
+    mean: float
+    in_95: float
+    samples: int
+
+
+def nis_consistency(nis: ArrayLike, innovation: ArrayLike) -> NisConsistency:
+    """Compare the normalised innovations squared with the chi-square law that a consistent filter obeys.
+
+    Values below the lower bound count as outside: a filter that calls itself far worse than it is
+    is inconsistent as well (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
+
+    Args:
+        nis: normalised innovation squared, (N,), NaN where nothing was used.
+        innovation: innovations, (N, m), NaN where that measurement was not used.
+
+    Returns:
+        Mean, share within the 95 % bounds and number of samples.
+    """
+    value = np.asarray(nis, dtype=np.float64)
+    used = np.isfinite(np.asarray(innovation, dtype=np.float64))
+    full = used.shape[1]
+    dof = used.sum(axis=1)
+    judged = np.isfinite(value) & (dof > 0)
+    inside = np.zeros(value.shape, dtype=bool)
+    for count in range(1, full + 1):
+        lower, upper = chi_square_bounds(count)
+        inside |= (dof == count) & (value >= lower) & (value <= upper)
+    complete = value[judged & (dof == full)]
+    return NisConsistency(
+        mean=float(complete.mean()) if complete.size else float("nan"),
+        in_95=float(inside[judged].mean()) if judged.any() else float("nan"),
+        samples=int(judged.sum()),
+    )
+
+
+def normalised_innovation(innovation: ArrayLike, covariance: ArrayLike) -> FloatArray:
+    """Innovations in units of their own standard deviation: L^-1 nu with S = L L^T.
+
+    Args:
+        innovation: (N, 2), NaN where a measurement was not used.
+        covariance: innovation covariance S, (N, 2, 2).
+
+    Returns:
+        (N, 2), NaN in both columns where either measurement was not used.
+    """
+    nu = np.asarray(innovation, dtype=np.float64)
+    s = np.asarray(covariance, dtype=np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        l11 = np.sqrt(s[:, 0, 0])
+        l21 = s[:, 1, 0] / l11
+        l22 = np.sqrt(s[:, 1, 1] - l21 * l21)
+        first = nu[:, 0] / l11
+        second = (nu[:, 1] - l21 * first) / l22
+    out = np.column_stack((first, second))
+    out[~_complete(out)] = np.nan
+    return out
+
+
+def autocorrelation(series: ArrayLike, lags: int) -> FloatArray:
+    """Autocorrelation matrices of a series about zero, over the pairs of samples that are both there.
+
+    The mean is not removed: innovations of a right model have none, and an offset is a correlation at every lag.
+
+    Args:
+        series: (N, m), one row a sample at a constant step; rows with NaN are left out.
+        lags: the largest lag, in samples.
+
+    Returns:
+        (lags + 1, m, m): mean of e(t) e(t - k)^T for k = 0..lags, NaN where no pair is there.
+    """
+    e = np.asarray(series, dtype=np.float64)
+    present = _complete(e)
+    e = np.where(present[:, None], e, 0.0)
+    out = np.full((lags + 1, e.shape[1], e.shape[1]), np.nan)
+    for k in range(min(lags, len(e) - 1) + 1):
+        pairs = int(np.count_nonzero(present[k:] & present[: len(e) - k]))
+        if pairs:
+            out[k] = e[k:].T @ e[: len(e) - k] / pairs
+    return out
+
+
+def largest_autocorrelation(series: ArrayLike, lags: int = 20) -> float:
+    """Largest autocorrelation of any column over the lags, with its sign.
+
+    It says how much memory there is, where :func:`whiteness_p` says how certain it is.
+
+    Args:
+        series: (N, m), one row a sample at a constant step; rows with NaN are left out.
+        lags: the largest lag, in samples.
+
+    Returns:
+        Between -1 and 1; NaN where there are not enough samples.
+    """
+    gamma = np.diagonal(autocorrelation(series, lags), axis1=1, axis2=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rho = (gamma[1:] / gamma[0]).ravel()
+    rho = rho[np.isfinite(rho)]
+    return float(rho[np.argmax(np.abs(rho))]) if rho.size else float("nan")
+
+
+def whiteness_p(series: ArrayLike, lags: int = 20) -> float:
+    """p-value of the hypothesis that a series is white: a multivariate portmanteau test.
+
+    Hosking's statistic (J. Am. Stat. Assoc. 75, 1980) sum_k n_k tr(G_k^T G_0^-1 G_k G_0^-1), with G_k the
+    autocorrelation at lag k over its n_k pairs, is chi-square with m^2 `lags` degrees of freedom for a white series.
+    Tens of thousands of samples make it sensitive: a p-value of 0 says that a correlation is certain, not that it is
+    large.
+
+    Args:
+        series: (N, m), one row a sample at a constant step, e.g. normalised innovations; rows with NaN are left out.
+        lags: number of lags tested, in samples.
+
+    Returns:
+        p-value between 0 and 1, NaN where fewer than 5 x `lags` samples are there or the series does not vary.
+    """
+    e = np.asarray(series, dtype=np.float64)
+    present = _complete(e)
+    if int(present.sum()) < 5 * lags:
+        return float("nan")
+    gamma = autocorrelation(e, lags)
+    if not np.linalg.matrix_rank(gamma[0]) == e.shape[1]:
+        return float("nan")
+    inverse = np.linalg.inv(gamma[0])
+    statistic, dof = 0.0, 0
+    for k in range(1, lags + 1):
+        pairs = int(np.count_nonzero(present[k:] & present[: len(e) - k]))
+        if pairs:
+            statistic += pairs * float(np.trace(gamma[k].T @ inverse @ gamma[k] @ inverse))
+            dof += e.shape[1] ** 2
+    return float(gammaincc(0.5 * dof, 0.5 * statistic)) if dof else float("nan")

@@ -1,0 +1,136 @@
+"""The friction law of Kikuuwe et al.: what it is meant to do, whatever its formula."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import transcription as paper
+from states import ATMOSPHERE, held, steps
+
+from pam_antagonist.model import joint
+from pam_antagonist.model import parameters as par
+
+T = paper.CORRECTED
+Z = T["T_stp"] / T["J"]
+PRESSURES = (400e3, 450e3)
+
+
+def test_it_is_coulomb_friction_by_implicit_euler(p):
+    """The law is the solution of T_f ∈ T_c sgn(ψ̇⁺) + c_s ψ̇⁺ with ψ̇⁺ = ψ̇ + Z (T_0 − T_f), the velocity after
+    the step: sliding on with the full friction, or at rest with whatever friction that takes. With the printed
+    Z = J/T_stp (0.43 instead of 2.35) neither holds."""
+    rng = np.random.default_rng(14)
+    rested = 0
+    for velocity, applied, coulomb in zip(
+        rng.normal(0.0, 0.5, 400), rng.normal(0.0, 0.2, 400), rng.uniform(0.0, 0.4, 400), strict=True
+    ):
+        friction, slides = joint.friction_torque(velocity, applied, coulomb, p)
+        after = velocity + Z * (applied - friction)
+        if slides:
+            assert friction == pytest.approx(coulomb * np.sign(after) + T["c_s"] * after, rel=1e-9)
+        else:
+            assert after == pytest.approx(0.0, abs=1e-15)
+            assert abs(friction) <= coulomb
+            rested += 1
+    assert 50 < rested < 350
+
+
+def test_the_printed_z_does_not_hold_a_joint_at_rest(rig):
+    """Z = J/T_stp, 0.43: the sticking branch is then too steep for the step, and the least push sets it creeping."""
+    start = [paper.rest(T, *PRESSURES, 0.3), 1e-6, *PRESSURES]
+    printed = par.changed(held(rig), {"friction.time_step": T["J"] ** 2 / T["T_stp"]})
+    assert printed[par.FRICTION_STEP] / T["J"] == pytest.approx(T["J"] / T["T_stp"])
+    assert abs(steps(start, printed, 3000)[-1, 0] - start[0]) > math.radians(0.1)
+    assert abs(steps(start, held(rig), 3000)[-1, 0] - start[0]) < 1e-8
+
+
+def test_friction_is_continuous_where_sliding_begins(p):
+    coulomb = 0.1
+    edge = Z * coulomb
+    below, above = (joint.friction_torque(edge * share, 0.0, coulomb, p) for share in (1 - 1e-9, 1 + 1e-9))
+    assert (below[1], above[1]) == (0.0, 1.0)
+    assert below[0] == pytest.approx(above[0], rel=1e-8) == pytest.approx(coulomb, rel=1e-8)
+
+
+def test_friction_opposes_and_is_odd(p):
+    for velocity in (1e-6, 0.1, 3.0):
+        forward, _ = joint.friction_torque(velocity, 0.02, 0.1, p)
+        backward, _ = joint.friction_torque(-velocity, -0.02, 0.1, p)
+        assert forward == -backward > 0.0
+
+
+def test_nothing_rubs_without_coefficients(p):
+    smooth = par.changed(p, {"joint.viscous_friction": 0.0})
+    assert joint.friction_torque(2.0, 0.3, 0.0, smooth) == (0.0, 1.0)
+
+
+def test_viscous_part_at_high_speed(p):
+    """Far from rest and with Z c_s ≪ 1 the law is T_c + c_s ψ̇."""
+    quick, _ = joint.friction_torque(1000.0, 0.0, 0.1, p)
+    quicker, _ = joint.friction_torque(1001.0, 0.0, 0.1, p)
+    assert quicker - quick == pytest.approx(T["c_s"] / (1 + Z * T["c_s"]), rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [-0.999, -0.5, 0.0, 0.5, 0.999])
+def test_a_joint_at_rest_stays_while_the_torque_is_below_the_coulomb_torque(rig, share):
+    """For 3 s, without creep: rest is a fixed point of the step but for rounding."""
+    start = paper.rest(T, *PRESSURES, share)
+    states = steps([start, 0.0, *PRESSURES], held(rig), 3000)
+    assert np.max(np.abs(states[:, 0] - start)) < 1e-14
+    assert np.max(np.abs(states[:, 1])) < 1e-15
+
+
+@pytest.mark.parametrize("share", [-1.01, 1.01])
+def test_a_joint_at_rest_leaves_when_the_torque_is_above(rig, share):
+    start = paper.rest(T, *PRESSURES, share)
+    states = steps([start, 0.0, *PRESSURES], held(rig), 3000)
+    # Towards the balance, and to rest again within the band in which it sticks.
+    assert (states[-1, 0] - start) * share > 1e-4
+    assert abs(states[-1, 1]) < 1e-12
+    assert abs(states[-1, 0] - start) < abs(paper.rest(T, *PRESSURES, 1.01) - paper.rest(T, *PRESSURES, -1.01))
+
+
+def test_a_small_push_is_stopped_within_a_few_steps(rig):
+    """At Z T_c = 0.26 rad/s and below the law asks for rest after one step; the Runge-Kutta stages get to 3/8 of the
+    velocity in each."""
+    start = paper.rest(T, *PRESSURES, 0.3)
+    states = steps([start, 0.01, *PRESSURES], held(rig), 200)
+    assert states[1:6, 1] == pytest.approx(0.01 * 0.375 ** np.arange(1, 6), rel=1e-3)
+    assert states[-1, 0] - start == pytest.approx(0.01 * 1e-3, rel=1e-3)
+    assert abs(states[-1, 1]) < 1e-15
+
+
+def test_shaft_friction_grows_with_the_load_on_the_shaft(p):
+    """T_s = r_p μ_s |F_1 + F_2 − M g|: 1.2e-3 N m for every newton, zero where the muscles carry the seesaw."""
+    at = (400e3, 400e3)
+    values = [joint.coulomb_torque(f, f, *at, p) for f in (50.0, 51.0)]
+    assert values[1] - values[0] == pytest.approx(2 * 0.006 * 0.2, rel=1e-9)
+    weight = T["M"] * T["g"]
+    assert joint.coulomb_torque(weight, 0.0, *at, p) == pytest.approx(paper.muscle_friction(T, *at), rel=1e-12)
+    assert joint.coulomb_torque(0.0, 0.0, *at, p) > joint.coulomb_torque(weight, 0.0, *at, p)
+
+
+def test_muscle_friction_falls_with_pressure_and_is_bounded_at_the_atmosphere(p):
+    """μ_p/(P − P_out)² is singular at P_out. Both terms are bounded at 20 kPa gauge, 1 N m each."""
+    weight = T["M"] * T["g"]  # no shaft friction at this load
+
+    def muscle(pressure):
+        return joint.coulomb_torque(weight, 0.0, pressure, 10e6, p) - T["T_p'"] / (10e6 - ATMOSPHERE) ** 2
+
+    pressures = np.linspace(50e3, 750e3, 300)
+    values = np.array([muscle(pressure) for pressure in pressures])
+    assert np.all(np.diff(values) <= 0.0)
+    assert muscle(200e3) == pytest.approx(4e8 / 98.7e3**2, rel=1e-9)
+    for pressure in (0.0, ATMOSPHERE - 1.0, ATMOSPHERE, ATMOSPHERE + 1.0, ATMOSPHERE + 20e3):
+        assert muscle(pressure) == pytest.approx(1.0, rel=1e-9)
+    assert muscle(ATMOSPHERE + 21e3) < 0.95
+
+
+def test_the_bound_is_a_parameter_of_the_rig(p):
+    """... so that the printed law can be had down to any gauge pressure."""
+    lower = par.changed(p, {"friction.pressure_floor": 1e3})
+    value = joint.coulomb_torque(0.0, 0.0, ATMOSPHERE + 1e3, 10e6, lower)
+    assert value == pytest.approx(400.0, rel=1e-4)
+    assert math.isfinite(joint.coulomb_torque(0.0, 0.0, ATMOSPHERE, ATMOSPHERE, lower))

@@ -1,0 +1,114 @@
+"""Air is kept account of: equation (4) against what it integrates to, equation (5) against its balance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import transcription as paper
+from scipy.optimize import brentq
+from states import ATMOSPHERE, CHOKED_BELOW, TANK, sealed, steps
+
+from pam_antagonist.model import dynamics, flow
+from pam_antagonist.model import parameters as par
+
+T = paper.CORRECTED
+
+
+def test_sealed_chambers_keep_p_v_to_the_k_2(rig):
+    """Without flow equation (4) is Ṗ/P = −k_2 V̇/V, so ln P + k_2 ln V does not change, however the joint moves."""
+    swing = steps([0.25, 0.0, 400e3, 450e3], sealed(rig), 500)
+    for i in (1, 2):
+        pressure = swing[:, 1 + i]
+        volume = np.array([paper.volume(T, paper.length(T, i, angle)) for angle in swing[:, 0]])
+        assert np.ptp(pressure) > 50e3, "the joint hardly moved: nothing is shown"
+        product = pressure * volume ** T["k_2"]
+        assert np.ptp(product) < 1e-6 * product[0]
+
+
+def test_filling_while_choked_is_a_straight_line(p_locked):
+    """Valve fully open to the tank and P ≤ b P_tank: the flow is constant, and so is Ṗ = k_1 R T A_1 c P_tank / V."""
+    volume = paper.volume(T, T["L_0"])
+    rate = T["k_1"] * T["R"] * T["T"] / volume * T["A_11"] * paper.nozzle(T, TANK, ATMOSPHERE)
+    samples = int((CHOKED_BELOW - 150e3) / rate * 1e3)
+    states = steps([0.0, 0.0, 150e3, 150e3], p_locked, samples, u=(10.0, 10.0))
+    assert samples > 50
+    assert states[:, 2] == pytest.approx(150e3 + rate * 1e-3 * np.arange(samples + 1), rel=1e-12)
+
+
+def test_emptying_while_choked_is_an_exponential(p_locked):
+    """Valve fully open to the atmosphere and P ≥ P_out/b: the flow is proportional to P."""
+    volume = paper.volume(T, T["L_0"])
+    per_pascal = paper.nozzle(T, TANK, ATMOSPHERE) / TANK
+    decay = T["k_1"] * T["R"] * T["T"] / volume * T["A_12"] * per_pascal
+    samples = int(math.log(700e3 / 200e3) / decay * 1e3)
+    states = steps([0.0, 0.0, 700e3, 700e3], p_locked, samples, u=(0.0, 0.0))
+    assert samples > 50
+    assert states[:, 3] == pytest.approx(700e3 * np.exp(-decay * 1e-3 * np.arange(samples + 1)), rel=1e-9)
+
+
+def steady(alpha):
+    """The pressure at which α m_in = (1 − α) m_out."""
+    return brentq(
+        lambda pressure: alpha * paper.nozzle(T, TANK, pressure) - (1 - alpha) * paper.nozzle(T, pressure, ATMOSPHERE),
+        ATMOSPHERE,
+        TANK,
+        xtol=1e-6,
+    )
+
+
+@pytest.mark.parametrize("voltage", [4.0, 4.6, 5.5, 6.3, 7.5])
+def test_steady_pressure_is_the_root_of_the_balance(rig, voltage):
+    """From below and from above, with whatever areas and polytropic indices (Proposition 1 of the paper)."""
+    expected = steady(paper.kappa(T, voltage))
+    assert 1.1 * ATMOSPHERE < expected < 0.99 * TANK
+    for changes in ({}, {"valve_1.inflow_area": 2e-7, "valve_2.outflow_area": 2e-8, "gas.polytropic_flow": 1.4}):
+        p = rig.parameters("locked", changes=changes)
+        # 300 s: the time constant is 4 s with the table's areas and 15 s with the small one.
+        voltages = np.full((15_001, 2), voltage)
+        states, _, _ = dynamics.simulate(np.array([0.0, 0.0, 120e3, 690e3]), voltages, p, 0.02, 1)
+        assert states[-1, 2:] == pytest.approx([expected, expected], abs=1.0)
+
+
+def test_open_rate_follows_from_the_steady_pressure(p_locked):
+    """The balance solved for α: with a rig's voltages and steady pressures it gives the points of its valve curve."""
+    for voltage, alpha in T["curve"][1:-1]:
+        pressure = steady(alpha)
+        inward, outward = (flow.orifice_flow(a, b, p_locked) for a, b in ((TANK, pressure), (pressure, ATMOSPHERE)))
+        assert outward / (inward + outward) == pytest.approx(alpha, rel=1e-9)
+        assert outward / (inward + outward) == pytest.approx(flow.open_rate(0, voltage, p_locked), rel=1e-9)
+
+
+@pytest.mark.parametrize(("voltage", "expected"), [(0.0, ATMOSPHERE), (10.0, TANK)])
+def test_shut_valve_ends_at_the_atmosphere_or_the_tank(p_locked, voltage, expected):
+    """... and stays there: with the root in the subsonic branch the pressure arrives in finite time."""
+    states, _, _ = dynamics.simulate(np.array([0.0, 0.0, 300e3, 300e3]), np.full((4001, 2), voltage), p_locked, 1e-3, 1)
+    assert states[-1, 2:] == pytest.approx([expected] * 2, abs=1.0)
+    # An overshoot through the flow's infinite slope at equal pressures is bounded by a step.
+    assert np.all(states[:, 2] >= ATMOSPHERE - 50.0)
+    assert np.all(states[:, 2] <= TANK + 50.0)
+
+
+def test_pressure_rises_by_k_1_r_t_over_v_times_the_mass(p_locked):
+    """Over any transient at constant volume, P(t) − P(0) = k_1 R T ∫ m dt / V, with the integral taken apart."""
+    voltages = np.column_stack((np.linspace(4.0, 9.0, 801), np.linspace(7.0, 2.0, 801)))
+    states, _, _ = dynamics.simulate(np.array([0.0, 0.0, 300e3, 500e3]), voltages, p_locked, 1e-3, 1)
+    for i in (1, 2):
+        pressure, voltage = states[:, 1 + i], voltages[:, i - 1]
+        before = np.array([paper.mass_flow(T, u, x) for u, x in zip(voltage[1:], pressure[:-1], strict=True)])
+        after = np.array([paper.mass_flow(T, u, x) for u, x in zip(voltage[1:], pressure[1:], strict=True)])
+        mass = np.concatenate(([0.0], np.cumsum(0.5e-3 * (before + after))))
+        expected = pressure[0] + T["k_1"] * T["R"] * T["T"] / paper.volume(T, T["L_0"]) * mass
+        assert np.ptp(pressure) > 50e3
+        assert pressure == pytest.approx(expected, abs=5.0)
+
+
+def test_masses_are_apart(rig):
+    """What one valve does moves the pressure of its own muscle only, while the joint is locked."""
+    p = rig.parameters("locked", changes={"valve_1.inflow_area": 1e-7})
+    base = rig.parameters("locked")
+    assert p[par.INDEX["valve_1.inflow_area"]] != base[par.INDEX["valve_1.inflow_area"]]
+    changed, same = (steps([0.0, 0.0, 300e3, 300e3], vector, 50, u=(9.0, 9.0)) for vector in (p, base))
+    assert changed[-1, 2] > same[-1, 2] + 1e3
+    assert changed[-1, 3] == same[-1, 3]

@@ -1,0 +1,93 @@
+"""What an orifice must do whatever its constants: continuity, symmetry, areas by direction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from states import ATMOSPHERE, CHOKED_BELOW, TANK
+
+from pam_antagonist.model import flow
+from pam_antagonist.model import parameters as par
+
+CRITICAL = CHOKED_BELOW / TANK
+
+
+def test_no_flow_at_equal_pressures(p):
+    for pressure in (ATMOSPHERE, 3e5, TANK):
+        assert flow.orifice_flow(pressure, pressure, p) == 0.0
+
+
+def test_exchanged_ends_reverse_the_flow(p):
+    rng = np.random.default_rng(6)
+    for a, b in rng.uniform(50e3, 800e3, (100, 2)):
+        assert flow.orifice_flow(a, b, p) == -flow.orifice_flow(b, a, p)
+
+
+def test_value_and_slope_are_continuous_where_the_flow_chokes(p):
+    """The subsonic branch ends at its maximum: level, like the choked one. A wrong exponent or a wrong
+    critical ratio shows as a step or a kink."""
+    edge = CRITICAL * TANK
+    choked = flow.orifice_flow(TANK, edge * (1 - 1e-6), p)
+    subsonic = flow.orifice_flow(TANK, edge * (1 + 1e-6), p)
+    assert subsonic == pytest.approx(choked, rel=1e-10)
+    step = 1e-4 * edge
+    slope = (flow.orifice_flow(TANK, edge + step, p) - choked) / step
+    assert abs(slope) * TANK < 1e-3 * choked
+    # ... and it does fall further on, so that the test above can fail.
+    assert flow.orifice_flow(TANK, 1.3 * edge, p) < 0.95 * choked
+
+
+def test_choked_flow_does_not_know_what_is_behind_it(p):
+    flows = {flow.orifice_flow(TANK, CRITICAL * TANK * share, p) for share in (0.0, 0.3, 0.9, 0.999)}
+    assert len(flows) == 1
+
+
+def test_flow_falls_with_the_pressure_behind(p):
+    behind = np.linspace(CRITICAL * TANK * 1.001, 1.2 * TANK, 400)
+    flows = [flow.orifice_flow(TANK, b, p) for b in behind]
+    assert np.all(np.diff(flows) < 0.0)
+
+
+def test_choked_flow_of_air_has_the_textbook_value(p):
+    """0.0404 √K s/m for air, a figure of any gas dynamics text: m = 0.0404 A P/√T."""
+    per_area = flow.orifice_flow(TANK, ATMOSPHERE, p)
+    assert per_area * np.sqrt(293.0) / TANK == pytest.approx(0.0404, abs=5e-5)
+
+
+def test_area_is_that_of_the_direction(rig):
+    """A_1 while the muscle fills, A_2 while it empties; each of the four areas acts in its own place only."""
+    base = rig.parameters()
+    for valve in (0, 1):
+        filling, emptying = (flow.mass_flow(valve, alpha, 300e3, base) for alpha in (1.0, 0.0))
+        assert filling > 0.0 > emptying
+        for name, wide_filling, wide_emptying in (("inflow_area", 2.0, 1.0), ("outflow_area", 1.0, 2.0)):
+            key = f"valve_{valve + 1}.{name}"
+            wide = par.changed(base, {key: 2.0 * base[par.INDEX[key]]})
+            assert flow.mass_flow(valve, 1.0, 300e3, wide) == pytest.approx(wide_filling * filling, rel=1e-14)
+            assert flow.mass_flow(valve, 0.0, 300e3, wide) == pytest.approx(wide_emptying * emptying, rel=1e-14)
+            assert flow.mass_flow(1 - valve, 1.0, 300e3, wide) == flow.mass_flow(1 - valve, 1.0, 300e3, base)
+
+
+def test_mass_flow_is_continuous_where_the_area_changes(p):
+    """The area jumps by half where the flow changes sign, but the flow is zero there."""
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if flow.mass_flow(0, middle, 300e3, p) < 0.0 else (low, middle)
+    span = flow.mass_flow(0, 1.0, 300e3, p)
+    assert abs(flow.mass_flow(0, low, 300e3, p)) < 1e-12 * span
+    assert abs(flow.mass_flow(0, high, 300e3, p)) < 1e-12 * span
+
+
+def test_shut_ends_of_the_curve(p):
+    """At 0 V nothing comes from the tank, at 10 V nothing leaves to the atmosphere."""
+    shut, wide = (flow.open_rate(0, u, p) for u in (0.0, 10.0))
+    assert flow.mass_flow(0, shut, ATMOSPHERE, p) == 0.0
+    assert flow.mass_flow(0, wide, TANK, p) == 0.0
+    assert flow.mass_flow(0, shut, 300e3, p) < 0.0 < flow.mass_flow(0, wide, 300e3, p)
+
+
+def test_flow_below_vacuum_is_that_into_a_vacuum(p):
+    """No chamber gets there, but a sigma point may: choked inflow from both sides, and no NaN."""
+    for alpha in (0.0, 0.5, 1.0):
+        assert flow.mass_flow(0, alpha, -20e3, p) == flow.mass_flow(0, alpha, 1e3, p) > 0.0

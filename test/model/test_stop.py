@@ -1,0 +1,86 @@
+"""The mechanical stop at ±25°: an inelastic one, at which the joint stands until it is pulled away."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import transcription as paper
+from states import steps
+
+from pam_antagonist.model import dynamics
+from pam_antagonist.rig import load_rig
+
+STOP = math.radians(25.0)
+PERIOD = 1e-3
+
+
+@pytest.fixture(scope="module")
+def printed():
+    """The table as printed drives the joint beyond +25°; with the corrected sign the muscles do not get there."""
+    return load_rig("shin2022_as_printed")
+
+
+@pytest.fixture(scope="module")
+def driven(printed):
+    """3 s against the upper stop, 3 s towards the other side."""
+    voltages = np.repeat([[8.0, 3.0], [3.0, 8.0]], 3000, axis=0)
+    start = np.array([0.0, 0.0, 450e3, 450e3])
+    states, torques, _ = dynamics.simulate(start, voltages, printed.parameters(), PERIOD, 1)
+    return states, torques
+
+
+def test_the_stop_is_what_holds_it(driven, printed):
+    free = printed.parameters(changes={"joint.stop": math.inf})
+    states = steps([0.0, 0.0, 450e3, 450e3], free, 3000, u=(8.0, 3.0))
+    assert states[-1, 0] > STOP + math.radians(3.0)
+    assert driven[0][2999, 0] == STOP
+
+
+def test_the_angle_never_passes_the_stop_and_the_velocity_is_lost(driven):
+    states, _ = driven
+    assert np.max(np.abs(states[:, 0])) == STOP
+    at = states[:, 0] == STOP
+    assert at.sum() > 500
+    assert np.all(states[at, 1] <= 0.0)
+    arrival = int(np.argmax(at))
+    assert states[arrival - 1, 1] > 0.01
+    assert states[arrival + 1 : 2990, 1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_it_leaves_the_stop_when_pulled_away(driven):
+    states, torques = driven
+    assert np.all(torques[2500:3000] > 0.0)
+    assert states[-1, 0] < math.radians(5.0)
+
+
+def test_both_ends(p_stop):
+    for side in (1.0, -1.0):
+        start = [side * math.radians(24.0), side * 30.0, 450e3, 450e3]
+        states = steps(start, p_stop, 100)
+        assert np.max(side * states[:, 0]) == STOP
+        # inelastic: from the stop it falls back no faster than a joint released there
+        at = int(np.argmax(side * states[:, 0]))
+        assert states[at, 1] == 0.0
+        released = steps([side * STOP, 0.0, *states[at, 2:]], p_stop, 100 - at)
+        assert states[at:] == pytest.approx(released, rel=1e-12)
+
+
+def test_pressures_at_the_stop_are_those_of_a_joint_locked_there(driven, printed):
+    """A joint that stands does not change its volumes. (The torque that presses it on accelerates it in each stage of
+    each step; were that movement let into equation (4), muscle 2 would settle 100 kPa too high.)"""
+    states, torques = driven
+    arrival = int(np.argmax(states[:, 0] == STOP))
+    locked = printed.parameters("locked", STOP)
+    voltages = np.full((3000 - arrival, 2), (8.0, 3.0))
+    alone, torque_alone, _ = dynamics.simulate(states[arrival], voltages, locked, PERIOD, 1)
+    assert states[arrival:3000, 2:] == pytest.approx(alone[:, 2:], rel=1e-12)
+    assert torques[arrival:3000] == pytest.approx(torque_alone, rel=1e-9)
+
+
+def test_null_stop_is_none(printed):
+    free = printed.parameters(changes={"joint.stop": math.inf})
+    state = [0.5, 1.0, 450e3, 450e3]
+    expected = paper.runge_kutta(paper.AS_PRINTED, state, (5.5, 5.5), PERIOD)
+    assert steps(state, free, 1)[-1] == pytest.approx(expected, rel=1e-9)

@@ -1,0 +1,107 @@
+"""Files that are no rigs, by accident or on purpose: refused at once, without running or filling anything.
+
+At once is within 20 s: the bombs would take hours or all memory, the others take milliseconds.
+"""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+
+def laughs(levels: int, width: int) -> str:
+    """A billion laughs: lists of aliases of lists, width ** levels items once written out."""
+    lines = ["a0: &a0 [ha, ha]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * width)}]" for k in range(1, levels)]
+    return "\n".join(lines) + "\n"
+
+
+def laughs_in_place(levels: int, width: int) -> str:
+    """The same as one value, so that no other complaint comes before it."""
+    parts = ["a0: &a0 {x: 1}"]
+    parts += [f"a{k}: &a{k} {{{', '.join(f'k{j}: *a{k - 1}' for j in range(width))}}}" for k in range(1, levels)]
+    return "{" + ", ".join(parts) + "}"
+
+
+def laughs_by_merging(levels: int, width: int) -> str:
+    lines = ["a0: &a0 {x: 1}"]
+    lines += [f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * width)}]}}" for k in range(1, levels)]
+    return "\n".join(lines) + "\n"
+
+
+CONTENTS = {
+    "empty": ("", "expected a mapping"),
+    "only a comment": ("# nothing\n", "expected a mapping"),
+    "list": ("- geometry\n- gas\n", "expected a mapping"),
+    "number": ("5\n", "expected a mapping"),
+    "keys that are numbers": ("1: 2\n", "expected a mapping"),
+    "keys that are lists": ("? [a, b]\n: 1\n", "not valid YAML"),
+    "not YAML": ("a: b: c\n", "not valid YAML"),
+    "tabs": ("a:\n\tb: 1\n", "not valid YAML"),
+    "unclosed": ("a: [1, 2\n", "not valid YAML"),
+    "two documents": ("a: 1\n---\nb: 2\n", "not valid YAML"),
+    "unknown anchor": ("a: *b\n", "not valid YAML"),
+    "list that holds itself": ("a: &a [*a]\n", "not valid YAML"),
+    "mapping that holds itself": ("geometry: &a\n  radius: *a\n", "not valid YAML"),
+    "number of 10,000 digits": ("name: " + "9" * 10_000, ""),
+    "deep list": ("a: " + "[" * 10_000, "not valid YAML"),
+    "deep closed list": ("a: " + "[" * 10_000 + "]" * 10_000, "not valid YAML"),
+    "deep mapping": ("a: " + "{a: " * 5_000, "not valid YAML"),
+    "deep block mapping": ("".join(" " * k + "a:\n" for k in range(420)), "not valid YAML"),
+    "billion laughs": (laughs(10, 10), "unknown key"),
+    "billion laughs by merging": (laughs_by_merging(10, 10), "not valid YAML"),
+    "a file of 2 MB": ("#" * 2_000_000, "bytes"),
+}
+
+
+@pytest.mark.parametrize(("content", "word"), CONTENTS.values(), ids=CONTENTS.keys())
+def test_no_rig(tmp_path, refusal, content, word):
+    path = tmp_path / "bad.yaml"
+    path.write_text(content)
+    began = time.perf_counter()
+    message = refusal(path)
+    assert word in message
+    assert time.perf_counter() - began < 20.0
+
+
+def test_billion_laughs_as_a_value(edited, refusal):
+    """The message shows what was found, and must not write it out."""
+    began = time.perf_counter()
+    message = refusal(edited(("radius: 0.0365", f"radius: {laughs_in_place(10, 10)}")))
+    assert "geometry.radius" in message
+    assert time.perf_counter() - began < 20.0
+
+
+def test_long_value_is_shortened(edited, refusal):
+    message = refusal(edited(("radius: 0.0365", f"radius: {'x' * 5000}")))
+    assert message.startswith("geometry.radius")
+    assert len(message) < 300
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "!!python/object/apply:pathlib.Path.touch [{path}]",
+        "!!python/object/apply:os.system ['touch {path}']",
+        "!!python/name:os.system",
+        "!!python/object/new:os.PathLike []",
+    ],
+)
+def test_code_is_not_run(edited, refusal, tmp_path, code):
+    touched = tmp_path / "touched"
+    message = refusal(edited(("radius: 0.0365", "radius: " + code.format(path=touched))))
+    assert "not valid YAML" in message
+    assert "python/" in message
+    assert not touched.exists()
+
+
+def test_binary_file(tmp_path, refusal):
+    path = tmp_path / "bag.yaml"
+    path.write_bytes(b"\x89MCAP0\r\n\xff\xfe" * 20)
+    assert "cannot be read" in refusal(path)
+
+
+def test_number_of_400_digits(edited, refusal):
+    message = refusal(edited(("radius: 0.0365", f"radius: {'9' * 400}")))
+    assert "geometry.radius" in message or "too large" in message

@@ -1,0 +1,138 @@
+"""Values that a rig may not have: each is refused in one line that names file, key and what was expected."""
+
+from __future__ import annotations
+
+import pytest
+
+from pam_antagonist.rig import load_rig
+
+CASES = {
+    "typo in a key": (("radius: 0.0365", "raduis: 0.0365"), ["geometry.raduis", "did you mean 'radius'"]),
+    "typo in a section": (("geometry:", "geometri:"), ["geometri", "did you mean 'geometry'"]),
+    "unknown key": (("radius: 0.0365", "radius: 0.0365\n  colour: 3"), ["unknown key 'geometry.colour'"]),
+    "missing key": (("  length: 0.165", "  # length: 0.165"), ["geometry.length is missing"]),
+    "missing section": (("supply: {pressure: 710.0e+3}", ""), ["supply is missing"]),
+    "word for a number": (
+        ("radius: 0.0365", "radius: wide"),
+        ["geometry.radius", "r, radius of the seesaw [m]"],
+    ),
+    "nothing for a number": (("radius: 0.0365", "radius:"), ["geometry.radius", "r, radius of the seesaw [m]"]),
+    "list for a number": (("radius: 0.0365", "radius: [0.0365]"), ["geometry.radius", "r, radius of the seesaw [m]"]),
+    "number for a section": (("gas:\n", "gas: 3\nother:\n"), ["other"]),
+    "date for a name": (("name: shin2022\n", "name: 2022-01-01\n"), ["name: ", "str"]),
+    "duplicate key": (("radius: 0.0365", "radius: 0.0365\n  radius: 0.0400"), ["'radius'", "twice", "line 11"]),
+    "duplicate section": (("supply: {", "gas: {}\nsupply: {"), ["'gas'", "twice"]),
+    "gauge supply": (("710.0e+3}", "0.0}"), ["supply.pressure", "150000", "P_tank, absolute [Pa]"]),
+    "supply in kPa": (("710.0e+3}", "710.0}"), ["supply.pressure", "greater than 150000", "absolute [Pa]"]),
+    "supply in bar": (("710.0e+3}", "7.1}"), ["supply.pressure", "absolute [Pa]"]),
+    "gauge atmosphere": (("101.3e+3}", "0.0}"), ["atmosphere.pressure", "50000", "P_out, absolute [Pa]"]),
+    "atmosphere in kPa": (("101.3e+3}", "101.3}"), ["atmosphere.pressure", "absolute [Pa]"]),
+    "stop in degrees": (("stop: 0.4363323129985824", "stop: 25.0"), ["joint.stop", "[rad]"]),
+    "radius in mm": (("radius: 0.0365", "radius: 36.5"), ["geometry.radius", "[m]"]),
+    "length in mm": (("length: 0.165", "length: 165.0"), ["geometry.length", "[m]"]),
+    "period in ms": (("sample_period: 0.001", "sample_period: 1.0"), ["sample_period", "T_stp [s]"]),
+    "temperature in °C": (("temperature: 293.0", "temperature: 20.0"), ["gas.temperature", "T [K]"]),
+    "area in mm²": (("inflow_area: 5.184e-8", "inflow_area: 0.05184"), ["valve_1.inflow_area", "[m²]"]),
+    "negative inertia": (("inertia: 4.263e-4", "inertia: -4.263e-4"), ["joint.inertia", "J [kg m²]"]),
+    "negative friction": (("shaft: 0.2 ", "shaft: -0.2 "), ["friction.shaft", "μ_s"]),
+    "open rate falls": (("0.33, 0.394", "0.394, 0.33"), ["valve_1.curve.open_rate", "do not decrease"]),
+    "open rate above 1": (("0.80, 1.0]", "0.80, 100.0]"), ["valve_1.curve.open_rate", "0 to 1"]),
+    "voltage falls": (("5.0, 5.5, 6.0", "5.5, 5.0, 6.0"), ["valve_1.curve.voltage", "increasing", "[V]"]),
+    "voltage stands": (("5.0, 5.5, 6.0", "5.5, 5.5, 6.0"), ["valve_1.curve.voltage", "increasing"]),
+    "a rate is missing": (("0.80, 1.0]", "1.0]"), ["valve_1.curve", "9 voltages but 8 open rates"]),
+    "no points": (
+        ("[0.0, 4.0, 4.6, 5.0, 5.5, 6.0, 6.6, 7.5, 10.0]", "[]"),
+        ["valve_1.curve", "0 points, expected 2 to 24"],
+    ),
+    "voltage limits exchanged": (
+        ("voltage_min: 0.0, voltage_max: 10.0", "voltage_min: 9.0, voltage_max: 1.0"),
+        ["valves.voltage_min", "voltage_max"],
+    ),
+    "volume in cm³": (
+        (
+            "d1: -2.440e-2, d2: 6.824e-3, d3: -4.254e-4}               # m, m2",
+            "d1: -24.40e+3, d2: 6.824e+3, d3: -425.4} # m, m2",
+        ),
+        ["muscle_1.volume", "m³"],
+    ),
+    "force per kPa": (
+        ("v1: 7.045e-3, v2: -1.017e-3", "v1: 7.045, v2: -1.017"),
+        ["muscle_1.force", "dF/dP", "absolute pressure in Pa"],
+    ),
+    "uncertain parameter misspelt": (
+        ("friction.shaft: 0.004", "friction.shft: 0.004"),
+        ["friction.shft", "did you mean 'friction.shaft'"],
+    ),
+    "uncertain by nothing": (
+        ("friction.shaft: 0.004", "friction.shaft: 0.0"),
+        ["uncertainty", "friction.shaft", "above 0"],
+    ),
+    "uncertain by less than nothing": (
+        ("friction.shaft: 0.004", "friction.shaft: -1.0"),
+        ["uncertainty", "friction.shaft"],
+    ),
+    "no default tuning": (("  default:\n", "  other:\n"), ["tunings", "'default'"]),
+    "negative variance": (("[1.0e-9, 1.0e-6", "[-1.0e-9, 1.0e-6"), ["tunings.default"]),
+    "no measurement noise": (("[3.65e+5, 3.65e+5]", "[3.65e+5, 0.0]"), ["tunings.default", "measurement"]),
+    "three variances": (
+        ("process: [1.0e-9, 1.0e-6, 1.0e+4, 1.0e+4]", "process: [1.0e-9, 1.0e-6, 1.0e+4]"),
+        ["tunings.default.process"],
+    ),
+    "neither yes nor no": (("consider: true", "consider: maybe"), ["tunings.default.consider"]),
+}
+
+
+@pytest.mark.parametrize(("replacement", "words"), CASES.values(), ids=CASES.keys())
+def test_refused(edited, refusal, replacement, words):
+    message = refusal(edited(replacement))
+    for word in words:
+        assert word in message, message
+
+
+PLACES = {
+    "geometry.radius": "radius: 0.0365",
+    "muscle_1.volume.d1": "volume: {d1: -2.440e-2, d2: 6.824e-3, d3: -4.254e-4}               # m, m2",
+    "joint.stop": "stop: 0.4363323129985824",
+    "friction.shaft": "shaft: 0.2 ",
+    "sensors.torque_std": "torque_std: 0.010",
+    "uncertainty.friction.shaft": "friction.shaft: 0.004",
+    "tunings.default.process": "process: [1.0e-9",
+    "valve_1.curve.voltage": "voltage:   [0.0",
+    "valve_1.curve.open_rate": "open_rate: [0.0",
+}
+"""Key -> text that ends with (or begins the value of) its first number."""
+
+
+@pytest.mark.parametrize("value", [".nan", ".inf", "-.inf"])
+@pytest.mark.parametrize("key", PLACES)
+def test_numbers_that_are_none(edited, refusal, text, key, value):
+    old = PLACES[key]
+    number = "-2.440e-2" if key.endswith("d1") else old.split("[")[-1].split(" ")[-1 if old.strip() == old else -2]
+    assert number in old
+    message = refusal(edited((old, old.replace(number, value))))
+    for part in (key.split(".")[0], key.split(".")[-1]):
+        assert part in message, message
+
+
+def test_several_mistakes_are_counted(edited, refusal):
+    message = refusal(edited(("radius: 0.0365", "radius: wide"), ("length: 0.165", "length: long")))
+    assert message.endswith("and 1 more")
+
+
+def test_null_stop_means_none(edited):
+    rig = load_rig(edited(("stop: 0.4363323129985824", "stop: null")))
+    assert rig.joint.stop is None
+    assert rig.parameters()[rig.parameters() == float("inf")].size == 1
+
+
+def test_exponent_without_a_point_is_a_number(edited):
+    """YAML 1.1 reads 4e8 as text; it is a number to everybody else."""
+    assert load_rig(edited(("muscle: 4.0e+8", "muscle: 4e8"))).friction.muscle == 4e8
+
+
+def test_rig_cannot_be_changed():
+    rig = load_rig("shin2022")
+    with pytest.raises((TypeError, ValueError)):
+        rig.geometry.radius = 1.0  # type: ignore[misc]
+    with pytest.raises((TypeError, ValueError)):
+        rig.name = "other"  # type: ignore[misc]
