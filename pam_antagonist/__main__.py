@@ -1,0 +1,75 @@
+"""``python -m pam_antagonist NAME ...``: the one table of everything that can be run."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """Something that can be run.
+
+    Attributes:
+        target: ``module:function``; the function takes the arguments and returns an exit status.
+        summary: what it does, in one line.
+    """
+
+    target: str
+    summary: str
+
+
+COMMANDS: dict[str, Command] = {
+    "demo": Command("pam_antagonist.cli.demo:main", "control a simulated joint live, record, replay and report it"),
+    "replay": Command(
+        "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"
+    ),
+    "simulate": Command("pam_antagonist.cli.simulate:main", "make a recording of a simulated joint"),
+    "benchmark": Command("pam_antagonist.cli.benchmark:main", "measure the speed of estimator, pipeline and replay"),
+    "plant": Command("pam_antagonist.nodes.plant:main", "a simulated joint that publishes what its sensors show"),
+    "estimator": Command("pam_antagonist.nodes.estimator:main", "the joint's angle and torque from two pressures"),
+    "controller": Command("pam_antagonist.nodes.controller:main", "angle or torque control on the estimate"),
+    "record": Command("pam_antagonist.nodes.recorder:main", "write all topics into a rosbag2 (MCAP) bag"),
+}
+"""Name of an executable -> what it is. ``setup.py`` installs one script for each."""
+
+
+def usage() -> str:
+    """One line for each executable, commands and nodes apart."""
+    width = max(len(name) for name in COMMANDS)
+    lines = ["usage: python -m pam_antagonist NAME [arguments]"]
+    for title, package in (("Commands", "pam_antagonist.cli."), ("ROS 2 nodes", "pam_antagonist.nodes.")):
+        lines += ["", title]
+        for name, command in COMMANDS.items():
+            if command.target.startswith(package):
+                lines.append(f"  {name.ljust(width)}  {command.summary}")
+    return "\n".join([*lines, "", "NAME --help tells the arguments of each."])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the executable that the first argument names.
+
+    Args:
+        argv: its name and arguments; default: those of the process.
+
+    Returns:
+        Its exit status; 2 for a name that does not exist.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(usage())
+        return 0 if arguments else 2
+    name, rest = arguments[0], arguments[1:]
+    if name not in COMMANDS:
+        close = difflib.get_close_matches(name, COMMANDS, 1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        print(f"error: unknown executable {name!r}: expected one of {', '.join(COMMANDS)}{hint}", file=sys.stderr)
+        return 2
+    module, function = COMMANDS[name].target.split(":")
+    return int(getattr(importlib.import_module(module), function)(rest) or 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

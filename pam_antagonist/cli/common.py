@@ -1,0 +1,257 @@
+"""What commands share: arguments, the way they end, and output folders that are whole or not there.
+
+A command ends with status 0 (done), 2 (bad input or usage: one line on stderr, no traceback), 130 (interrupted) or 1
+(anything else, which is a defect of this package: with a traceback).
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+from pam_antagonist.errors import BadInput
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose complaints are one line, like those about any other input."""
+
+    def __init__(self, name: str, description: str, epilog: str = "") -> None:
+        """Make a parser.
+
+        Args:
+            name: of the command.
+            description: what it does; the first line is its summary.
+            epilog: examples.
+        """
+        super().__init__(
+            prog=name,
+            description=description,
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the arguments.
+
+        Raises:
+            BadInput: always.
+        """
+        raise BadInput(f"{message} (see {self.prog} --help)")
+
+
+def run(command: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> int:
+    """Run a command and turn what goes wrong into an exit status.
+
+    Args:
+        command: takes the arguments, returns a status.
+        argv: arguments without the program's name; default: those of the process.
+
+    Returns:
+        The status to exit with.
+    """
+    try:
+        with _terminable():
+            status = command(argv)
+            sys.stdout.flush()
+        return status
+    except BadInput as error:
+        # One line, whatever a file name may contain.
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("interrupted: nothing was written", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`), which is its right: the interpreter need not complain at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else (DONE if end.code is None else FAILED)
+    except Exception:
+        traceback.print_exc(limit=-6)
+        print("error: this is a defect of pam_antagonist, not of your input", file=sys.stderr)
+        return FAILED
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM end a command as Ctrl-C does, so that it cleans up."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        previous = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:  # not in the main thread: whoever runs us there handles signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def check_output(path: Path) -> Path:
+    """Refuse an output path that exists, before any work is done.
+
+    Args:
+        path: a folder to be made.
+
+    Raises:
+        BadInput: it exists, or cannot be made.
+    """
+    if path.exists() or path.is_symlink():
+        raise BadInput(f"{path}: exists; expected the name of a new folder, nothing is overwritten")
+    ancestor = path.absolute().parent
+    while not ancestor.exists():
+        ancestor = ancestor.parent
+    if not ancestor.is_dir() or not os.access(ancestor, os.W_OK | os.X_OK):
+        raise BadInput(f"{path}: cannot be made, {ancestor} is not a folder that can be written to")
+    return path
+
+
+@contextmanager
+def output_folder(path: Path, make: bool = True) -> Iterator[Path]:
+    """A folder that appears when everything in it is written, and not at all when something goes wrong.
+
+    Args:
+        path: the folder to be made, see :func:`check_output`.
+        make: False for writers that want to make the folder themselves.
+
+    Yields:
+        An empty folder of the same name to write into (or its path only), which is moved to `path` at the end.
+
+    Raises:
+        BadInput: as :func:`check_output`, or the disk is full or not writable.
+    """
+    check_output(path)
+    target = path.resolve()
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        aside = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be made: {error.strerror}") from None
+    try:
+        partial = aside / target.name
+        if make:
+            partial.mkdir()
+        yield partial
+        partial.rename(target)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def add_rig(parser: argparse.ArgumentParser) -> None:
+    """``--rig``."""
+    parser.add_argument("--rig", required=True, metavar="RIG", help="a YAML file, or the name of a rig of the package")
+
+
+def add_tuning(parser: argparse.ArgumentParser) -> None:
+    """``--tuning``."""
+    parser.add_argument(
+        "--tuning",
+        default="default",
+        metavar="NAME",
+        help="the rig's filter tuning: default, published, ... (default: default)",
+    )
+
+
+def add_joint(parser: argparse.ArgumentParser, choices: Sequence[str], default: str, told: str) -> None:
+    """``--joint`` and ``--lock-angle``.
+
+    Args:
+        parser: takes the arguments.
+        choices: conditions to choose from.
+        default: condition where none is given.
+        told: what the help says about the condition.
+    """
+    parser.add_argument("--joint", choices=tuple(choices), default=default, help=told)
+    parser.add_argument("--lock-angle", type=_angle, metavar="DEG", help="angle at which a locked joint is held [deg]")
+
+
+def _angle(text: str) -> float:
+    """Degrees on the command line, radians within."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= 90.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected an angle in degrees, -90 to 90")
+    return math.radians(value)
+
+
+def lock_angle(arguments: argparse.Namespace) -> float | None:
+    """The angle of a locked joint [rad], None where none was given.
+
+    Raises:
+        BadInput: an angle was given for a joint that is not locked.
+    """
+    if arguments.lock_angle is not None and arguments.joint != "locked":
+        raise BadInput("--lock-angle: only a joint that is locked has one; give --joint locked as well")
+    value: float | None = arguments.lock_angle
+    return value
+
+
+def add_topics(parser: argparse.ArgumentParser) -> None:
+    """``--topic``, given as often as needed."""
+    parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        type=_topic,
+        metavar="NAME=/OTHER",
+        help="the topic NAME (pressure_1, valve_state, ...) is /OTHER in the bag; may be given several times",
+    )
+
+
+def _topic(text: str) -> tuple[str, str]:
+    name, equals, other = text.partition("=")
+    if not (name and equals and other.startswith("/")):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected NAME=/OTHER, such as pressure_1=/arm/p1")
+    return name, other
+
+
+def topics(arguments: argparse.Namespace) -> dict[str, str]:
+    """The topics that were given other names.
+
+    Raises:
+        BadInput: one was given twice.
+    """
+    chosen: dict[str, str] = {}
+    for name, other in arguments.topic:
+        if name in chosen:
+            raise BadInput(f"--topic {name}: given twice, as {chosen[name]} and {other}")
+        chosen[name] = other
+    return chosen
+
+
+def progress(total: int, what: str, unit: str = "samples") -> Any:
+    """A progress bar on stderr, shown only on a terminal and only for what takes more than two seconds.
+
+    Args:
+        total: units to do.
+        what: label.
+        unit: what is counted.
+
+    Returns:
+        A ``tqdm`` bar, to be used as a context manager.
+    """
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc=what, unit=f" {unit}", unit_scale=True, delay=2.0, leave=False, disable=None)

@@ -1,0 +1,217 @@
+"""``demo``: a sensor-less closed loop, live, recorded, replayed and judged."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pam_antagonist.cli import common
+from pam_antagonist.control import Mode
+from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
+from pam_antagonist.rig import Rig, load_rig
+
+if TYPE_CHECKING:
+    from pam_antagonist.nodes.watch import Watch
+
+_DESCRIPTION = """\
+Run a sensor-less closed loop live and judge it.
+
+Starts a simulated joint, the estimator and the controller as three processes at the rig's sample rate (1 kHz), and a
+recorder; steps the reference of the joint's angle (or of its torque, with the joint locked at 0°) as the paper does;
+records everything into a rosbag2 bag (MCAP); replays the bag through the estimator; ends with tables and
+OUT/report.html, OUT/report.json.
+
+The simulated joint differs from the rig as declared (--mismatch), so that the estimator does not meet its own model.
+It is a simulator all the same: how well a real joint does, only a recording of it can tell (see replay).
+
+Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 else.
+"""
+_EXAMPLES = """\
+examples:
+  pam_antagonist demo
+  pam_antagonist demo --mode torque --duration 20 --out torque_demo
+"""
+
+_ANGLES = (20.0, -20.0, 0.0, 10.0, -10.0, 0.0)
+_TORQUES = (2.0, -2.0, 0.0, 1.0, -1.0, 0.0)
+_STEP = {Mode.ANGLE: 9.0, Mode.TORQUE: 4.5}  # length of a step, about [s]: the angle settles slower
+_REST = 2.0  # at the reference 0 before the first step [s]
+_START_LIMIT = 90.0  # for the nodes to start, which may have to compile first [s]
+_DRAIN = 0.3  # from the last sample to the end of those who wait for it [s]
+_LOOP = 0.05  # [s]
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("demo", _DESCRIPTION, _EXAMPLES)
+    add = out.add_argument
+    add("--duration", type=_seconds, default=30.0, metavar="S", help="length of the experiment [s] (default: 30)")
+    add("--mode", choices=("angle", "torque"), default="angle", help="what is controlled (default: angle)")
+    rig_help = "a YAML file, or the name of a rig that comes with the package (default: shin2022)"
+    add("--rig", default="shin2022", metavar="RIG", help=rig_help)
+    add("--tuning", default="default", metavar="NAME", help="filter tuning of the rig (default: default)")
+    add("--seed", type=_seed, default=0, metavar="N", help="of the joint's mismatch and sensor noise (default: 0)")
+    mismatch_help = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
+    add("--mismatch", type=_mismatch, default=0.01, metavar="X", help=mismatch_help)
+    out_help = "folder for bag, logs and report; a new one (default: demo-DATE-TIME)"
+    add("--out", type=Path, metavar="DIR", help=out_help)
+    add("--no-figures", action="store_true", help="leave the figures out of report.html")
+    return out
+
+
+def _number(text: str, low: float, high: float, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected {what} from {low:g} to {high:g}")
+    return value
+
+
+def _seconds(text: str) -> float:
+    return _number(text, 1.0, 3600.0, "seconds")
+
+
+def _mismatch(text: str) -> float:
+    return _number(text, 0.0, 0.29, "a number")
+
+
+def _seed(text: str) -> int:
+    return int(_number(text, 0, 2**31 - 1, "an integer"))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    return common.run(_main, argv)
+
+
+def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> list[tuple[float, float]]:
+    """The steps of the reference: time [s] and value [rad] or [N m].
+
+    Args:
+        mode: what is controlled.
+        duration: of the experiment [s].
+        largest_angle: what the joint can reach [rad]; larger steps are scaled down to four fifths of it.
+    """
+    rest = min(_REST, 0.1 * duration)
+    count = max(2, round((duration - rest) / _STEP[mode]))
+    length = (duration - rest) / count
+    values = [math.radians(value) for value in _ANGLES] if mode is Mode.ANGLE else list(_TORQUES)
+    if mode is Mode.ANGLE:
+        scale = min(1.0, 0.8 * largest_angle / max(values))
+        values = [scale * value for value in values]
+    return [(0.0, 0.0), *((rest + k * length, values[k % len(values)]) for k in range(count))]
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    rig = load_rig(arguments.rig)
+    rig.tuning(arguments.tuning)
+    out: Path = arguments.out or Path(datetime.now().strftime("demo-%Y%m%d-%H%M%S"))
+    common.check_output(out)
+    try:
+        (out / "logs").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
+    mode = Mode[arguments.mode.upper()]
+    try:
+        _experiment(arguments, rig, mode, out)
+    except ProcessFailed as error:
+        print(f"error: {error} (logs: {out / 'logs'})", file=sys.stderr)
+        return common.FAILED
+    except KeyboardInterrupt:
+        print(f"\ninterrupted: what was recorded until now is in {out / 'bag'}", file=sys.stderr)
+        return common.INTERRUPTED
+    from pam_antagonist.cli import demo_report
+
+    try:
+        demo_report.judge(out, rig, arguments.tuning, mode, with_figures=not arguments.no_figures)
+    except KeyboardInterrupt:
+        print(f"\ninterrupted: the recording is in {out / 'bag'}, there is no report", file=sys.stderr)
+        return common.INTERRUPTED
+    return common.DONE
+
+
+def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) -> None:
+    """Run the processes and step the reference."""
+    # A domain of its own keeps two demos, or a demo and a rig, from hearing each other.
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    name = str(Path(arguments.rig).resolve()) if arguments.rig.endswith((".yaml", ".yml")) else arguments.rig
+    shared: dict[str, object] = {"rig": name}
+    joint: dict[str, object] = {"joint": "free"} if mode is Mode.ANGLE else {"joint": "locked", "lock_angle": 0.0}
+    with Processes(out / "logs") as processes:
+        processes.start("record", ["--out", str(out / "bag")])
+        processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
+        processes.start("controller", ros_arguments(shared, {}))
+        simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
+        processes.start("plant", ros_arguments({**shared, **joint, **simulated}, {}))
+        try:
+            steps = references(mode, arguments.duration, rig.joint.stop or math.inf)
+            _steps(processes, mode, steps, arguments.duration)
+        finally:
+            # From the source to the sink, so that every sample that was sent is estimated, commanded and recorded.
+            processes.stop("plant")
+            time.sleep(_DRAIN)
+            processes.stop("controller", "estimator", "record")
+
+
+def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], duration: float) -> None:
+    from tqdm import tqdm
+
+    # ROS is imported while the nodes are starting.
+    from pam_antagonist.nodes.watch import Watch
+
+    with Watch() as watch:
+        begin = time.monotonic()
+        while not watch.running():
+            processes.check()
+            if time.monotonic() - begin > _START_LIMIT:
+                raise ProcessFailed(f"no command came within {_START_LIMIT:g} s of the start: {watch.missing()}")
+            time.sleep(0.01)
+        took = f"plant, estimator and controller are running after {_since_start():.1f} s"
+        print(f"{took}; recording {duration:g} s", flush=True)
+        look = "{percentage:3.0f} %|{bar:20}| {n:.1f}/{total:g} s  {postfix}"
+        with tqdm(total=duration, bar_format=look, disable=None) as bar:
+            start, shown = time.monotonic(), -1
+            while (elapsed := time.monotonic() - start) < duration:
+                processes.check()
+                index = max(k for k, (at, _) in enumerate(steps) if at <= elapsed)
+                watch.send(mode, steps[index][1])
+                bar.n = elapsed
+                bar.set_postfix_str(_seen(watch, mode, steps[index][1]), refresh=True)
+                if bar.disable and index != shown and index:
+                    print(f"  {elapsed:5.1f} s: {_seen(watch, mode, steps[index][1])}", flush=True)
+                shown = index
+                time.sleep(_LOOP)
+            bar.n = duration
+
+
+def _since_start() -> float:
+    """Time since this process was started [s]."""
+    with open("/proc/self/stat", encoding="ascii") as stat, open("/proc/uptime", encoding="ascii") as uptime:
+        ticks = float(stat.read().rsplit(")", 1)[1].split()[19])
+        return float(uptime.read().split()[0]) - ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _seen(watch: Watch, mode: Mode, reference: float) -> str:
+    """Reference, estimate and measurement now."""
+    estimate, measured = watch.look(mode)
+    if mode is Mode.ANGLE:
+        return "reference {:+5.1f}°  estimate {:+6.2f}°  measured {:+6.2f}°".format(
+            *(math.degrees(value) for value in (reference, estimate, measured))
+        )
+    return f"reference {reference:+4.1f} N m  estimate {estimate:+6.3f} N m  measured {measured:+6.3f} N m"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

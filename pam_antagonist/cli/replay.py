@@ -1,0 +1,117 @@
+"""``replay``: recordings once more through the estimator that runs live."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+import time
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+
+from pam_antagonist.cli import common
+from pam_antagonist.recording import read_bag
+from pam_antagonist.report import replay as replaying
+from pam_antagonist.report import replay_tables, words
+from pam_antagonist.report.replay_page import write_report
+from pam_antagonist.rig import Rig, load_rig
+
+_DESCRIPTION = """\
+Run recordings through the estimator again and report its errors.
+
+The unscented Kalman filter gets the recorded pressures and valve voltages, nothing else, by the code that
+runs live; the model alone gets the voltages. Both are compared with the measured angle and torque, where the
+bag has them. Where it has the estimate that was published live, the two are compared bit by bit.
+
+Writes DIR/report.json and DIR/report.html. Status: 0 done, 2 bad input (one line says what and where).
+"""
+_EXAMPLES = """\
+examples:
+  replay my_bag --rig shin2022 --out result
+  replay free_bag locked_bag --rig my_rig.yaml --out result --tuning published
+  replay my_bag --rig shin2022 --out result --topic pressure_1=/arm/p1 --topic pressure_2=/arm/p2
+"""
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("replay", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
+    common.add_rig(out)
+    common.add_tuning(out)
+    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the report; a new one")
+    common.add_joint(
+        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, told from the measured angle)"
+    )
+    common.add_topics(out)
+    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where the bag holds several")
+    out.add_argument(
+        "--restarts", choices=("refuse", "last"), default="refuse",
+        help="of a bag whose clock was set back: refuse it, or read what came after the last time (default: refuse)",
+    )  # fmt: skip
+    out.add_argument("--recover", action="store_true", help="of a damaged bag, read what stands before the damage")
+    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
+    out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    common.check_output(arguments.out)
+    rig = load_rig(arguments.rig)
+    rig.tuning(arguments.tuning)
+    common.lock_angle(arguments)
+    names = common.topics(arguments)
+    replays = []
+    for bag in arguments.bags:
+        replays.append(_replay(bag, names, rig, arguments))
+        print(_summary(replays[-1]))
+    with common.output_folder(arguments.out) as folder:
+        write_report(folder, replays, with_figures=not arguments.no_figures)
+    print(f"\nreport: {arguments.out / 'report.html'} and report.json")
+    if arguments.open:
+        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    return common.DONE
+
+
+def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> replaying.Replay:
+    begin = time.perf_counter()
+    recording = read_bag(
+        bag,
+        topics=names,
+        namespace=arguments.namespace,
+        joint_name=arguments.joint_name,
+        restarts=arguments.restarts,
+        recover=arguments.recover,
+    )
+    read_seconds = time.perf_counter() - begin
+    with common.progress(len(recording.stamp_ns), f"replay {bag.name}") as bar:
+        return replaying.replay(
+            recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, read_seconds, progress=bar.update
+        )
+
+
+def _summary(replay: replaying.Replay) -> str:
+    report = replay.report
+    head = (
+        f"\n{report['recording']['name']}: {report['duration_s']:.1f} s, {report['samples']} samples, joint "
+        f"{report['joint']['condition']} (told from: {report['joint']['told_from']})\n"
+        f"rig {replay.rig.name}, tuning {replay.tuning}, {report['realtime_factor']:.1f} × real time\n"
+    )
+    mark = {"good": "  ", "note": "  ", "warn": "! "}
+    said = "\n".join(
+        textwrap.fill(item.text, 100, initial_indent=mark[item.status], subsequent_indent="  ")
+        for item in words.findings(report)
+    )
+    return f"{head}\n{replay_tables.errors_table(report).text()}\n\n{said}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,141 @@
+"""``simulate``: a recording of a simulated joint, for trials without hardware."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import profiles
+from pam_antagonist.model.plant import Plant
+from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.rig import Rig, load_rig
+
+_DESCRIPTION = """\
+Make a recording of a simulated joint: a rosbag2 (MCAP) with the topics of a live one.
+
+The model runs at a finer step than the estimator's, behind noisy, quantised sensors and, with --mismatch, off
+its declared parameters. It is this package's own model: agreement with it says nothing about a real joint.
+The same arguments give the same recording.
+"""
+_EXAMPLES = """\
+examples:
+  simulate --rig shin2022 --out my_bag --duration 30
+  simulate --rig shin2022 --out my_bag --profile steps --seed 7 --mismatch 0.01 --joint locked
+  simulate --rig my_rig.yaml --out my_bag --profile voltages.csv
+"""
+FIRST_STAMP_NS = 1_000_000_000_000_000_000
+"""Stamps begin here (in 2001), whatever the time is: the same arguments give the same bag."""
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("simulate", _DESCRIPTION, _EXAMPLES)
+    common.add_rig(out)
+    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the bag; a new or empty one")
+    out.add_argument(
+        "--profile",
+        default="paper",
+        metavar="NAME|FILE.csv",
+        help=f"valve voltages: {', '.join(profiles.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s and V",
+    )
+    out.add_argument(
+        "--duration", type=float, metavar="S", help="length [s] (default: 130 for paper, 60, or that of the CSV file)"
+    )
+    common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
+    out.add_argument("--seed", type=int, default=0, help="of everything that is random (default: 0)")
+    out.add_argument(
+        "--mismatch", type=float, default=0.0, metavar="X", help="relative scatter of the parameters (default: 0)"
+    )
+    out.add_argument("--no-noise", action="store_true", help="exact sensors")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    common.check_output(arguments.out)
+    rig = load_rig(arguments.rig)
+    if arguments.seed < 0:
+        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
+    angle = common.lock_angle(arguments) or 0.0
+    plant = Plant(
+        rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise
+    )
+    voltage = _voltages(arguments, rig)
+    recording = simulate(plant, voltage, rig.sample_period, arguments.out)
+    with common.output_folder(arguments.out, make=False) as folder:
+        write_bag(folder, recording, pressure_variance=rig.sensors.pressure_std**2)
+    print(_summary(recording, rig, arguments))
+    return common.DONE
+
+
+def _voltages(arguments: argparse.Namespace, rig: Rig) -> NDArray[np.float64]:
+    """Voltages of every sample (N, 2) [V], checked against what the rig's valves may be given."""
+    name, duration, period = arguments.profile, arguments.duration, rig.sample_period
+    low, high = rig.valves.voltage_min, rig.valves.voltage_max
+    if duration is not None and not period <= duration <= 86_400.0:
+        raise BadInput(f"--duration {duration:g}: expected {period:g} to 86400 s")
+    if name in profiles.PROFILES:
+        chosen = duration or (profiles.PAPER_DURATION if name == "paper" else 60.0)
+        return np.clip(profiles.profile(name, chosen, period, arguments.seed), low, high)
+    if not name.endswith(".csv"):
+        raise BadInput(f"--profile {name!r}: expected one of {', '.join(profiles.PROFILES)}, or a .csv file")
+    time, voltage = profiles.read_table(Path(name))
+    outside = np.flatnonzero(((voltage < low) | (voltage > high)).any(axis=1))
+    if len(outside):
+        raise BadInput(f"{name}: row {outside[0] + 2} is outside the rig's valve voltages, {low:g} to {high:g} V")
+    return profiles.held(time, voltage, duration or float(time[-1] - time[0]) + period, period)
+
+
+def simulate(plant: Plant, voltage: NDArray[np.float64], period: float, path: Path) -> Recording:
+    """Drive a plant and record what its sensors show.
+
+    Args:
+        plant: the joint.
+        voltage: (N, 2) [V], row k over sample period k.
+        period: sample period [s].
+        path: what the recording is called.
+
+    Returns:
+        The recording; sample k is stamped at the end of period k.
+    """
+    count = len(voltage)
+    pressure, angle, torque = np.empty((count, 2)), np.empty(count), np.empty(count)
+    with common.progress(count, "simulate") as bar:
+        for k in range(count):
+            sample = plant.step(voltage[k])
+            pressure[k] = sample.pressure
+            angle[k] = sample.angle
+            torque[k] = sample.torque
+            if k % 1000 == 999:
+                bar.update(1000)
+    stamps = FIRST_STAMP_NS + np.rint(np.arange(1, count + 1) * period * 1e9).astype(np.int64)
+    return Recording(path=path, stamp_ns=stamps, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
+
+
+def _summary(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> str:
+    def span(values: NDArray[np.float64] | None, scale: float, unit: str) -> str:
+        assert values is not None
+        return f"{values.min() * scale:.4g} to {values.max() * scale:.4g} {unit}"
+
+    return (
+        f"{arguments.out}: {len(recording.stamp_ns)} samples of rig {rig.name}, joint {arguments.joint}\n"
+        f"  pressures {span(recording.pressure[:, 0], 1e-3, 'kPa')} and {span(recording.pressure[:, 1], 1e-3, 'kPa')}\n"
+        f"  angle {span(recording.angle, np.degrees(1.0), 'deg')}, torque {span(recording.torque, 1.0, 'N m')}\n"
+        f"replay {arguments.out} --rig {arguments.rig} --out DIR   tells what the estimator makes of it"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

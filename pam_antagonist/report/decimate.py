@@ -1,0 +1,97 @@
+"""Fewer points for the eye, without hiding one that stands out.
+
+Sixty seconds at 1 kHz are 60,000 samples for a plot that is 1,000 pixels wide. Every k-th sample would lose spikes; a
+mean would flatten them. Here each bucket of samples keeps its least and its largest value, at the times where they
+happened, so that the drawn curve fills the same pixels as the full one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+LIMIT = 4000
+"""Most points of one trace."""
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+def bucket_width(samples: int, limit: int = LIMIT) -> int:
+    """Samples a bucket, so that two points a bucket stay within the limit (1: nothing is left out)."""
+    return 1 if samples <= limit else -(-samples // (limit // 2))
+
+
+def _buckets(values: FloatArray, width: int, fill: float) -> FloatArray:
+    """Rows of `width` samples, the last one filled up; NaN becomes `fill`."""
+    rows = -(-len(values) // width)
+    padded = np.full(rows * width, fill)
+    padded[: len(values)] = np.where(np.isnan(values), fill, values)
+    return padded.reshape(rows, width)
+
+
+def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
+    """Indices of the samples worth drawing: the least and the largest of each bucket.
+
+    Args:
+        values: (N,), NaN where there is nothing to draw.
+        limit: most points wanted.
+
+    Returns:
+        Increasing indices, at most `limit`; all N where they fit. A bucket of NaN alone keeps one, as a gap.
+    """
+    width = bucket_width(len(values), limit)
+    if width == 1:
+        return np.arange(len(values))
+    low = _buckets(values, width, np.inf).argmin(axis=1)
+    high = _buckets(values, width, -np.inf).argmax(axis=1)
+    starts = np.arange(len(low)) * width
+    return np.unique(np.concatenate((starts + low, starts + high)))
+
+
+def envelope(lower: FloatArray, upper: FloatArray, limit: int = LIMIT) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """A band thinned so that it still covers all of the full one.
+
+    Args:
+        lower: (N,) lower edge.
+        upper: (N,) upper edge.
+        limit: most points wanted of each edge.
+
+    Returns:
+        Index of each bucket's middle sample, the least of its lower and the largest of its upper edge. Buckets
+        that hold nothing finite are NaN.
+    """
+    width = bucket_width(len(lower), limit)
+    low = _buckets(lower, width, np.inf).min(axis=1)
+    high = _buckets(upper, width, -np.inf).max(axis=1)
+    nothing = ~(np.isfinite(low) & np.isfinite(high))
+    low[nothing] = np.nan
+    high[nothing] = np.nan
+    middle = np.minimum(np.arange(len(low)) * width + width // 2, len(lower) - 1)
+    return middle, low, high
+
+
+def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[IndexArray, FloatArray]:
+    """How much of each stretch of time is spent in each category.
+
+    Args:
+        category: (N,) values 0..categories - 1.
+        categories: number of categories.
+        columns: most stretches wanted.
+
+    Returns:
+        Index of each stretch's middle sample (C,), and the shares (categories, C), each column adding up to 1.
+    """
+    samples = len(category)
+    width = max(1, -(-samples // columns))
+    stretch = np.arange(samples) // width
+    count = int(stretch[-1]) + 1 if samples else 0
+    table = np.zeros((categories, count))
+    np.add.at(table, (category, stretch), 1.0)
+    middle = np.minimum(np.arange(count) * width + width // 2, max(samples - 1, 0))
+    return middle, table / np.maximum(table.sum(axis=0), 1.0)
+
+
+def gap_groups(stamp_ns: NDArray[np.int64], gap_ns: int) -> IndexArray:
+    """Number of the stretch of recording that each sample belongs to; a pause longer than `gap_ns` starts a new one."""
+    return np.concatenate(([0], np.cumsum(np.diff(stamp_ns) > gap_ns))) if len(stamp_ns) else np.zeros(0, np.int64)

@@ -1,0 +1,242 @@
+"""A recording through the estimator again: the same bits as live, and numbers under the agreed keys."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import EstimateRun, Estimator, simulate_model
+from pam_antagonist.recording import RecordedEstimate, Recording
+from pam_antagonist.report.html import Text
+from pam_antagonist.report.replay import replay, replay_recording
+from pam_antagonist.report.replay_page import document, page, write_report
+from pam_antagonist.rig import Rig
+
+Changed = Callable[..., Recording]
+
+CHANNEL = {"angle": ("rmse_deg", "max_deg", "q"), "torque": ("rmse_nm", "max_nm", "q")}
+
+
+@pytest.fixture(scope="module")
+def report(rig: Rig, free: Recording) -> dict[str, Any]:
+    return replay_recording(free, rig)
+
+
+def test_report_keys_are_those_that_others_read(report: dict[str, Any]) -> None:
+    assert {"samples", "duration_s", "realtime_factor", "ukf", "model_alone", "innovation"} <= set(report)
+    for model, more in (("ukf", {"coverage95"}), ("model_alone", set())):
+        assert set(report[model]) == {"angle", "torque", "pressure"}
+        for name, keys in CHANNEL.items():
+            assert set(report[model][name]) == set(keys) | more
+        assert len(report[model]["pressure"]["rmse_pa"]) == 2
+    assert {"nis_mean", "nis_in_95", "whiteness_p"} <= set(report["innovation"])
+
+
+def test_numbers_are_those_of_the_arrays(rig: Rig, free: Recording) -> None:
+    done = replay(free, rig)
+    assert done.report["samples"] == 6000
+    assert done.report["duration_s"] == pytest.approx(6.0)
+    assert free.angle is not None and free.torque is not None
+    run = Estimator(rig).run(free.stamp_ns, free.pressure, free.voltage)
+    error = np.degrees(run.rows["angle"] - free.angle)
+    assert done.report["ukf"]["angle"]["rmse_deg"] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
+    assert done.report["ukf"]["angle"]["q"] == pytest.approx(np.abs(error).max() / np.degrees(np.ptp(free.angle)))
+    alone = simulate_model(rig, free.voltage, free.pressure[0])
+    assert done.report["model_alone"]["torque"]["max_nm"] == pytest.approx(np.abs(alone.torque - free.torque).max())
+    worst = np.sqrt(np.mean((alone.pressure - free.pressure) ** 2, axis=0))
+    assert done.report["model_alone"]["pressure"]["rmse_pa"] == pytest.approx(worst)
+
+
+def test_the_published_tuning_is_another_filter(rig: Rig, free: Recording, report: dict[str, Any]) -> None:
+    published = replay_recording(free, rig, tuning="published")
+    assert published["ukf"]["angle"]["rmse_deg"] > 2.0 * report["ukf"]["angle"]["rmse_deg"]
+    assert published["model_alone"] == report["model_alone"]
+
+
+def test_a_channel_that_was_not_recorded_is_null(rig: Rig, free: Recording, changed: Changed, tmp_path: Path) -> None:
+    done = replay(changed(free, torque=None), rig)
+    write_report(tmp_path, [done], with_figures=False)
+    written = json.loads((tmp_path / "report.json").read_text())
+    assert written["ukf"]["torque"] is None
+    assert written["model_alone"]["torque"] is None
+    assert written["ukf"]["angle"]["rmse_deg"] > 0.0
+    assert "Torque: not measured" in (tmp_path / "report.html").read_text()
+
+
+def test_nothing_measured_is_said_plainly(rig: Rig, free: Recording, changed: Changed) -> None:
+    done = replay(changed(free, torque=None, angle=None), rig)
+    text = page([done], with_figures=False).render()
+    assert "The estimate stands alone" in text
+    assert "taken for free" in text
+
+
+def test_the_recorded_files_hash_is_the_one_of_sha256sum(report: dict[str, Any], free: Recording) -> None:
+    (file,) = Path(free.path).glob("*.mcap")
+    assert report["recording"]["sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
+    assert report["recording"]["name"] == f"{free.path.parent.name}/free"
+
+
+def test_a_locked_joints_torque_is_judged_and_its_angle_is_given(rig: Rig, locked: Recording) -> None:
+    done = replay(locked, rig)
+    assert done.report["joint"] == {"condition": "locked", "lock_angle_rad": 0.0, "told_from": "measured angle"}
+    assert not done.run.rows["angle"].any()
+    text = page([done], with_figures=False).render()
+    assert "the torque is known to" in text
+    assert "the angle is known to" not in text
+
+
+def test_samples_that_are_missing_do_not_shift_the_model(rig: Rig, free: Recording, changed: Changed) -> None:
+    # Half a second is gone while the voltages hold: the model runs on through it.
+    whole = replay(free, rig)
+    level = np.flatnonzero(np.abs(np.diff(free.voltage, axis=0)).any(axis=1)) + 1
+    first = int(level[np.argmax(np.diff(level))]) + 1
+    keep = np.ones(len(free.stamp_ns), dtype=bool)
+    keep[first : first + 400] = False
+    holed = replay(changed(free, keep=keep), rig)
+    assert len(holed.run.index) == len(free.stamp_ns) - 400
+    assert np.array_equal(holed.model.angle, whole.model.angle[keep])
+    assert holed.report["estimator"]["counts"]["gaps"] == 1
+
+
+def test_after_a_long_pause_filter_and_model_start_afresh(rig: Rig, free: Recording, changed: Changed) -> None:
+    stamps = free.stamp_ns.copy()
+    stamps[3000:] += 20_000_000_000
+    done = replay(changed(free, stamp_ns=stamps), rig)
+    assert done.report["estimator"]["started_ns"] == [int(stamps[0]), int(stamps[3000])]
+    assert done.report["estimator"]["counts"]["restarts"] == 1
+    assert done.model.pressure[3000] == pytest.approx(free.pressure[3000])
+
+
+def test_without_a_complete_sample_there_is_nothing_to_replay(rig: Rig, free: Recording, changed: Changed) -> None:
+    pressure = free.pressure.copy()
+    pressure[::2, 0] = np.nan
+    pressure[1::2, 1] = np.nan
+    with pytest.raises(BadInput, match="no sample has both pressures"):
+        replay(changed(free, pressure=pressure), rig)
+
+
+def test_progress_tells_of_every_sample(rig: Rig, free: Recording) -> None:
+    steps: list[int] = []
+    replay(free, rig, progress=steps.append)
+    assert sum(steps) == len(free.stamp_ns)
+    assert len(steps) > 1
+
+
+# ------------------------------------------------------------------ equal to what was published live
+
+
+def _live(rig: Rig, recording: Recording, starts: tuple[int, ...], end: int) -> RecordedEstimate:
+    """What a live node published that was started at these samples, sample by sample."""
+    estimator = Estimator(rig)
+    parts: list[EstimateRun] = []
+    for first, last in zip(starts, (*starts[1:], end), strict=True):
+        estimator.reset()
+        for k in range(first, last):
+            one = slice(k, k + 1)
+            parts.append(estimator.run(recording.stamp_ns[one], recording.pressure[one], recording.voltage[one]))
+    return RecordedEstimate.from_rows(
+        np.concatenate([part.stamp_ns for part in parts]),
+        np.concatenate([part.started_ns for part in parts]),
+        np.concatenate([part.rows for part in parts]),
+    )
+
+
+@pytest.mark.parametrize("starts", [(0,), (700,), (700, 2000)], ids=["first sample", "later", "restarted by hand"])
+def test_a_replay_gives_the_bits_of_the_live_node(
+    rig: Rig, free: Recording, changed: Changed, starts: tuple[int, ...]
+) -> None:
+    live = _live(rig, free, starts, 3000)
+    equal = replay_recording(changed(free, estimate=live), rig)["live_equal"]
+    assert equal == {
+        "compared": 3000 - starts[0],
+        "equal": 3000 - starts[0],
+        "only_live": 0,
+        "only_replay": 0,
+        "first_difference_ns": None,
+        "differing": {},
+    }
+
+
+def test_one_bit_is_a_difference_and_the_late_flag_is_none(rig: Rig, free: Recording, changed: Changed) -> None:
+    live = _live(rig, free, (0,), 500)
+    torque, flags = live.torque.copy(), live.flags.copy()
+    torque[123] = np.nextafter(torque[123], np.inf)
+    flags[200] |= 64
+    touched = RecordedEstimate(**{**vars(live), "torque": torque, "flags": flags})
+    equal = replay_recording(changed(free, estimate=touched), rig)["live_equal"]
+    assert (equal["compared"], equal["equal"]) == (500, 499)
+    assert equal["differing"] == {"torque": 1}
+    assert equal["first_difference_ns"] == int(free.stamp_ns[123])
+
+
+def test_another_tuning_does_not_give_the_live_bits(rig: Rig, free: Recording, changed: Changed) -> None:
+    done = replay(changed(free, estimate=_live(rig, free, (0,), 500)), rig, tuning="published")
+    assert done.report["live_equal"]["equal"] < 500
+    assert "differ: " in page([done], with_figures=False).render()
+
+
+def test_a_filter_started_before_the_recording_cannot_be_repeated(rig: Rig, free: Recording, changed: Changed) -> None:
+    late = np.arange(len(free.stamp_ns)) >= 1000
+    cut = changed(free, keep=late, estimate=_live(rig, free, (0,), 3000).take(slice(1000, None)))
+    equal = replay_recording(cut, rig)["live_equal"]
+    assert equal["compared"] == 2000
+    assert equal["equal"] == 0
+    assert equal["differing"]["started"] == 2000
+
+
+# ------------------------------------------------------------------ the documents
+
+
+def test_one_recording_stands_at_the_top_and_several_in_a_list(rig: Rig, free: Recording, locked: Recording) -> None:
+    one, other = replay(free, rig), replay(locked, rig)
+    single = document([one])
+    assert single["ukf"] == one.report["ukf"]
+    assert single["settings"]["rig"] == "shin2022"
+    assert single["settings"]["tuning"]["name"] == "default"
+    assert set(single["software"]) == {"pam_antagonist", "python", "numpy", "numba"}
+    both = document([one, other])
+    assert set(both) == {"recordings", "settings", "software"}
+    assert [entry["joint"]["condition"] for entry in both["recordings"]] == ["free", "locked"]
+
+
+def test_a_report_names_no_folder_of_this_machine(rig: Rig, free: Recording, tmp_path: Path) -> None:
+    write_report(tmp_path, [replay(free, rig)])
+    for name in ("report.json", "report.html"):
+        assert str(free.path.parent.parent) not in (tmp_path / name).read_text(encoding="utf-8")
+
+
+def test_another_command_adds_its_own_part(rig: Rig, free: Recording, tmp_path: Path) -> None:
+    write_report(tmp_path, [replay(free, rig)], False, "Ten seconds", (Text("No sample was lost."),), latency={"ms": 1})
+    assert json.loads((tmp_path / "report.json").read_text())["latency"] == {"ms": 1}
+    html = (tmp_path / "report.html").read_text()
+    assert "<h1>Ten seconds</h1>" in html
+    assert html.index('class="verdict"') < html.index("No sample was lost.") < html.index("<table")
+
+
+def test_the_page_shows_every_figure_with_units(rig: Rig, free: Recording, locked: Recording) -> None:
+    html = page([replay(free, rig), replay(locked, rig)]).render()
+    for title, count in (
+        ("Joint angle", 1),
+        ("Joint torque", 2),
+        ("Muscle pressures", 2),
+        ("Valve voltages", 2),
+        ("(NIS)", 2),
+        ("autocorrelation", 2),
+        ("Active subsystem", 2),
+    ):
+        found = [line for line in html.split("<figcaption>")[1:] if title in line.split("</figcaption>")[0]]
+        assert len(found) == count, title
+        for figure in found:
+            data = json.loads(figure.split('type="application/json"')[1].split(">", 1)[1].split("</script>")[0])
+            axes = [axis for key, axis in data["layout"].items() if key.startswith(("xaxis", "yaxis"))]
+            titles = [axis["title"]["text"] for axis in axes if "title" in axis]
+            assert titles and all("[" in text for text in titles), titles
+            assert all(len(trace["x"]) <= 4100 for trace in data["data"] if trace["type"] == "scatter")
