@@ -43,7 +43,7 @@ def _filter_steps(pressures, voltages, x, covariance, cross, parameter_sets, dt,
     for k in range(voltages.shape[0]):
         _predict(x, covariance, cross, voltages[k], parameter_sets, dt, process, kappa, work)
         _innovate(x, covariance, pressures[k], measurement, innovation, innovation_covariance)
-        _update(x, covariance, cross, innovation, measurement, True, True, work)
+        _update(x, covariance, cross, innovation, measurement, measurement, True, True, work)
 
 
 class _Case:

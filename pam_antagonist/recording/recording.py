@@ -6,16 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-
-_LOCKED_RANGE = np.radians(0.2)  # [rad] a held joint moves less than that
-_TELLING_PRESSURE = 50e3  # [Pa] change of p1 - p2 that certainly moves a free joint (about 0.08 deg/kPa)
 
 
 class Arrival(NamedTuple):
@@ -205,22 +202,6 @@ class Recording:
     def sample_period_s(self) -> float:
         """Median time between samples [s]; NaN for a single one."""
         return float(np.median(np.diff(self.stamp_ns))) * 1e-9 if len(self) > 1 else float("nan")
-
-    @property
-    def joint(self) -> Literal["free", "locked"] | None:
-        """Whether the joint was free or held, told from the measured angle; None where that cannot be told.
-
-        Locked is a joint that stays within 0.2 deg while the pressure difference changes by more than 50 kPa.
-        """
-        if self.angle is None or not np.any(np.isfinite(self.angle)):
-            return None
-        if np.nanmax(self.angle) - np.nanmin(self.angle) >= _LOCKED_RANGE:
-            return "free"
-        difference = self.pressure[:, 0] - self.pressure[:, 1]
-        difference = difference[np.isfinite(difference)]
-        if len(difference) == 0 or np.ptp(difference) < _TELLING_PRESSURE:
-            return None
-        return "locked"
 
     def slice(self, start_s: float, stop_s: float) -> Recording:
         """The samples of ``start_s <= time < stop_s``, counted in seconds from the first sample.

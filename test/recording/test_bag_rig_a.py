@@ -9,6 +9,7 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from pam_antagonist.recording import bag_hash, read_bag, write_bag
+from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.recording.messages import typestore
 
 
@@ -20,7 +21,7 @@ def test_nominal(rig_a: Path, tmp_path: Path, joint: str) -> None:
     assert len(recording) == 60_000
     assert recording.duration_s == pytest.approx(59.999)
     assert recording.sample_period_s == pytest.approx(1e-3)
-    assert recording.joint == joint
+    assert joint_condition(recording).condition == joint
     assert np.all(np.isfinite(recording.pressure)) and np.all(np.isfinite(recording.voltage))
     np.testing.assert_allclose(recording.pressure[:100].mean(axis=0), 450e3, rtol=0.01)
     assert len(bag_hash(bag)) == 64

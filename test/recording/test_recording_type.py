@@ -68,22 +68,6 @@ moving = np.column_stack([np.linspace(4e5, 5e5, 5), np.linspace(5e5, 4e5, 5)])
 together = np.column_stack([np.linspace(4e5, 5e5, 5)] * 2)
 
 
-@pytest.mark.parametrize(
-    ("angle", "pressure", "joint"),
-    [
-        (None, moving, None),
-        (np.full(5, np.nan), moving, None),
-        (np.radians([0.0, 0.1, 0.0, 0.1, 0.1]), moving, "locked"),
-        (np.radians([0.0, np.nan, 0.0, 0.1, 0.1]), moving, "locked"),
-        (np.radians([0.0, 1.0, 0.0, 0.1, 0.1]), moving, "free"),
-        (np.zeros(5), together, None),  # nothing tried to move it
-        (np.radians([0.0, 1.0, 0.0, 0.1, 0.1]), together, "free"),
-    ],
-)
-def test_joint_is_told_from_the_angle(angle, pressure, joint) -> None:
-    assert recording(angle=angle, pressure=pressure).joint == joint
-
-
 def test_slice_cuts_everything_at_the_same_times() -> None:
     reference = RecordedReference(STAMPS[[0, 2, 4]], [0, 1, 0], [0.1, 0.2, 0.3])
     whole = recording(
