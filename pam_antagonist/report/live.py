@@ -5,12 +5,47 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun
-from pam_antagonist.recording import RecordedEstimate
+from pam_antagonist.estimation.filter import MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE
+from pam_antagonist.recording import RecordedEstimate, Recording
 
 LATE = 64
 """The one flag that depends on when a sample arrived, which a replay cannot know."""
+
+
+def as_live(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], int]:
+    """What the live filter was given, where its estimates were recorded.
+
+    A recorder may have got a message that the estimator got too late, or not at all. What the filter says it went
+    without is left out here as well, so that a replay tells what happened; the same goes for samples without an estimate
+    between the first and the last one.
+
+    Args:
+        recording: the recording.
+
+    Returns:
+        Pressures (N, 2) [Pa] and voltages (N, 2) [V], NaN where the live filter had none; which samples it had (N,);
+        and how many samples differ from the recorded ones.
+    """
+    pressure, voltage = recording.pressure.copy(), recording.voltage.copy()
+    had = np.ones(len(recording.stamp_ns), dtype=bool)
+    live = recording.estimate
+    if live is None or len(live.stamp_ns) == 0:
+        return pressure, voltage, had, 0
+    _, at, at_live = np.intersect1d(recording.stamp_ns, live.stamp_ns, return_indices=True)
+    between = (recording.stamp_ns > live.stamp_ns[0]) & (recording.stamp_ns < live.stamp_ns[-1])
+    had[between] = False
+    had[at] = True
+    flags = live.flags[at_live].astype(np.int64)
+    for bit, values in ((MISSING_PRESSURE_1, pressure[:, 0]), (MISSING_PRESSURE_2, pressure[:, 1])):
+        values[at[(flags & bit) != 0]] = np.nan
+    voltage[at[(flags & MISSING_VALVE) != 0]] = np.nan
+    lost = ~had
+    for ours, theirs in ((pressure, recording.pressure), (voltage, recording.voltage)):
+        lost |= (np.isnan(ours) & np.isfinite(theirs)).any(axis=1)
+    return pressure, voltage, had, int(lost.sum())
 
 
 def same_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:

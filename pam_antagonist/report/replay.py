@@ -12,6 +12,7 @@ them for figures. Keys of a report, one recording::
     joint        {condition, lock_angle_rad | null, told_from}
     estimator    {started_ns: [...], counts: {...}}
     live_equal   null, or how the estimates recorded live compare with these, bit by bit
+    live_without null, or how many recorded samples the live filter did not have, or not in whole: left out here as well
     timing       {read_s, filter_s, model_s, total_s}
 
 Angles in degrees, torques in N m, pressures in Pa; `q` is a fraction. What was not recorded is null.
@@ -35,7 +36,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator, metrics, simulate_model
 from pam_antagonist.recording import Recording, bag_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
-from pam_antagonist.report.live import compare_with_live
+from pam_antagonist.report.live import as_live, compare_with_live
 from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig
 
@@ -163,13 +164,15 @@ def _estimate(recording: Recording, estimator: Estimator, progress: Callable[[in
         here = (known < len(stamps)) & (stamps[np.minimum(known, len(stamps) - 1)] == starts)
         if here.any():
             begins = known[here]
+    pressure, voltage, had, _ = as_live(recording)
     parts: list[EstimateRun] = []
     for first, end in zip(begins, [*begins[1:], len(stamps)], strict=True):
         estimator.reset()
         for low in range(int(first), int(end), _CHUNK):
             high = min(low + _CHUNK, int(end))
-            part = estimator.run(stamps[low:high], recording.pressure[low:high], recording.voltage[low:high])
-            parts.append(dataclasses.replace(part, index=part.index + low))
+            kept = low + np.flatnonzero(had[low:high])
+            part = estimator.run(stamps[kept], pressure[kept], voltage[kept])
+            parts.append(dataclasses.replace(part, index=kept[part.index]))
             progress(high - low)
     return EstimateRun(
         rows=np.concatenate([part.rows for part in parts]) if parts else np.zeros(0, ESTIMATE_DTYPE),
@@ -249,6 +252,7 @@ def _judge(
             "counts": dataclasses.asdict(run.counts),
         },
         "live_equal": None if recording.estimate is None else compare_with_live(recording.estimate, run),
+        "live_without": None if recording.estimate is None else as_live(recording)[3],
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from pam_antagonist.report.channels import CHANNELS, Channel, Report, judged, lock_angle, moves, worst
 from pam_antagonist.report.html import Finding
@@ -121,6 +122,12 @@ def _live(report: Report) -> list[Finding]:
     live = report["live_equal"]
     if live is None:
         return []
+    without = report["live_without"]
+    late = f"The live filter went without part of {without} samples, which came too late; so does the replay."
+    return [*([Finding("warn", late)] if without else []), *_equality(live)]
+
+
+def _equality(live: dict[str, Any]) -> list[Finding]:
     if live["compared"] == 0:
         return [Finding("warn", "The estimate that was recorded live has no sample in common with the replay.")]
     if live["equal"] == live["compared"] and not live["only_live"] and not live["only_replay"]:

@@ -165,6 +165,22 @@ def test_a_replay_gives_the_bits_of_the_live_node(
     }
 
 
+def test_what_the_live_filter_went_without_is_left_out_here_as_well(
+    rig: Rig, free: Recording, changed: Changed
+) -> None:
+    """The recorder got messages that came too late for the estimator: a pressure here, a whole sample there."""
+    pressure, voltage = free.pressure.copy(), free.voltage.copy()
+    pressure[1000:1100, 1] = np.nan
+    voltage[1500:1520] = np.nan
+    had = np.ones(len(free.stamp_ns), dtype=bool)
+    had[2000:2050] = False
+    live = _live(rig, changed(free, keep=had, pressure=pressure, voltage=voltage), (0,), 3000)
+    report = replay_recording(changed(free, estimate=live), rig)
+    assert report["live_without"] == 100 + 20 + 50
+    assert report["live_equal"]["equal"] == report["live_equal"]["compared"] == 3000
+    assert not report["live_equal"]["only_replay"]
+
+
 def test_one_bit_is_a_difference_and_the_late_flag_is_none(rig: Rig, free: Recording, changed: Changed) -> None:
     live = _live(rig, free, (0,), 500)
     torque, flags = live.torque.copy(), live.flags.copy()

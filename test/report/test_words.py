@@ -31,6 +31,7 @@ def report() -> dict[str, Any]:
         "innovation": {"nis_mean": 2.0, "nis_in_95": 0.95, "whiteness_p": 0.3, "largest_correlation": 0.01},
         "estimator": {"counts": {"outliers": 0, "gaps": 0, "repaired": 0, "restarts": 0}},
         "live_equal": None,
+        "live_without": None,
     }
 
 
@@ -108,12 +109,14 @@ def test_what_is_not_known_is_not_said(report: dict[str, Any]) -> None:
 
 def test_equality_with_the_live_estimate(report: dict[str, Any]) -> None:
     live = {"compared": 9, "equal": 9, "only_live": 0, "only_replay": 0, "first_difference_ns": None, "differing": {}}
-    report["live_equal"] = live
+    report["live_equal"], report["live_without"] = live, 0
     assert "bit for bit, in all 9 samples" in said(report, "good")
     report["live_equal"] = {**live, "equal": 7, "differing": {"torque": 2}}
     assert "in 7 of 9 samples (fields that differ: torque" in said(report, "warn")
     report["live_equal"] = {**live, "compared": 0, "equal": 0, "only_live": 4}
     assert "no sample in common" in said(report, "warn")
+    report["live_without"] = 12
+    assert "went without part of 12 samples" in said(report, "warn")
 
 
 def test_remarks_on_the_recording(report: dict[str, Any]) -> None:

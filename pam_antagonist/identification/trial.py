@@ -1,0 +1,138 @@
+"""A recording made ready for fitting: an even grid, one joint condition, and what it is good for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+CHANNELS = ("angle", "torque", "pressure_1", "pressure_2")
+"""Columns of measurements and predictions: [rad, N m, Pa, Pa]."""
+ANGLE, TORQUE, PRESSURE_1, PRESSURE_2 = range(len(CHANNELS))
+
+_SHORTEST = 5.0
+_LEAST_SWING = 30e3
+_LEAST_VOLTAGE_SWING = 0.2
+_SATURATED_SHARE = 0.02
+_LARGEST_MISSING_SHARE = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One recording on an even grid.
+
+    Attributes:
+        name: what it is called in reports.
+        joint: ``free`` or ``locked``.
+        lock_angle: angle [rad] at which a locked joint is held.
+        dt: sample period [s].
+        voltage: (N, 2) [V]; row k is held over the step that ends at sample k.
+        measured: (N, 4) in the order of ``CHANNELS``; NaN where there is no measurement.
+    """
+
+    name: str
+    joint: str
+    lock_angle: float
+    dt: float
+    voltage: Floats
+    measured: Floats
+
+    def __len__(self) -> int:
+        return len(self.voltage)
+
+    @property
+    def time(self) -> Floats:
+        """Time of each sample (N,) [s]."""
+        return np.arange(len(self)) * self.dt
+
+    def has(self, channel: int) -> bool:
+        """Whether anything was measured on a channel, and can tell something (a locked joint's angle cannot)."""
+        if channel == ANGLE and self.joint == "locked":
+            return False
+        return bool(np.isfinite(self.measured[:, channel]).any())
+
+    def part(self, begin_s: float, end_s: float) -> Trial:
+        """The part between two times [s] of the trial."""
+        first, last = round(begin_s / self.dt), round(end_s / self.dt)
+        return Trial(
+            self.name, self.joint, self.lock_angle, self.dt, self.voltage[first:last], self.measured[first:last]
+        )
+
+
+def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, name: str) -> Trial:
+    """Put a recording on an even grid and check that there is something to learn from it.
+
+    Args:
+        recording: the recording.
+        rig: whose sample period is used.
+        joint: ``free`` or ``locked``.
+        lock_angle: [rad].
+        name: for reports and messages.
+
+    Raises:
+        BadInput: too short, too many samples missing, valves that never moved, pressures that never moved, or a
+            saturated sensor.
+    """
+    dt = rig.sample_period
+    step = np.rint((recording.stamp_ns - recording.stamp_ns[0]) / (dt * 1e9)).astype(np.int64)
+    keep = np.concatenate(([True], np.diff(step) > 0))
+    step = step[keep]
+    samples = int(step[-1]) + 1
+    measured = np.full((samples, len(CHANNELS)), np.nan)
+    for channel, values in ((ANGLE, recording.angle), (TORQUE, recording.torque)):
+        if values is not None:
+            measured[step, channel] = values[keep]
+    measured[step, PRESSURE_1:] = recording.pressure[keep]
+    voltage = np.full((samples, 2), np.nan)
+    voltage[step] = recording.voltage[keep]
+    trial = Trial(name, joint, lock_angle, dt, _held(voltage, name), measured)
+    _check(trial)
+    return trial
+
+
+def _held(voltage: Floats, name: str) -> Floats:
+    """Voltages without gaps: a missing one is taken to be the one before it, at the start the first that is known."""
+    known = np.isfinite(voltage).all(axis=1)
+    if not known.any():
+        raise BadInput(f"{name}: valve_state holds no finite voltages")
+    source = np.maximum.accumulate(np.where(known, np.arange(len(voltage)), 0))
+    source[: int(np.argmax(known))] = int(np.argmax(known))
+    return voltage[source]
+
+
+def _check(trial: Trial) -> None:
+    duration = len(trial) * trial.dt
+    if duration < _SHORTEST:
+        raise BadInput(f"{trial.name}: {duration:.1f} s is too short to identify anything; expected at least {_SHORTEST:g} s")
+    pressure = trial.measured[:, PRESSURE_1:]
+    missing = float(np.mean(~np.isfinite(pressure)))
+    if missing > _LARGEST_MISSING_SHARE:
+        raise BadInput(f"{trial.name}: {100 * missing:.0f} % of the pressures are missing; expected at most "
+                       f"{100 * _LARGEST_MISSING_SHARE:.0f} %")  # fmt: skip
+    if np.ptp(trial.voltage, axis=0).max() < _LEAST_VOLTAGE_SWING:
+        raise BadInput(
+            f"{trial.name}: the valves never moved (range {np.ptp(trial.voltage, axis=0).max():.2f} V); record steps of "
+            "both valves over their working range"
+        )
+    swing = np.nanpercentile(pressure, 99.5, axis=0) - np.nanpercentile(pressure, 0.5, axis=0)
+    for muscle in (0, 1):
+        if swing[muscle] < _LEAST_SWING:
+            raise BadInput(
+                f"{trial.name}: pressure_{muscle + 1} moves by {swing[muscle] / 1e3:.0f} kPa only; expected at least "
+                f"{_LEAST_SWING / 1e3:.0f} kPa, so that flow and force can be told from noise"
+            )
+        values = pressure[:, muscle][np.isfinite(pressure[:, muscle])]
+        for bound, word in ((values.max(), "upper"), (values.min(), "lower")):
+            share = float(np.mean(values == bound))
+            if share > _SATURATED_SHARE and share * len(values) * trial.dt > 0.5:
+                raise BadInput(
+                    f"{trial.name}: pressure_{muscle + 1} stands at its {word} end, {bound / 1e3:.1f} kPa, in "
+                    f"{100 * share:.0f} % of the samples: the sensor is saturated; use a sensor with a larger range"
+                )

@@ -1,0 +1,63 @@
+"""The paper's three steps to κ(u), on a staircase of the project's own plant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.valve_curve import SteadyPoints, steady_points, steady_pressure, valve_curve
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.plant import Plant
+from pam_antagonist.rig import load_rig
+
+RIG = load_rig("shin2022")
+
+
+def test_steady_pressure_is_where_a_simulated_chamber_comes_to_rest() -> None:
+    rates = np.array([0.2, 0.394, 0.8])
+    for rate, steady in zip(rates, steady_pressure(rates, RIG.parameters()), strict=True):
+        voltage = float(np.interp(rate, RIG.valve_1.curve.open_rate, RIG.valve_1.curve.voltage))
+        plant = Plant(RIG, joint="locked", noise=False, substeps=1)
+        for _ in range(40_000):
+            sample = plant.step((voltage, voltage))
+        assert sample.pressure[0] == pytest.approx(steady, rel=2e-4)
+
+
+def test_steady_pressure_depends_on_neither_areas_nor_polytropic_indices() -> None:
+    """Proposition 1."""
+    rates = np.linspace(0.05, 0.95, 7)
+    other = RIG.parameters(
+        changes={"valve_1.inflow_area": 1e-7, "gas.polytropic_flow": 1.4, "gas.polytropic_volume": 0.9}
+    )
+    assert np.allclose(steady_pressure(rates, RIG.parameters()), steady_pressure(rates, other), rtol=1e-9)
+    assert np.all(np.diff(steady_pressure(np.linspace(0.0, 1.0, 50), other)) > 0.0)
+
+
+def test_a_staircase_gives_the_plants_curve_back() -> None:
+    plant = Plant(RIG, joint="locked", seed=3, mismatch=0.0)
+    levels = np.array([4.2, 4.6, 5.0, 5.5, 6.0, 6.6, 7.0])
+    voltage = np.repeat(levels, 25_000)
+    pressure = np.array([plant.step((u, u)).pressure for u in voltage])
+    points = steady_points(voltage, pressure[:, 1], RIG.sample_period)
+    assert np.allclose(points.voltage, levels)
+    volts, rates = valve_curve(points, RIG.parameters())
+    true = np.interp(volts, RIG.valve_2.curve.voltage, RIG.valve_2.curve.open_rate)
+    assert np.abs(rates - true).max() < 0.005
+    # Another supply gives other steady pressures, and a wrong curve where the model does not know of it.
+    wrong = par.changed(RIG.parameters(), {"supply.pressure": 650e3})
+    assert np.abs(valve_curve(points, wrong)[1] - true).max() > 0.02
+
+
+def test_a_pressure_that_still_moves_is_no_point() -> None:
+    time = np.arange(4000) * 1e-3
+    rising = 300e3 + 50e3 * time
+    points = steady_points(np.full(4000, 5.0), rising, 1e-3)
+    assert len(points.voltage) == 0
+    with pytest.raises(BadInput, match="staircase"):
+        valve_curve(points, RIG.parameters())
+
+
+def test_noise_cannot_make_the_curve_fall() -> None:
+    points = SteadyPoints(np.array([4.0, 5.0, 6.0]), np.array([300e3, 299e3, 500e3]), np.zeros(3))
+    assert np.all(np.diff(valve_curve(points, RIG.parameters())[1]) >= 0.0)
