@@ -66,4 +66,5 @@ def pairwise(
         middle = time.perf_counter()
         denominator()
         times[k] = middle - begin, time.perf_counter() - middle
-    return float(np.median(times[:, 0] / times[:, 1])), *(float(value) for value in np.median(times, axis=0))
+    first, second = np.median(times, axis=0)
+    return float(np.median(times[:, 0] / times[:, 1])), float(first), float(second)

@@ -119,7 +119,11 @@ def measure(rig: Rig) -> list[Figure]:
     for case, label in ((plain, "n4"), (default, "default")):
         count = case.sigma_points
         ratio, ukf_s, bare_s = pairwise(case.filter, case.bare)
-        parts = {"ukf_us": ukf_s / _SAMPLES * 1e6, "rk4_steps_us": bare_s / _SAMPLES * 1e6, "sigma_points": float(count)}
+        parts = {
+            "ukf_us": ukf_s / _SAMPLES * 1e6,
+            "rk4_steps_us": bare_s / _SAMPLES * 1e6,
+            "sigma_points": float(count),
+        }
         figures.append(
             at_most(
                 f"ukf_step_{label}",
@@ -172,7 +176,7 @@ def measure(rig: Rig) -> list[Figure]:
 
 
 def _against_filterpy(rig: Rig, case: _Case) -> Figure:
-    from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter  # noqa: PLC0415  (slow to import)
+    from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 
     p = case.parameter_sets[0]
 

@@ -20,7 +20,9 @@ _RUNS = 3
 def _command(name: str, *arguments: str) -> float:
     """Run a command of this package as a user would; returns the time it took [s]."""
     begin = time.perf_counter()
-    done = subprocess.run([sys.executable, "-m", "pam_antagonist", name, *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "pam_antagonist", name, *arguments], capture_output=True, text=True, check=False
+    )
     if done.returncode != 0:
         raise BadInput(f"{name} ended with status {done.returncode}: {done.stderr.strip()[-300:]}")
     return time.perf_counter() - begin
@@ -51,7 +53,7 @@ def measure(rig: str, bag: Path | None = None) -> list[Figure]:
     return [
         at_least(
             "replay_command",
-            f"{duration:.0f} s of recording against the whole replay command (process start to report.json, no figures)",
+            f"{duration:.0f} s of recording against the whole replay command (start to report.json, no figures)",
             duration / seconds,
             12.0,
             "× real time",

@@ -20,7 +20,6 @@ _BURST = 25
 
 def _make(role: str) -> Any:
     """The node of a role (imports ROS)."""
-    from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
     from sensor_msgs.msg import FluidPressure
 
     from pam_antagonist.nodes import qos
@@ -28,6 +27,7 @@ def _make(role: str) -> Any:
     from pam_antagonist.nodes.messages import joint_state, set_stamp
     from pam_antagonist.nodes.node import JOINT_NAME, PamNode
     from pam_antagonist.recording.topics import TOPICS
+    from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
 
     class _Relay(PamNode):
         """Publishes its outputs with the stamp of the message that came last."""

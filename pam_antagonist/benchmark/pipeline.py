@@ -83,7 +83,9 @@ def measure(rig: str, duration: float) -> list[Figure]:
                 "passthrough": float(sum(empty.account.lost.values())),
             },
         ),
-        at_most("pipeline_disorder", "messages received out of the order of their stamps", float(disorder), 0.0, "", {}),
+        at_most(
+            "pipeline_disorder", "messages received out of the order of their stamps", float(disorder), 0.0, "", {}
+        ),
         at_most(
             "pipeline_drift",
             "drift of the samples against the machine's clock over the run",
@@ -144,7 +146,7 @@ def _start_passthrough(period: float) -> Callable[[Processes], None]:
 def _run(start: Callable[[Processes], None], duration: float, period: float) -> _Run:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
-    from pam_antagonist.nodes.watch import Watch  # noqa: PLC0415  (needs ROS)
+    from pam_antagonist.nodes.watch import Watch
 
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as name:
         folder = Path(name)

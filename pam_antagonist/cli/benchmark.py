@@ -60,15 +60,15 @@ def _main(argv: Sequence[str] | None) -> int:
     with common.progress(len(parts), "benchmark", "parts") as bar:
         for part in parts:
             if part == "kernels":
-                from pam_antagonist.benchmark import kernels  # noqa: PLC0415  (compiles)
+                from pam_antagonist.benchmark import kernels
 
                 figures += kernels.measure(rig)
             elif part == "replay":
-                from pam_antagonist.benchmark import offline  # noqa: PLC0415
+                from pam_antagonist.benchmark import offline
 
                 figures += offline.measure(arguments.rig, arguments.bag)
             else:
-                from pam_antagonist.benchmark import pipeline  # noqa: PLC0415  (needs ROS)
+                from pam_antagonist.benchmark import pipeline
 
                 figures += pipeline.measure(arguments.rig, arguments.duration)
             bar.update(1)

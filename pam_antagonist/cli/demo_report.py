@@ -18,9 +18,9 @@ from pam_antagonist.nodes.accounting import Accounting, account
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.report import figures, replay_tables, strict_json
 from pam_antagonist.report import replay as replaying
-from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
 from pam_antagonist.report.html import Block, Figure, Section, TableBlock, Text
 from pam_antagonist.report.replay_page import document, page
+from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig
 

@@ -96,7 +96,14 @@ def fit(
         # The first rounds have to come from afar: large residuals count less there.
         loss = "soft_l1" if number < rounds - 1 else "linear"
         solution = least_squares(
-            residual, np.clip(theta, low, high), jac=jacobian, bounds=(low, high), loss=loss, xtol=1e-6, ftol=1e-7, max_nfev=25
+            residual,
+            np.clip(theta, low, high),
+            jac=jacobian,
+            bounds=(low, high),
+            loss=loss,
+            xtol=1e-6,
+            ftol=1e-7,
+            max_nfev=25,
         )
         theta, cost = solution.x, float(solution.cost)
         weights = _weights(problem, theta)

@@ -68,7 +68,9 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
         start = rig.value(name)
         std = rig.priors.get(name, _RELATIVE_PRIOR * abs(start))
         if not (math.isfinite(start) and std > 0.0):
-            raise BadInput(f"{name} is {start:g} in rig {rig.name}: to free it, give its prior in the rig file (priors)")
+            raise BadInput(
+                f"{name} is {start:g} in rig {rig.name}: to free it, give its prior in the rig file (priors)"
+            )
         low, high = _bounds(name, start)
         chosen.append(FreeParameter(name, start, std, low, high))
     if not chosen:

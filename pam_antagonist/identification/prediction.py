@@ -146,11 +146,15 @@ class Problem:
         return [np.stack([part[index] for part in columns], axis=2) for index in range(len(self.trials))]
 
 
-def stacked(parts: Sequence[Floats], weights: Sequence[Floats], finish: Callable[[Floats], Floats] | None = None) -> Floats:
+def stacked(
+    parts: Sequence[Floats], weights: Sequence[Floats], finish: Callable[[Floats], Floats] | None = None
+) -> Floats:
     """Residuals or Jacobians of all trials as one array, each channel over its standard deviation; NaN counts 0."""
     rows = []
     for part, weight in zip(parts, weights, strict=True):
         scaled = part / (weight if part.ndim == 2 else weight[:, None])
-        rows.append(np.nan_to_num(scaled).reshape(-1) if part.ndim == 2 else np.nan_to_num(scaled).reshape(-1, part.shape[2]))
+        rows.append(
+            np.nan_to_num(scaled).reshape(-1) if part.ndim == 2 else np.nan_to_num(scaled).reshape(-1, part.shape[2])
+        )
     joined = np.concatenate(rows)
     return finish(joined) if finish else joined

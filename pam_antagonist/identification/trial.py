@@ -50,7 +50,7 @@ class Trial:
     @property
     def time(self) -> Floats:
         """Time of each sample (N,) [s]."""
-        return np.arange(len(self)) * self.dt
+        return np.asarray(np.arange(len(self)) * self.dt)
 
     def has(self, channel: int) -> bool:
         """Whether anything was measured on a channel, and can tell something (a locked joint's angle cannot)."""
@@ -110,7 +110,9 @@ def _held(voltage: Floats, name: str) -> Floats:
 def _check(trial: Trial) -> None:
     duration = len(trial) * trial.dt
     if duration < _SHORTEST:
-        raise BadInput(f"{trial.name}: {duration:.1f} s is too short to identify anything; expected at least {_SHORTEST:g} s")
+        raise BadInput(
+            f"{trial.name}: {duration:.1f} s is too short to identify anything; expected at least {_SHORTEST:g} s"
+        )
     pressure = trial.measured[:, PRESSURE_1:]
     missing = float(np.mean(~np.isfinite(pressure)))
     if missing > _LARGEST_MISSING_SHARE:
@@ -118,7 +120,7 @@ def _check(trial: Trial) -> None:
                        f"{100 * _LARGEST_MISSING_SHARE:.0f} %")  # fmt: skip
     if np.ptp(trial.voltage, axis=0).max() < _LEAST_VOLTAGE_SWING:
         raise BadInput(
-            f"{trial.name}: the valves never moved (range {np.ptp(trial.voltage, axis=0).max():.2f} V); record steps of "
+            f"{trial.name}: the valves never moved (by {np.ptp(trial.voltage, axis=0).max():.2f} V); record steps of "
             "both valves over their working range"
         )
     swing = np.nanpercentile(pressure, 99.5, axis=0) - np.nanpercentile(pressure, 0.5, axis=0)

@@ -19,8 +19,8 @@ def as_live(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float
     """What the live filter was given, where its estimates were recorded.
 
     A recorder may have got a message that the estimator got too late, or not at all. What the filter says it went
-    without is left out here as well, so that a replay tells what happened; the same goes for samples without an estimate
-    between the first and the last one.
+    without is left out here as well, so that a replay tells what happened; the same goes for samples without an
+    estimate between the first and the last one.
 
     Args:
         recording: the recording.

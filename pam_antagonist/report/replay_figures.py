@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.estimation import metrics
 from pam_antagonist.report import figures
-from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, QUIET, SECOND
 from pam_antagonist.report.figures import Band, Clock, Level, Line, Panel, Part
 from pam_antagonist.report.html import Figure
 from pam_antagonist.report.replay import Replay
+from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, QUIET, SECOND
 
 FloatArray = NDArray[np.float64]
 

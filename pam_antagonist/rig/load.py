@@ -116,7 +116,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _LARGEST_FILE:
             raise BadInput(f"{path}: {path.stat().st_size} bytes, which is no rig file (a few kB expected)")
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)  # noqa: S506 (a SafeLoader)
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
     except FileNotFoundError:
         raise BadInput(f"{path}: no such rig file") from None
     except (OSError, UnicodeDecodeError) as error:

@@ -28,7 +28,9 @@ def unphysical(rig: Rig) -> str:
             f"atmosphere.pressure, {rig.atmosphere.pressure:g} Pa"
         )
     if rig.valves.voltage_min >= rig.valves.voltage_max:
-        return f"valves.voltage_min {rig.valves.voltage_min:g} V: expected below voltage_max, {rig.valves.voltage_max:g} V"
+        return (
+            f"valves.voltage_min {rig.valves.voltage_min:g} V: expected below voltage_max, {rig.valves.voltage_max:g} V"
+        )
     for name, valve in (("valve_1", rig.valve_1), ("valve_2", rig.valve_2)):
         complaint = _bad_curve(f"{name}.curve", np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
         if complaint:
@@ -39,8 +41,8 @@ def unphysical(rig: Rig) -> str:
             volume = (muscle.volume.d1 * length + muscle.volume.d2) * length + muscle.volume.d3
             if not _LEAST_VOLUME < volume < _LARGEST_VOLUME:
                 return (
-                    f"{name}.volume gives {volume:.3g} m³ at a length of {length:g} m: expected {_LEAST_VOLUME:g} to {_LARGEST_VOLUME:g} m³ "
-                    "within the joint's range"
+                    f"{name}.volume gives {volume:.3g} m³ at a length of {length:g} m: expected {_LEAST_VOLUME:g} "
+                    f"to {_LARGEST_VOLUME:g} m³ within the joint's range"
                 )
         slope = muscle.force.v1 * rig.geometry.length + muscle.force.v2
         if not 1e-7 < slope < 0.1:
@@ -57,8 +59,8 @@ def unphysical(rig: Rig) -> str:
                 return f"{section} of {name}: {std:g}, expected a standard deviation above 0"
             if section == "uncertainty" and is_positive(name) and std * _REACH >= rig.value(name):
                 return (
-                    f"uncertainty of {name}: {std:g}, expected less than a {_REACH:g}th of its value, {rig.value(name):g}: "
-                    "it cannot be negative"
+                    f"uncertainty of {name}: {std:g}, expected less than a {_REACH:g}th of its value, "
+                    f"{rig.value(name):g}, since it cannot be negative"
                 )
     for name, tuning in rig.tunings.items():
         numbers = np.array([*tuning.initial, *tuning.process, *tuning.measurement])

@@ -26,7 +26,9 @@ def test_a_state_without_variance_gets_a_zero_column() -> None:
     assert np.allclose(lower @ lower.T, matrix)
 
 
-@pytest.mark.parametrize("matrix", [[[1.0, 1.0], [1.0, 1.0 - 1e-15]], [[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, 1.0]]])
+@pytest.mark.parametrize(
+    "matrix", [[[1.0, 1.0], [1.0, 1.0 - 1e-15]], [[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, 1.0]]]
+)
 def test_lost_pivots_are_repaired_to_a_definite_product(matrix: list[list[float]]) -> None:
     given = np.array(matrix)
     lower = np.empty((2, 2))

@@ -82,7 +82,9 @@ def test_consider_parameters_equal_an_augmented_filter() -> None:
     points = JulierSigmaPoints(n + m, kappa=chosen.kappa)
 
     def advance(z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        p = rig.parameters(changes={k: rig.value(k) + t * rig.uncertainty[k] for k, t in zip(names, z[:m], strict=True)})
+        p = rig.parameters(
+            changes={k: rig.value(k) + t * rig.uncertainty[k] for k, t in zip(names, z[:m], strict=True)}
+        )
         x = np.empty(n)
         dynamics.rk4_step(z[m:], u, p, rig.sample_period, x)
         return np.concatenate([z[:m], x])

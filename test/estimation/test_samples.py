@@ -164,7 +164,9 @@ def test_half_the_rate_is_integrated_in_two_steps() -> None:
     assert np.all(_run(stamp_ns=jittered).rows["flags"] == 0)
 
 
-@pytest.mark.parametrize("options", [{"tuning": "defualt"}, {"joint": "fixed"}, {"joint": "locked", "lock_angle": 20.0}])
+@pytest.mark.parametrize(
+    "options", [{"tuning": "defualt"}, {"joint": "fixed"}, {"joint": "locked", "lock_angle": 20.0}]
+)
 def test_wrong_settings_are_refused_in_one_line(options: dict) -> None:
     with pytest.raises(BadInput, match="expected") as refusal:
         Estimator(RIG, **options)

@@ -1,0 +1,80 @@
+"""A rig as YAML, every number with its unit and its name in the paper beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel
+
+from pam_antagonist.rig.schema import Rig
+
+_COLUMN = 44
+
+
+def write_rig(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
+    """Write a rig file that :func:`pam_antagonist.rig.load_rig` reads.
+
+    Args:
+        rig: the rig.
+        path: new file.
+        remarks: lines of comment at its head.
+
+    Raises:
+        FileExistsError: the file exists.
+    """
+    lines = [f"# {remark}" if remark else "#" for remark in remarks]
+    lines += ["# SI units; every pressure is absolute; angles in rad."]
+    lines += _model(rig, 0)
+    with path.open("x", encoding="utf-8") as file:
+        file.write("\n".join(lines) + "\n")
+
+
+def _model(model: BaseModel, depth: int) -> list[str]:
+    kind: Any = type(model)
+    fields: Mapping[str, Any] = getattr(kind, "model_fields", None) or kind.__fields__
+    lines = []
+    for name, field in fields.items():
+        description = getattr(getattr(field, "field_info", field), "description", None) or ""
+        lines += _entry(name, getattr(model, name), description, depth)
+    return lines
+
+
+def _entry(name: str, value: Any, description: str, depth: int) -> list[str]:
+    indent = "  " * depth
+    comment = f"# {description}" if description else ""
+    if isinstance(value, BaseModel):
+        return ["", f"{indent}{name}:", *_model(value, depth + 1)] if depth == 0 else [
+            f"{indent}{name}:", *_model(value, depth + 1)]  # fmt: skip
+    if isinstance(value, Mapping):
+        if not value:
+            return [_line(f"{indent}{name}: {{}}", comment)]
+        lines = ["", _line(f"{indent}{name}:", comment)]
+        for key, item in value.items():
+            lines += _entry(str(key), item, "", depth + 1)
+        return lines
+    return [_line(f"{indent}{name}: {_scalar(value)}", comment)]
+
+
+def _line(text: str, comment: str) -> str:
+    return f"{text.ljust(_COLUMN)}  {comment}".rstrip()
+
+
+def _scalar(value: Any) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        text = repr(value)
+        # YAML 1.1 takes 1e-05 for a text: it wants a point and a sign.
+        mantissa, exponent, power = text.partition("e")
+        if exponent:
+            mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
+            text = f"{mantissa}e{power if power[0] in '+-' else '+' + power}"
+        return text
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_scalar(item) for item in value) + "]"
+    return yaml.safe_dump(value, default_flow_style=True, width=10**6).strip().removesuffix("...").strip()
