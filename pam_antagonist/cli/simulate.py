@@ -38,7 +38,7 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("simulate", _DESCRIPTION, _EXAMPLES)
     common.add_rig(out)
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the bag; a new or empty one")
+    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the bag; a new one")
     out.add_argument(
         "--profile",
         default="paper",

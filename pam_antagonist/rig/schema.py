@@ -11,50 +11,21 @@ from collections.abc import Mapping
 from typing import Any, Dict, Literal, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
 
 import numpy as np
-import pydantic
-from pydantic import BaseModel, Field
-from typing_extensions import Self
+from pydantic import Field
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
-
-if pydantic.VERSION.startswith("1."):
-
-    class _Strict(BaseModel):
-        class Config:
-            extra = "forbid"
-            allow_mutation = False
-
-        @pydantic.validator("*", allow_reuse=True)
-        def _finite(cls, value: Any) -> Any:
-            """What ``allow_inf_nan`` does in pydantic 2."""
-            numbers = value if isinstance(value, tuple) else (value,)
-            if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
-                raise ValueError("expected finite numbers")
-            return value
-
-        def replaced(self, **fields: Any) -> Self:
-            """A copy with some fields replaced; what is put in is not checked again."""
-            return self.copy(update=fields)
-
-else:
-
-    class _Strict(BaseModel):  # type: ignore[no-redef]
-        model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-        def replaced(self, **fields: Any) -> Self:
-            """A copy with some fields replaced; what is put in is not checked again."""
-            return self.model_copy(update=fields)
+from pam_antagonist.strict_yaml import Strict
 
 
-class Geometry(_Strict):
+class Geometry(Strict):
     """Equation (2)."""
 
     radius: float = Field(gt=1e-3, lt=0.5, description="r, radius of the seesaw [m]")
     length: float = Field(gt=0.02, lt=2.0, description="L_0, muscle length at ψ = 0 [m]")
 
 
-class Volume(_Strict):
+class Volume(Strict):
     """Equation (3): V = d1 l² + d2 l + d3."""
 
     d1: float = Field(description="D_1 [m]")
@@ -62,7 +33,7 @@ class Volume(_Strict):
     d3: float = Field(description="D_3 [m³]")
 
 
-class Force(_Strict):
+class Force(Strict):
     """Equations (6), (7): F = (v1 l + v2) P + w1 l + w2, with absolute pressure."""
 
     v1: float = Field(description="p_v1 [m]")
@@ -71,21 +42,21 @@ class Force(_Strict):
     w2: float = Field(description="p_w2 [N]")
 
 
-class Muscle(_Strict):
+class Muscle(Strict):
     """One muscle."""
 
     volume: Volume
     force: Force
 
 
-class Curve(_Strict):
+class Curve(Strict):
     """α = κ(u), linear between the points."""
 
     voltage: Tuple[float, ...] = Field(description="u [V], increasing")  # noqa: UP006
     open_rate: Tuple[float, ...] = Field(description="α [-], 0 to 1, not decreasing")  # noqa: UP006
 
 
-class Valve(_Strict):
+class Valve(Strict):
     """Equation (5) and the valve's curve."""
 
     inflow_area: float = Field(gt=1e-11, lt=1e-4, description="A_1, orifice area while the muscle fills [m²]")
@@ -93,14 +64,14 @@ class Valve(_Strict):
     curve: Curve
 
 
-class ValveLimits(_Strict):
+class ValveLimits(Strict):
     """What may be put on the valves."""
 
     voltage_min: float = Field(ge=0.0, le=10.0, description="[V]")
     voltage_max: float = Field(ge=0.0, le=10.0, description="[V]")
 
 
-class Gas(_Strict):
+class Gas(Strict):
     """Equations (4) and (5)."""
 
     heat_ratio: float = Field(gt=1.0, lt=2.0, description="k [-]")
@@ -110,19 +81,19 @@ class Gas(_Strict):
     polytropic_volume: float = Field(gt=0.2, lt=2.0, description="k_2 [-]")
 
 
-class Supply(_Strict):
+class Supply(Strict):
     """The tank."""
 
     pressure: float = Field(gt=150e3, lt=2e6, description="P_tank, absolute [Pa]")
 
 
-class Atmosphere(_Strict):
+class Atmosphere(Strict):
     """The surroundings."""
 
     pressure: float = Field(gt=50e3, lt=120e3, description="P_out, absolute [Pa]")
 
 
-class Joint(_Strict):
+class Joint(Strict):
     """Equations (8), (9) and T_s."""
 
     inertia: float = Field(gt=1e-7, lt=10.0, description="J [kg m²]")
@@ -134,7 +105,7 @@ class Joint(_Strict):
     stop: Optional[float] = Field(gt=0.0, lt=math.pi / 2, description="mechanical stop at ± [rad], or null")  # noqa: UP045
 
 
-class Friction(_Strict):
+class Friction(Strict):
     """Equation (10)."""
 
     shaft: float = Field(ge=0.0, lt=5.0, description="μ_s [-]")
@@ -144,7 +115,7 @@ class Friction(_Strict):
     )
 
 
-class Sensors(_Strict):
+class Sensors(Strict):
     """Noise (one standard deviation) and step of the converter (0: none) of each sensor."""
 
     pressure_std: float = Field(gt=1.0, lt=100e3, description="[Pa]")
@@ -158,7 +129,7 @@ class Sensors(_Strict):
 _Diagonal = Tuple[float, float, float, float]  # noqa: UP006
 
 
-class Tuning(_Strict):
+class Tuning(Strict):
     """One tuning of the filter. Variances of [ψ, ψ̇, P_1, P_2] in [rad², rad²/s², Pa², Pa²]."""
 
     initial: _Diagonal = Field(description="diagonal of P(0)")
@@ -172,7 +143,7 @@ class Tuning(_Strict):
     )
 
 
-class Rig(_Strict):
+class Rig(Strict):
     """A rig: the numbers of its model, sensors and filter tunings.
 
     Read one with :func:`pam_antagonist.rig.load_rig`.
