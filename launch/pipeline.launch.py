@@ -1,0 +1,68 @@
+"""Estimator and controller of one joint, and a simulated joint in place of the hardware.
+
+ros2 launch pam_antagonist pipeline.launch.py
+ros2 launch pam_antagonist pipeline.launch.py namespace:=left/elbow parameters:=/path/to/parameters.yaml source:=none
+"""
+
+from pathlib import Path
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.conditions import IfCondition
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+from launch_ros.actions import Node
+
+from pam_antagonist.paths import config_dir
+
+PACKAGE = "pam_antagonist"
+
+
+def require_parameters(context: LaunchContext) -> None:
+    """Refuse a parameter file that is not there; launch would warn and start the nodes with their defaults.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
+    path = LaunchConfiguration("parameters").perform(context)
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"parameters:={path}: no such file; expected a YAML file with parameters of the nodes")
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The nodes and their arguments."""
+    arguments = [
+        DeclareLaunchArgument(
+            "source",
+            default_value="plant",
+            choices=["plant", "none"],
+            description="who publishes pressures and valve voltages and takes commands: plant, the simulated joint; "
+            "or none, where a driver of your own does. A bridge to hardware is not part of this version.",
+        ),
+        DeclareLaunchArgument(
+            "parameters",
+            default_value=str(config_dir() / "pipeline.yaml"),
+            description="YAML file with the parameters of all nodes",
+        ),
+        DeclareLaunchArgument("namespace", default_value="pam", description="namespace of nodes and topics"),
+    ]
+
+    def node(name: str, **options: object) -> Node:
+        return Node(
+            package=PACKAGE,
+            executable=name,
+            name=name,
+            namespace=LaunchConfiguration("namespace"),
+            parameters=[LaunchConfiguration("parameters")],
+            output="screen",
+            **options,
+        )
+
+    return LaunchDescription(
+        [
+            *arguments,
+            OpaqueFunction(function=require_parameters),
+            node("plant", condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), "plant"))),
+            node("estimator"),
+            node("controller"),
+        ]
+    )

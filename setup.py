@@ -1,0 +1,71 @@
+"""Installation by pip and by colcon (ament_python); files go where ROS 2 looks for them."""
+
+import runpy
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "pam_antagonist"
+ROOT = Path(__file__).resolve().parent
+
+about = runpy.run_path(str(ROOT / NAME / "__init__.py"))
+# One table says what can be run; it needs the standard library only.
+commands = runpy.run_path(str(ROOT / NAME / "__main__.py"))["COMMANDS"]
+
+
+def tree(folder: str, suffixes: tuple[str, ...]) -> list[tuple[str, list[str]]]:
+    """``data_files`` entries of a folder and what is below it, under ``share/pam_antagonist``."""
+    found: dict[str, list[str]] = {}
+    for path in sorted((ROOT / folder).rglob("*")):
+        if path.suffix in suffixes and path.is_file():
+            relative = path.relative_to(ROOT)
+            found.setdefault(f"share/{NAME}/{relative.parent.as_posix()}", []).append(relative.as_posix())
+    return list(found.items())
+
+
+setup(
+    name=NAME,
+    version=about["__version__"],
+    description="Sensor-less angle and torque of a joint that is driven by two pneumatic artificial muscles.",
+    long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
+    maintainer="pam_antagonist maintainers",
+    maintainer_email="maintainers@pam-antagonist.invalid",
+    python_requires=">=3.10",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *tree("config", (".yaml",)),
+        *tree("launch", (".py",)),
+    ],
+    install_requires=[
+        'backports.zstd>=1; python_version < "3.14"',
+        "joblib>=1.3",
+        "lz4>=4",
+        "numba>=0.58",
+        "numpy>=1.26,<3",
+        "plotly>=5.15",
+        "pydantic>=1.10,<3",
+        "PyYAML>=6",
+        "rosbags>=0.11.9,<0.12",
+        "scipy>=1.11",
+        "tqdm>=4.64",
+        "typing_extensions>=4.5",
+    ],
+    extras_require={
+        # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`.
+        "test": [
+            "filterpy>=1.4.5,<3",
+            "hypothesis>=6.80",
+            "mypy==2.4.1",
+            "pytest>=7.4",
+            "ruff==0.17.5",
+            "types-PyYAML",
+        ],
+    },
+    entry_points={"console_scripts": [f"{name} = {command.target}" for name, command in commands.items()]},
+    zip_safe=False,
+)

@@ -1,0 +1,295 @@
+"""What is in the packages agrees with itself, and ends up where pip, colcon and ROS look for it."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+import types
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import pam_antagonist
+from pam_antagonist.__main__ import COMMANDS
+from pam_antagonist.nodes import controller, estimator, plant
+from pam_antagonist.nodes.parameters import DIAGNOSTICS_PERIOD, Parameter
+from pam_antagonist.paths import config_dir
+
+ROOT = Path(__file__).resolve().parents[1]
+LAUNCH_FILE = ROOT / "launch" / "pipeline.launch.py"
+TABLES = {node.__name__.rsplit(".", 1)[1]: node.PARAMETERS for node in (plant, estimator, controller)}
+
+# import name -> rosdep key; None: rosdep has no key, and the nodes do without.
+ROSDEP = {
+    "numba": "python3-numba",
+    "numpy": "python3-numpy",
+    "plotly": None,
+    "pydantic": "python3-pydantic",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "tqdm": "python3-tqdm",
+    "yaml": "python3-yaml",
+    "filterpy": "python3-filterpy-pip",
+    # These come with rosbags.
+    "backports": "python3-rosbags-pip",
+    "lz4": "python3-rosbags-pip",
+    "typing_extensions": "python3-rosbags-pip",
+}
+
+
+def run(*command: object, cwd: Path = ROOT, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(part) for part in command], cwd=cwd, env=env, capture_output=True, text=True, check=False, timeout=300
+    )
+
+
+def succeeds(*command: object, cwd: Path = ROOT, env: dict[str, str] | None = None) -> str:
+    done = run(*command, cwd=cwd, env=env)
+    assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sources as a fresh clone has them, in a folder of their own."""
+    target = tmp_path_factory.mktemp("clone")
+    leave = shutil.ignore_patterns("__pycache__", "*.egg-info")
+    for name in ("config", "launch", "pam_antagonist", "pam_antagonist_msgs", "resource"):
+        shutil.copytree(ROOT / name, target / name, ignore=leave)
+    for path in ROOT.iterdir():
+        if path.is_file():
+            shutil.copy2(path, target)
+    return target
+
+
+# ------------------------------------------------------------------------------------------------ what is declared
+
+
+def test_versions_agree() -> None:
+    for manifest in (ROOT / "package.xml", ROOT / "pam_antagonist_msgs" / "package.xml"):
+        assert f"<version>{pam_antagonist.__version__}</version>" in manifest.read_text(encoding="utf-8")
+
+
+def test_manifests_are_valid() -> None:
+    catkin_pkg = pytest.importorskip("catkin_pkg.package", reason="catkin_pkg comes with colcon")
+    for folder in (ROOT, ROOT / "pam_antagonist_msgs"):
+        warnings: list[str] = []
+        package = catkin_pkg.parse_package(str(folder / "package.xml"), warnings=warnings)
+        assert package.package_format == 3
+        assert warnings == []
+
+
+def imported(*files: Path) -> set[str]:
+    """Top-level names of all imports in some files, without the standard library."""
+    names: set[str] = set()
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                names.add(node.module.split(".")[0])
+    # compression is standard from Python 3.14 on.
+    return names - set(sys.stdlib_module_names) - {"pam_antagonist", "compression"}
+
+
+def test_package_xml_names_every_import() -> None:
+    manifest = (ROOT / "package.xml").read_text(encoding="utf-8")
+    declared = set(re.findall(r"<(?:exec|test)_depend>([^<]+)<", manifest))
+    names = imported(*(ROOT / "pam_antagonist").rglob("*.py"), LAUNCH_FILE)
+    needed = {ROSDEP.get(name, name) for name in names} - {None}
+    assert needed <= declared
+
+
+def test_setup_py_names_every_import_that_is_not_ros() -> None:
+    requirements = metadata.requires("pam_antagonist")
+    assert requirements is not None
+    declared = {re.split(r"[^A-Za-z0-9_-]", text)[0].lower().replace("pyyaml", "yaml") for text in requirements}
+    assert imported(*(ROOT / "pam_antagonist").rglob("*.py")) & set(ROSDEP) <= declared
+
+
+def test_installed_versions_are_within_the_declared_ranges() -> None:
+    requirements = pytest.importorskip("packaging.requirements")
+    for text in metadata.requires("pam_antagonist") or []:
+        requirement = requirements.Requirement(text)
+        assert metadata.version(requirement.name) in requirement.specifier, text
+
+
+def test_parameter_file_fits_the_nodes() -> None:
+    content = yaml.safe_load((config_dir() / "pipeline.yaml").read_text(encoding="utf-8"))
+    assert set(content) == {"/**"} | {f"/**/{name}" for name in TABLES}
+    for key, section in content.items():
+        nodes = list(TABLES) if key == "/**" else [key.rsplit("/", 1)[1]]
+        for name, value in section["ros__parameters"].items():
+            known = [entry for node in nodes for entry in _table(node) if entry.name == name]
+            assert known, f"{key}: no node has a parameter {name}"
+            for entry in known:
+                entry.check(value)
+
+
+def _table(node: str) -> tuple[Parameter, ...]:
+    return (*TABLES[node], DIAGNOSTICS_PERIOD)
+
+
+class Configuration(str):
+    """Double of ``LaunchConfiguration``: a name; the context is a dictionary."""
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self]
+
+
+@pytest.fixture
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Names of the launch file, which runs against doubles of launch: it is not among the wheels."""
+    doubles: dict[str, dict[str, object]] = {
+        "launch": {"LaunchDescription": list, "LaunchContext": dict},
+        "launch.actions": {
+            "DeclareLaunchArgument": lambda name, **options: ("argument", {"name": name, **options}),
+            "OpaqueFunction": lambda function: ("function", function),
+        },
+        "launch.conditions": {"IfCondition": lambda predicate: predicate},
+        "launch.substitutions": {
+            "EqualsSubstitution": lambda left, right: (left, right),
+            "LaunchConfiguration": Configuration,
+        },
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": lambda **options: ("node", options)},
+    }
+    for name, attributes in doubles.items():
+        module = types.ModuleType(name)
+        module.__dict__.update(attributes)
+        monkeypatch.setitem(sys.modules, name, module)
+    return runpy.run_path(str(LAUNCH_FILE))
+
+
+def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
+    entities = launch_file["generate_launch_description"]()
+    nodes = [options for kind, options in entities if kind == "node"]
+    arguments = {options["name"]: options for kind, options in entities if kind == "argument"}
+
+    assert [node["executable"] for node in nodes] == ["plant", "estimator", "controller"]
+    assert all(node["package"] == "pam_antagonist" and node["executable"] in COMMANDS for node in nodes)
+    assert all(node["namespace"] == "namespace" and node["parameters"] == ["parameters"] for node in nodes)
+    assert [node.get("condition") for node in nodes] == [("source", "plant"), None, None]
+    assert set(arguments) == {"source", "parameters", "namespace"}
+    assert arguments["namespace"]["default_value"] == "pam"
+    assert arguments["source"]["default_value"] in arguments["source"]["choices"]
+    assert Path(arguments["parameters"]["default_value"]) == config_dir() / "pipeline.yaml"
+
+
+def test_launch_file_refuses_parameters_that_are_not_there(launch_file: dict[str, Any], tmp_path: Path) -> None:
+    require = next(function for kind, function in launch_file["generate_launch_description"]() if kind == "function")
+    assert require({"parameters": str(config_dir() / "pipeline.yaml")}) is None
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        require({"parameters": str(tmp_path / "absent.yaml")})
+
+
+# ------------------------------------------------------------------------------------------------ colcon
+
+
+@pytest.fixture(scope="module")
+def workspace(clone: Path) -> Path:
+    """The clone after a plain ``colcon build``."""
+    if shutil.which("colcon") is None:
+        pytest.skip("colcon is not installed")
+    succeeds("colcon", "build", cwd=clone, env={**os.environ, "COLCON_HOME": str(clone / ".colcon")})
+    return clone
+
+
+@pytest.mark.slow
+def test_colcon_puts_files_where_ros_looks(workspace: Path) -> None:
+    install = workspace / "install"
+    scripts = sorted(path.name for path in (install / "pam_antagonist/lib/pam_antagonist").iterdir())
+    assert scripts == sorted(COMMANDS)
+    share = install / "pam_antagonist/share"
+    assert (share / "ament_index/resource_index/packages/pam_antagonist").is_file()
+    assert (share / "pam_antagonist/package.xml").is_file()
+    for file in (LAUNCH_FILE, *(path for path in (ROOT / "config").rglob("*.yaml"))):
+        assert (share / "pam_antagonist" / file.relative_to(ROOT)).read_bytes() == file.read_bytes()
+    messages = install / "pam_antagonist_msgs/share/pam_antagonist_msgs/msg"
+    assert {path.name for path in messages.glob("*.msg")} == {
+        path.name for path in (ROOT / "pam_antagonist_msgs/msg").iterdir()
+    }
+
+
+@pytest.mark.slow
+def test_built_executables_run_and_find_their_rigs(workspace: Path, tmp_path: Path) -> None:
+    sourced = "source install/local_setup.bash && "
+    script = "install/pam_antagonist/lib/pam_antagonist"
+    # The built messages and the built package; the rest from the environment that runs this test.
+    path = [folder for folder in os.environ.get("PYTHONPATH", "").split(":") if folder != str(ROOT)]
+    environment = {**os.environ, "PYTHONPATH": ":".join(path)}
+    text = succeeds("bash", "-c", f"{sourced}{script}/estimator --help", cwd=workspace, env=environment)
+    assert "pairing_timeout" in text
+    code = "from pam_antagonist.paths import config_dir; from pam_antagonist_msgs import msg; " + (
+        "print(config_dir()); print(msg.__file__)"
+    )
+    (tmp_path / "where.py").write_text(code, encoding="utf-8")
+    found = succeeds("bash", "-c", f"{sourced}{sys.executable} {tmp_path}/where.py", cwd=workspace, env=environment)
+    folder, messages = found.split()
+    assert Path(folder) == workspace / "install/pam_antagonist/share/pam_antagonist/config"
+    assert Path(messages).is_relative_to(workspace / "install")
+
+
+# ------------------------------------------------------------------------------------------------ pip, without ROS
+
+
+@pytest.fixture(scope="module")
+def plain_python(clone: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The Python of an environment that holds the package's wheel and what it requires: no ROS, no test tools."""
+    folder = tmp_path_factory.mktemp("plain")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    succeeds(*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, clone)
+    succeeds(sys.executable, "-m", "venv", "--without-pip", folder / "venv")
+    python = folder / "venv/bin/python"
+    (wheel,) = folder.glob("*.whl")
+    # With nothing on the path that could pass for the package.
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    succeeds(*pip, "--python", python, "install", "--no-deps", "--no-index", wheel, env=clean)
+    site = Path(succeeds(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+    for path in _files_of_requirements("pam_antagonist"):
+        (site / path.name).symlink_to(path)
+    return python
+
+
+def _files_of_requirements(name: str) -> set[Path]:
+    """Top-level files and folders of everything that a distribution requires, without extras."""
+    requirements = pytest.importorskip("packaging.requirements")
+    todo, seen, paths = [name], {name}, set()
+    while todo:
+        for text in metadata.requires(todo.pop()) or []:
+            requirement = requirements.Requirement(text)
+            if requirement.name in seen or (requirement.marker and not requirement.marker.evaluate({"extra": ""})):
+                continue
+            seen.add(requirement.name)
+            todo.append(requirement.name)
+            distribution = metadata.distribution(requirement.name)
+            base = Path(str(distribution.locate_file("")))
+            tops = {file.parts[0] for file in distribution.files or []} - {"..", "__pycache__"}
+            paths |= {base / top for top in tops}
+    return paths
+
+
+@pytest.mark.slow
+def test_pip_installation_replays_without_ros(plain_python: Path, tmp_path: Path) -> None:
+    environment = {"PATH": os.defpath, "HOME": str(tmp_path)}
+    package = [plain_python, "-m", "pam_antagonist"]
+    for absent in ("rclpy", "pam_antagonist_msgs", "sensor_msgs", "pytest"):
+        assert run(plain_python, "-c", f"import {absent}", cwd=tmp_path, env=environment).returncode == 1
+    code = "from pam_antagonist.paths import config_dir; print(config_dir())"
+    where = succeeds(plain_python, "-c", code, cwd=tmp_path, env=environment)
+    assert Path(where.strip()) == plain_python.parents[1] / "share/pam_antagonist/config"
+    simulated = ["simulate", "--rig", "shin2022", "--out", "bag", "--profile", "steps", "--duration", "2"]
+    succeeds(*package, *simulated, cwd=tmp_path, env=environment)
+    succeeds(*package, "replay", "bag", "--rig", "shin2022", "--out", "result", cwd=tmp_path, env=environment)
+    report = json.loads((tmp_path / "result/report.json").read_text(encoding="utf-8"))
+    assert report["samples"] == pytest.approx(2000, abs=2)
+    assert (tmp_path / "result/report.html").is_file()
