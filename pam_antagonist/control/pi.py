@@ -1,0 +1,288 @@
+"""The PI controller of the paper's section "Application to Sensor-less Control", made fit for a real valve.
+
+The paper's law, with e = reference - estimate in rad or N m, k the sample::
+
+    x(k+1) = x(k) + e(k),    u(k) = C x(k) + D e(k) + beta,    C = [+c, -c],  D = [+T_P, -T_P],  beta = [5.5, 5.5] V
+
+The paper prints c = T_I / T_stp. Since x adds up e once a sample, an integral gain in V per (rad s) needs
+c = T_I * T_stp; with the printed one the valves sit in saturation nearly all the time. :meth:`Gains.as_printed` keeps
+it reachable. What the paper leaves open, and what is done here:
+
+* **Limits.** Each valve's voltage is clipped on its own.
+* **Anti-windup** (conditional integration and a clamp). The integral term is kept as a voltage I = c x. It does not
+  grow while a valve is at its limit and e would push further, and it never exceeds the span, the largest difference
+  that both valves can still follow: the integral alone takes no valve beyond its limits. So the output leaves a limit
+  in the very sample in which e changes sign. ``anti_windup="none"`` gives the bare law.
+* **Bumpless start, mode switch and retuning.** The first output equals the voltages that the valves have; the integral
+  term is chosen so. What it cannot hold (the mean of both voltages, and what is beyond the span) fades away with
+  ``blend_time``.
+* **Safe voltages** while there is no reference, while the estimate is late, or while either is not finite. The
+  integral is frozen meanwhile and goes on where it was; after more than ``resume_time`` of that, the valves have
+  moved the joint, and the controller starts anew, bumplessly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+from pam_antagonist.errors import BadInput
+
+ANTI_WINDUP = ("conditional", "none")
+
+
+class Mode(IntEnum):
+    """What is controlled; the values are those of ``JointReference``."""
+
+    ANGLE = 0
+    TORQUE = 1
+
+
+class Status(Enum):
+    """Why a command is what it is."""
+
+    TRACKING = "tracking"
+    SATURATED = "valve at its limit"
+    NO_REFERENCE = "no reference yet: safe voltages"
+    BAD_REFERENCE = "reference not usable: safe voltages"
+    LATE = "estimate late: safe voltages"
+    NOT_FINITE = "estimate not finite: safe voltages"
+
+    @property
+    def safe(self) -> bool:
+        """Whether the valves are given the safe voltages."""
+        return self not in (Status.TRACKING, Status.SATURATED)
+
+
+class Command(NamedTuple):
+    """What is asked of the valves: the voltages of muscle 1 and 2 [V], and why."""
+
+    voltage: tuple[float, float]
+    status: Status
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of one mode, per rad or per N m.
+
+    Attributes:
+        proportional: T_P [V/rad or V/(N m)].
+        integral: T_I [V/(rad s) or V/(N m s)].
+        bias: beta, the voltage of both valves at rest [V].
+    """
+
+    proportional: float
+    integral: float
+    bias: float = 5.5
+
+    def __post_init__(self) -> None:
+        for name in ("proportional", "integral"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise BadInput(f"{name} gain {value!r}: expected a finite number, 0 or more")
+        if not (math.isfinite(self.bias) and 0.0 <= self.bias <= 10.0):
+            raise BadInput(f"bias {self.bias!r} V: expected 0 to 10 V")
+
+    def as_printed(self, sample_period: float) -> Gains:
+        """Gains with which c becomes T_I / T_stp, as the paper prints it.
+
+        Args:
+            sample_period: T_stp [s].
+        """
+        return Gains(self.proportional, self.integral / sample_period**2, self.bias)
+
+
+PUBLISHED_GAINS: Mapping[Mode, Gains] = {Mode.ANGLE: Gains(5.45, 1.55), Mode.TORQUE: Gains(7.45, 4.75)}
+"""The paper's gains, "determined by trial-and-error"."""
+
+
+@dataclass(frozen=True)
+class VoltageLimits:
+    """What may be put on a valve [V]."""
+
+    minimum: float = 0.0
+    maximum: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not -math.inf < self.minimum < self.maximum < math.inf:
+            raise BadInput(f"voltage limits {self.minimum!r} to {self.maximum!r} V: expected one below the other")
+
+    def clip(self, voltage: float) -> float:
+        """The nearest voltage within the limits; ``voltage`` must be a number [V]."""
+        return min(max(voltage, self.minimum), self.maximum)
+
+    def check(self, name: str, voltage: tuple[float, float]) -> tuple[float, float]:
+        """Two voltages [V] as they are, if they are within the limits.
+
+        Raises:
+            BadInput: not two finite voltages within the limits.
+        """
+        if len(voltage) != 2 or not all(self.minimum <= u <= self.maximum for u in voltage):
+            limits = f"{self.minimum:g} to {self.maximum:g} V"
+            raise BadInput(f"{name} {list(voltage)}: expected two voltages within {limits}")
+        return (float(voltage[0]), float(voltage[1]))
+
+
+class PiController:
+    """PI control of an antagonistic pair: one command for each estimate.
+
+    Args:
+        gains: the gains of each mode.
+        sample_period: T_stp, the time between two estimates [s].
+        limits: of both valves.
+        safe_voltage: what the valves get while there is nothing to go by (2,) [V]; also what they have at the start.
+        resume_time: longest interruption after which the integral goes on where it was [s].
+        blend_time: time constant with which the remainder of a bumpless start fades away [s].
+        anti_windup: ``conditional`` or ``none``.
+
+    Raises:
+        BadInput: a value that is out of range, or a mode without gains.
+    """
+
+    def __init__(
+        self,
+        gains: Mapping[Mode, Gains] = PUBLISHED_GAINS,
+        *,
+        sample_period: float = 1e-3,
+        limits: VoltageLimits | None = None,
+        safe_voltage: tuple[float, float] = (5.5, 5.5),
+        resume_time: float = 0.5,
+        blend_time: float = 0.5,
+        anti_windup: str = "conditional",
+    ) -> None:
+        self._limits = limits or VoltageLimits()
+        for name, value in (("sample period", sample_period), ("resume time", resume_time), ("blend time", blend_time)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise BadInput(f"{name} {value!r} s: expected a finite time above 0")
+        if anti_windup not in ANTI_WINDUP:
+            raise BadInput(f"anti-windup {anti_windup!r}: expected one of {', '.join(ANTI_WINDUP)}")
+        self._anti_windup = anti_windup == "conditional"
+        self._period = sample_period
+        self._safe = self._limits.check("safe voltage", safe_voltage)
+        self._resume_samples = round(resume_time / sample_period)
+        self._fading = math.exp(-sample_period / blend_time)
+        self._gains: dict[Mode, Gains] = {}
+        self._mode: Mode | None = None
+        self._integral = 0.0
+        self._offset = (0.0, 0.0)
+        self._valves = self._safe
+        self._interrupted = 0
+        for mode in Mode:
+            if mode not in gains:
+                raise BadInput(f"gains: none for mode {mode.name.lower()}")
+            self.retune(mode, gains[mode])
+
+    @property
+    def integral(self) -> float:
+        """The integral term I [V]: half of the voltage difference between the valves that it asks for."""
+        return self._integral
+
+    @property
+    def safe_voltage(self) -> tuple[float, float]:
+        """The safe voltages (2,) [V]."""
+        return self._safe
+
+    @property
+    def running(self) -> bool:
+        """Whether the next command goes on from the integral, rather than starting bumplessly."""
+        return self._mode is not None
+
+    def span(self, mode: Mode) -> float:
+        """Largest half difference [V] at which neither valve has reached a limit."""
+        bias = self._gains[mode].bias
+        return min(self._limits.maximum - bias, bias - self._limits.minimum)
+
+    def retune(self, mode: Mode, gains: Gains) -> None:
+        """Change the gains of a mode; the command goes on without a bump.
+
+        Raises:
+            BadInput: a bias that is not within the valves' limits.
+        """
+        if not self._limits.minimum < gains.bias < self._limits.maximum:
+            raise BadInput(
+                f"bias {gains.bias:g} V: expected between the limits, {self._limits.minimum:g} and "
+                f"{self._limits.maximum:g} V"
+            )
+        self._gains[mode] = gains
+        if self._mode is mode:
+            self._mode = None
+
+    def stop(self, valves: tuple[float, float] | None = None) -> None:
+        """Forget the integral: the next command starts bumplessly.
+
+        Args:
+            valves: the voltages (2,) [V] that the valves have now; None: those that were commanded last.
+        """
+        self._mode = None
+        if valves is not None:
+            self._valves = self._limits.check("valve voltage", valves)
+
+    def safe(self, status: Status) -> Command:
+        """The safe voltages, for one sample without anything to go by."""
+        self._interrupted += 1
+        self._valves = self._safe
+        if self._interrupted > self._resume_samples or status is Status.NO_REFERENCE:
+            self._mode = None
+        return Command(self._safe, status)
+
+    def step(self, mode: Mode | None, reference: float, value: float, *, late: bool = False) -> Command:
+        """The command for one estimate.
+
+        Args:
+            mode: what the reference is; None: there is no reference yet.
+            reference: angle [rad] or torque [N m] wanted.
+            value: the estimate of it, in the same unit.
+            late: whether the estimate is too old to act on.
+
+        Returns:
+            The voltages and why they are so.
+        """
+        if mode is None:
+            return self.safe(Status.NO_REFERENCE)
+        if late:
+            return self.safe(Status.LATE)
+        if not math.isfinite(value):
+            return self.safe(Status.NOT_FINITE)
+        error = reference - value
+        if not math.isfinite(error):
+            return self.safe(Status.BAD_REFERENCE)
+        self._interrupted = 0
+        gains = self._gains[mode]
+        proportional = gains.proportional * error
+        if self._mode is not mode:
+            self._start(mode, proportional)
+            command = Command(self._valves, Status.TRACKING)
+            half = (self._valves[0] - self._valves[1]) / 2.0
+        else:
+            mean, rest = self._offset = (self._offset[0] * self._fading, self._offset[1] * self._fading)
+            half = self._integral + proportional + rest
+            command = self._clipped(gains.bias + mean + half, gains.bias + mean - half)
+        self._integrate(mode, gains, error, half)
+        self._valves = command.voltage
+        return command
+
+    def _clipped(self, first: float, second: float) -> Command:
+        voltage = (self._limits.clip(first), self._limits.clip(second))
+        return Command(voltage, Status.TRACKING if voltage == (first, second) else Status.SATURATED)
+
+    def _start(self, mode: Mode, proportional: float) -> None:
+        """Choose integral and offset such that the law gives the voltages that the valves have."""
+        half = (self._valves[0] - self._valves[1]) / 2.0
+        mean = (self._valves[0] + self._valves[1]) / 2.0 - self._gains[mode].bias
+        span = self.span(mode)
+        self._mode = mode
+        self._integral = min(max(half - proportional, -span), span)
+        self._offset = (mean, half - proportional - self._integral)
+
+    def _integrate(self, mode: Mode, gains: Gains, error: float, half: float) -> None:
+        integral = self._integral + gains.integral * self._period * error
+        if self._anti_windup:
+            span = self.span(mode)
+            # At its limit a valve follows no further, and more integral would only have to be taken back later.
+            if (half >= span and error > 0.0) or (half <= -span and error < 0.0):
+                return
+            integral = min(max(integral, -span), span)
+        self._integral = integral

@@ -1,0 +1,41 @@
+"""Executable ``estimator``: its parameters and its way into the node."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pam_antagonist.nodes.parameters import FRAME, JOINT, LOCK_ANGLE, RIG, Parameter
+from pam_antagonist.nodes.spin import run_node
+
+if TYPE_CHECKING:
+    from pam_antagonist.nodes.estimator_node import EstimatorNode
+
+DESCRIPTION = """
+Angle and torque of the joint, with their covariance, from the two muscle pressures and the valve voltages: the
+unscented Kalman filter of the rig, one estimate for each sample, in the order of the stamps. It never reads a
+measured angle or torque.
+
+subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand)
+publishes:   joint_estimate (pam_antagonist_msgs/JointEstimate), joint_states (sensor_msgs/JointState)
+"""
+
+PARAMETERS = (
+    RIG,
+    JOINT,
+    LOCK_ANGLE,
+    FRAME,
+    Parameter("tuning", "default", "name of one of the rig's filter tunings"),
+    Parameter("pairing_timeout", 0.02, "time that a sample waits for a topic that stays away [s]", 0.001, 1.0),
+    Parameter("max_age", 0.02, "age beyond which an estimate is flagged LATE [s]", 0.001, 10.0),
+)
+
+
+def _create(_options: None) -> EstimatorNode:
+    from pam_antagonist.nodes.estimator_node import EstimatorNode
+
+    return EstimatorNode()
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node; see ``estimator --help``."""
+    return run_node(_create, argv, name="estimator", description=DESCRIPTION, table=PARAMETERS)

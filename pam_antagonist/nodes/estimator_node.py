@@ -1,0 +1,130 @@
+"""The estimator behind its topics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from sensor_msgs.msg import FluidPressure, JointState
+
+from pam_antagonist.estimation import Estimator
+from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes.estimator import PARAMETERS
+from pam_antagonist.nodes.health import Health, Level, Rate, Window
+from pam_antagonist.nodes.node import JOINT_NAME, PamNode
+from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
+from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.rig import load_rig
+from pam_antagonist_msgs.msg import JointEstimate, ValveCommand
+
+_CHECKS = 2  # looks for samples that wait in vain, within the time that they may
+
+
+class EstimatorNode(PamNode):
+    """Pairs the messages of a sample, steps the filter and publishes: one estimate a sample, in order."""
+
+    def __init__(self) -> None:
+        super().__init__("estimator", PARAMETERS)
+        values = self.values
+        rig = load_rig(values["rig"])
+        # Loads or compiles the filter, so that the first sample does not wait for it.
+        self._estimator = Estimator(rig, values["tuning"], values["joint"], values["lock_angle"])
+        self._pairing = SamplePairing(values["pairing_timeout"], self.now_ns)
+        self._max_age = round(values["max_age"] * 1e9)
+        self._published = self._late = self._late_before = 0
+        self._latency, self._nis, self._rate = Window(), Window(), Rate()
+        self._before = (self._estimator.counts, self._pairing.counts.incomplete)
+        frame = values["frame_id"]
+        name = TOPICS["joint_estimate"].relative
+        self._estimates = wire.Outgoing(self, JointEstimate, name, frame, wire.ESTIMATE)
+        body, self._state_values = wire.joint_state(JOINT_NAME, velocity=True)
+        self._states = wire.Outgoing(self, JointState, TOPICS["joint_states"].relative, frame, body)
+        self._pressure, self._valves = wire.Incoming(wire.PRESSURE), wire.Incoming(wire.VALVES)
+        self.start_diagnostics(rig.name)
+
+    def activate(self) -> None:
+        """Listen."""
+        for kind, topic, callback in (
+            (FluidPressure, "pressure_1", self._on_pressure_1),
+            (FluidPressure, "pressure_2", self._on_pressure_2),
+            (ValveCommand, "valve_state", self._on_valves),
+        ):
+            self.create_subscription(kind, TOPICS[topic].relative, callback, qos.STREAM, raw=True)
+        self.steady_timer(self.values["pairing_timeout"] / _CHECKS, lambda: self._take(self._pairing.expire()))
+
+    def _on_pressure_1(self, data: bytes) -> None:
+        stamp_ns, pressure, _ = self._pressure(data)
+        self._take(self._pairing.add(PRESSURE_1, stamp_ns, pressure))
+
+    def _on_pressure_2(self, data: bytes) -> None:
+        stamp_ns, pressure, _ = self._pressure(data)
+        self._take(self._pairing.add(PRESSURE_2, stamp_ns, pressure))
+
+    def _on_valves(self, data: bytes) -> None:
+        stamp_ns, first, second = self._valves(data)
+        self._take(self._pairing.add(VALVES, stamp_ns, first, second))
+
+    def _take(self, samples: list[Sample]) -> None:
+        for sample in samples:
+            row = self._estimator.step(*sample)
+            if row is None:
+                continue
+            started = self._estimator.started_ns
+            assert started is not None  # there is no row before the start
+            age = self.now_ns() - sample.stamp_ns
+            flags = int(row["flags"])
+            if age > self._max_age:
+                flags |= JointEstimate.LATE
+                self._late += 1
+            numbers = row.tobytes()[: 8 * wire.ESTIMATE_VALUES]
+            self._estimates.send(sample.stamp_ns, *divmod(started, 10**9), numbers, int(row["subsystem"]), flags)
+            state = self._state_values(row["angle"], row["velocity"], row["torque"])
+            self._states.send(sample.stamp_ns, *state)
+            self._published += 1
+            self._latency.add(age)
+            if not math.isnan(row["nis"]):
+                self._nis.add(row["nis"])
+
+    def health(self, steady_ns: int) -> Mapping[str, Health]:
+        rate = self._rate.take(self._published, steady_ns)
+        pairing, counts = self._pairing.counts, self._estimator.counts
+        counts_before, incomplete_before = self._before
+        self._before = (counts, pairing.incomplete)
+        late, self._late_before = self._late - self._late_before, self._late
+        incomplete = pairing.incomplete - incomplete_before
+        nis = self._nis.take()
+        if rate == 0.0 or self._published == 0:
+            filtering = Health(Level.WARN, "no samples")
+        elif late or incomplete:
+            filtering = Health(Level.WARN, f"{late} late and {incomplete} incomplete samples")
+        else:
+            filtering = Health(Level.OK, "running")
+        rejected = counts.outliers - counts_before.outliers
+        consistency = Health(Level.OK, "plausible")
+        if nis.count and rejected > 0.05 * nis.count:
+            consistency = Health(Level.WARN, f"{rejected} pressures were too far from the expected ones")
+        return {
+            "samples": Health(
+                filtering.level,
+                filtering.message,
+                {
+                    "rate [Hz]": f"{rate:.1f}",
+                    "estimates": self._published,
+                    "late": self._late,
+                    "incomplete": pairing.incomplete,
+                    "messages too late for their sample": pairing.late,
+                    "duplicate messages": pairing.duplicates,
+                    "jumps backwards": pairing.restarts,
+                    **self._latency.take().as_values("age", "ms", 1e6),
+                },
+            ),
+            "filter": Health(
+                consistency.level,
+                consistency.message,
+                {
+                    "NIS median (expected 1.4)": f"{nis.median:.3f}",
+                    "NIS 99th percentile (expected 9.2)": f"{nis.p99:.3f}",
+                    **{name.replace("_", " "): value for name, value in vars(counts).items()},
+                },
+            ),
+        }

@@ -1,0 +1,143 @@
+"""Pairing of the three messages of one sample by their stamp (no ROS in here).
+
+A sample is final as soon as every topic has delivered a message with its stamp or a later one. If a topic stays
+away, a sample is also final when it is older than the time-out: counted in stamps, against the newest stamp that
+has come, *and* in waiting time. What is missing then is NaN. Samples come out in the order of their stamps, so what
+comes out does not depend on the order of arrival; only what is lost on the way can change it.
+
+Who takes messages from a queue looks for time-outs (:meth:`SamplePairing.expire`) behind whatever is in the queue, not
+with every message: after a stall of the machine one topic's messages may all come before the next one's, and
+those that are already there must not be taken for lost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+PRESSURE_1, PRESSURE_2, VALVES = range(3)
+"""The topics of a sample."""
+
+_FIRST = (0, 1, 2)  # where each topic's values start in a sample
+_LIMIT = 5000  # samples that wait; more only come from stamps that make no sense
+
+
+class Sample(NamedTuple):
+    """One sample; NaN where a value is missing.
+
+    Attributes:
+        stamp_ns: time of the sample [ns].
+        pressure_1: absolute [Pa].
+        pressure_2: absolute [Pa].
+        voltage_1: on valve 1 over the sample that ends at the stamp [V].
+        voltage_2: on valve 2 [V].
+    """
+
+    stamp_ns: int
+    pressure_1: float
+    pressure_2: float
+    voltage_1: float
+    voltage_2: float
+
+
+@dataclass
+class PairingCounts:
+    """What the pairing has seen.
+
+    Attributes:
+        samples: that came out.
+        incomplete: of these, with a topic missing.
+        late: messages that came after their sample had gone.
+        duplicates: second messages of one topic with the same stamp.
+        restarts: jumps backwards in time.
+    """
+
+    samples: int = 0
+    incomplete: int = 0
+    late: int = 0
+    duplicates: int = 0
+    restarts: int = 0
+
+
+class SamplePairing:
+    """Puts messages together to samples.
+
+    Args:
+        timeout: how long a sample may wait for a topic [s].
+        restart_after: a message that is older than the last sample by more than this is a new start [s].
+        clock: current time [ns], for the waiting time.
+    """
+
+    def __init__(self, timeout: float, clock: Callable[[], int], restart_after: float = 0.5) -> None:
+        self.counts = PairingCounts()
+        self._timeout = round(timeout * 1e9)
+        self._restart = round(restart_after * 1e9)
+        self._clock = clock
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every message that waits, and the time of the last sample."""
+        self._waiting: dict[int, list[float]] = {}
+        self._arrival: dict[int, int] = {}
+        self._newest: list[int | None] = [None, None, None]
+        self._final: int | None = None
+
+    def add(self, topic: int, stamp_ns: int, *values: float) -> list[Sample]:
+        """Take one message.
+
+        Args:
+            topic: PRESSURE_1, PRESSURE_2 or VALVES.
+            stamp_ns: its stamp [ns].
+            values: one pressure [Pa], or two voltages [V].
+
+        Returns:
+            The samples that are final now, in the order of their stamps.
+        """
+        if self._final is not None and stamp_ns <= self._final:
+            if self._final - stamp_ns <= self._restart:
+                self.counts.late += 1
+                return []
+            self.counts.restarts += 1
+            self.reset()
+        sample = self._waiting.get(stamp_ns)
+        if sample is None:
+            sample = self._waiting[stamp_ns] = [math.nan, math.nan, math.nan, math.nan, 0.0]
+            self._arrival[stamp_ns] = self._clock()
+        bit = 1 << topic
+        if int(sample[4]) & bit:
+            self.counts.duplicates += 1
+            return []
+        sample[4] += bit
+        sample[_FIRST[topic] : _FIRST[topic] + len(values)] = values
+        self._newest[topic] = stamp_ns
+        if len(self._waiting) > _LIMIT:
+            return self._pop_until(min(self._waiting))
+        if None in self._newest:
+            return []
+        return self._pop_until(min(self._newest))  # type: ignore[type-var]
+
+    def expire(self) -> list[Sample]:
+        """The samples that have waited for too long, in the order of their stamps."""
+        if not self._waiting:
+            return []
+        oldest = max(stamp for stamp in self._newest if stamp is not None) - self._timeout
+        now = self._clock()
+        gone = [
+            stamp
+            for stamp in self._waiting
+            if stamp < oldest and not 0 <= now - self._arrival[stamp] < self._timeout
+        ]
+        return self._pop_until(max(gone)) if gone else []
+
+    def _pop_until(self, last: int | None) -> list[Sample]:
+        return [self._pop(stamp) for stamp in sorted(stamp for stamp in self._waiting if stamp <= last)]  # type: ignore[operator]
+
+    def _pop(self, stamp: int) -> Sample:
+        values = self._waiting.pop(stamp)
+        del self._arrival[stamp]
+        self._final = stamp
+        self.counts.samples += 1
+        self.counts.incomplete += values[4] != 7.0
+        return Sample(stamp, values[0], values[1], values[2], values[3])

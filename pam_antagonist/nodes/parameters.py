@@ -1,0 +1,156 @@
+"""Parameters of the nodes: one table a node serves its declaration, its checks and its ``--help``."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from pam_antagonist.errors import BadInput
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+Value = bool | int | float | str | list[float]
+
+_TYPES = {bool: "true or false", int: "an integer", float: "a number", str: "a text", list: "a list of numbers"}
+
+# What ROS itself, or a parameter file shared by a whole pipeline, may set on any node.
+_ROS_OWN = ("use_sim_time", "start_type_description_service")
+_ROS_PREFIXES = ("qos_overrides.", "diagnostic_updater.")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter.
+
+    Attributes:
+        name: as in ``-p name:=value``.
+        default: its value if nothing is given; its type is the parameter's.
+        description: one line with the unit in brackets.
+        low: least value, of each element of a list; None: no bound.
+        high: largest value.
+        length: number of elements of a list.
+        choices: allowed values of a text; empty: any.
+        read_only: whether it is fixed once the node runs.
+    """
+
+    name: str
+    default: Value
+    description: str
+    low: float | None = None
+    high: float | None = None
+    length: int = 2
+    choices: tuple[str, ...] = ()
+    read_only: bool = True
+
+    @property
+    def expected(self) -> str:
+        """What a value has to be, in words."""
+        text = _TYPES[type(self.default)]
+        if isinstance(self.default, list):
+            text = f"a list of {self.length} numbers"
+        if self.choices:
+            text = "one of " + ", ".join(self.choices)
+        if self.low is not None and self.high is not None:
+            text += f" from {self.low:g} to {self.high:g}"
+        return text
+
+    def check(self, value: Any) -> Value:
+        """The value in this parameter's type.
+
+        Raises:
+            BadInput: wrong type or out of range.
+        """
+        kind = type(self.default)
+        if kind is float and type(value) is int:
+            value = float(value)
+        if kind is list and not isinstance(value, (str, bytes)) and hasattr(value, "__len__"):
+            value = [float(item) if isinstance(item, (int, float)) else item for item in value]
+        good = type(value) is kind and (not self.choices or value in self.choices)
+        if good and isinstance(value, list):
+            good = len(value) == self.length and all(isinstance(item, float) and self._within(item) for item in value)
+        elif good and isinstance(value, (int, float)) and not isinstance(value, bool):
+            good = self._within(value)
+        if not good:
+            raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
+        return value  # type: ignore[no-any-return]
+
+    def _within(self, value: float) -> bool:
+        low = -float("inf") if self.low is None else self.low
+        high = float("inf") if self.high is None else self.high
+        return low <= value <= high  # False for NaN
+
+
+RIG = Parameter("rig", "shin2022", "name of a rig in config/rigs, or path of a rig's YAML file")
+JOINT = Parameter("joint", "free", "whether the joint moves or is held", choices=("free", "locked"))
+LOCK_ANGLE = Parameter("lock_angle", 0.0, "angle at which a locked joint is held [rad]", -1.6, 1.6)
+FRAME = Parameter("frame_id", "joint", "frame of the joint in the messages")
+SAFE_VOLTAGE = Parameter(
+    "safe_voltage", [5.5, 5.5], "voltages of both valves while there is nothing to go by [V]", 0.0, 10.0
+)
+DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)
+
+
+def declare(node: Node, table: Sequence[Parameter], known_elsewhere: Sequence[str] = ()) -> dict[str, Any]:
+    """Declare the parameters of a table and return their values.
+
+    Args:
+        node: that has none of them yet.
+        table: its parameters.
+        known_elsewhere: names that other nodes of the pipeline have; a shared parameter file may set them.
+
+    Raises:
+        BadInput: a value that is out of range or of the wrong type, or a name that no node knows.
+    """
+    # rclpy offers the given values only through declarations, which cannot tell a misspelled name from none at all.
+    given = dict(getattr(node, "_parameter_overrides", {}))
+    names = [parameter.name for parameter in table]
+    for name in given:
+        if name not in (*names, *_ROS_OWN, *known_elsewhere) and not name.startswith(_ROS_PREFIXES):
+            close = difflib.get_close_matches(name, names, 1)
+            hint = f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(names)}"
+            raise BadInput(f"node {node.get_name()}: unknown parameter {name!r}; {hint}")
+    values = {}
+    for parameter in table:
+        value: Value = parameter.default
+        if parameter.name in given:
+            try:
+                value = parameter.check(given[parameter.name].value)
+            except BadInput as error:
+                raise BadInput(f"node {node.get_name()}: {error}") from None
+        node.declare_parameter(parameter.name, value, _descriptor(parameter), ignore_override=True)
+        values[parameter.name] = value
+    return values
+
+
+def _descriptor(parameter: Parameter) -> Any:
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+    descriptor = ParameterDescriptor(
+        name=parameter.name,
+        description=parameter.description,
+        additional_constraints=parameter.expected,
+        read_only=parameter.read_only,
+    )
+    if parameter.low is not None and parameter.high is not None:
+        if isinstance(parameter.default, float):
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high), step=0.0)
+            ]
+        elif type(parameter.default) is int:
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)
+            ]
+    return descriptor
+
+
+def help_text(table: Sequence[Parameter]) -> str:
+    """One paragraph a parameter, for ``--help``."""
+    lines = []
+    for parameter in table:
+        fixed = "" if parameter.read_only else "; may change while the node runs"
+        lines.append(f"  {parameter.name} (default {parameter.default!r})")
+        lines.append(f"      {parameter.description}: {parameter.expected}{fixed}")
+    return "\n".join(lines)

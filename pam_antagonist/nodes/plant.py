@@ -1,0 +1,48 @@
+"""Executable ``plant``: its parameters and its way into the node."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pam_antagonist.nodes.parameters import FRAME, JOINT, LOCK_ANGLE, RIG, SAFE_VOLTAGE, Parameter
+from pam_antagonist.nodes.spin import run_node
+
+if TYPE_CHECKING:
+    from pam_antagonist.nodes.plant_node import PlantNode
+
+DESCRIPTION = """
+Simulated joint with two pneumatic muscles, in place of a real one: the physics of the rig in real time at its sample
+period, with finer steps, parameters off their declared values, sensor noise and quantisation.
+
+publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
+             measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only)
+subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
+"""
+
+PARAMETERS = (
+    RIG,
+    JOINT,
+    LOCK_ANGLE,
+    FRAME,
+    SAFE_VOLTAGE,
+    Parameter("seed", 0, "of the scatter of the parameters and of the sensor noise [-]", 0, 2**31 - 1),
+    Parameter("mismatch", 0.0, "relative standard deviation of the parameters from the rig's [-]", 0.0, 0.29),
+    Parameter("noise", True, "whether the sensors have noise and steps"),
+    Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),
+    Parameter("initial_pressure", [450e3, 450e3], "pressures at the start, absolute [Pa]", 5e4, 2e6),
+    Parameter("command_timeout", 0.02, "time without a command until the valves get safe_voltage [s]", 0.002, 1.0),
+    Parameter(
+        "wait_for_subscribers", 0, "the first sample waits until the pressures and valve_state have so many [-]", 0, 16
+    ),
+)
+
+
+def _create(_options: None) -> PlantNode:
+    from pam_antagonist.nodes.plant_node import PlantNode
+
+    return PlantNode()
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node; see ``plant --help``."""
+    return run_node(_create, argv, name="plant", description=DESCRIPTION, table=PARAMETERS)

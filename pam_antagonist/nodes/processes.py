@@ -1,0 +1,172 @@
+"""Starting nodes as processes of their own, watching them, and stopping every one of them (no ROS in here)."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from pam_antagonist.nodes.spin import PARENT_VARIABLE
+
+_KILL_AFTER = 5.0  # time a process has to end by itself [s]
+_PRIORITY, _RECORDER_PRIORITY = 2, 1  # of the real-time scheduler; the recorder has long queues
+
+
+class ProcessFailed(Exception):
+    """A process ended although nobody asked it to. The message is what it said, in one line."""
+
+
+@dataclass
+class Process:
+    """A running executable.
+
+    Attributes:
+        name: of the executable.
+        popen: the process.
+        log: file with what it writes.
+    """
+
+    name: str
+    popen: subprocess.Popen[bytes]
+    log: Path
+
+    def last_words(self) -> str:
+        """The line that says why it ended: its last ``error:`` line, else the last line of all."""
+        try:
+            lines = [line.strip() for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
+        except OSError:
+            lines = []
+        errors = [line for line in lines if line.startswith("error:")]
+        words = (errors or lines or ["it said nothing"])[-1]
+        return words.removeprefix("error:").strip()
+
+
+def ros_arguments(parameters: Mapping[str, object], remappings: Mapping[str, str]) -> list[str]:
+    """Command line for a node.
+
+    Args:
+        parameters: name -> bool, int, float, text or list of float.
+        remappings: from -> to, such as ``__ns`` -> ``/pam``.
+    """
+    arguments = ["--ros-args"]
+    for name, value in parameters.items():
+        arguments += ["-p", f"{name}:={_yaml(value)}"]
+    for source, target in remappings.items():
+        arguments += ["-r", f"{source}:={target}"]
+    return arguments
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_yaml(float(item)) for item in value) + "]"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return f'"{escaped}"'
+    return repr(value)
+
+
+class Processes:
+    """A group of executables of this package that start and end together.
+
+    Use it as a context manager: whatever happens inside, every process is gone afterwards, in the order given to
+    :meth:`stop` or in the order of their start. They have a session of their own, so that Ctrl-C reaches the caller
+    alone, and they end by themselves when the caller is killed.
+
+    Args:
+        logs: folder for one log a process; it must exist.
+    """
+
+    def __init__(self, logs: Path) -> None:
+        self._logs = logs
+        self.running: dict[str, Process] = {}
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def start(
+        self,
+        name: str,
+        arguments: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+        module: str = "pam_antagonist",
+    ) -> Process:
+        """Start an executable.
+
+        Args:
+            name: of the executable, such as ``plant``; the first argument of the module.
+            arguments: the rest of its command line.
+            environment: added to the caller's.
+            module: of Python that runs it.
+        """
+        log = self._logs / f"{name}.log"
+        env = {**os.environ, **(environment or {}), PARENT_VARIABLE: str(os.getpid())}
+        with log.open("wb") as output:
+            popen = subprocess.Popen(
+                [sys.executable, "-m", module, name, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=env,
+                start_new_session=True,
+            )
+        process = self.running[name] = Process(name, popen, log)
+        # A node that has a millisecond must not queue behind what else the machine is busy with. Only root may ask for
+        # that, or who was given the right (ulimit -r); everybody else gets what there is.
+        with contextlib.suppress(OSError, AttributeError):
+            priority = _RECORDER_PRIORITY if name == "record" else _PRIORITY
+            os.sched_setscheduler(popen.pid, os.SCHED_RR, os.sched_param(priority))
+        return process
+
+    def check(self) -> None:
+        """Make sure that all of them run.
+
+        Raises:
+            ProcessFailed: one has ended.
+        """
+        for process in self.running.values():
+            if process.popen.poll() is not None:
+                status = process.popen.returncode
+                raise ProcessFailed(f"{process.name} ended with status {status}: {process.last_words()}")
+
+    def stop(self, *names: str) -> dict[str, int]:
+        """End processes one after the other and wait for each; kill what does not end.
+
+        Args:
+            names: which, in this order; none: all, in the order of their start.
+
+        Returns:
+            Exit status of each.
+        """
+        statuses = {}
+        for name in names or tuple(self.running):
+            process = self.running.pop(name)
+            statuses[name] = _end(process.popen)
+        return statuses
+
+
+def _end(popen: subprocess.Popen[bytes]) -> int:
+    """SIGINT, then SIGKILL."""
+    deadline = time.monotonic() + _KILL_AFTER
+    if popen.poll() is None:
+        popen.send_signal(signal.SIGINT)
+    while True:
+        try:
+            return popen.wait(max(0.1, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            popen.kill()
+        except KeyboardInterrupt:
+            continue  # a second Ctrl-C must not leave a process behind

@@ -1,0 +1,32 @@
+"""Quality of service of every topic, chosen once.
+
+* ``STREAM``: the 1 kHz topics, published and subscribed. Reliable and a second deep: single stalls of 100 to 300 ms
+  come from any shared machine, and what was sent meanwhile is to arrive late, flagged, rather than never. Subscribers
+  that prefer the latest value match it with best effort.
+* ``RECORD``: what the recorder subscribes with: as ``STREAM``, five seconds deep.
+* ``COMMAND``: what the valves listen to. Reliable, depth 1: of several commands only the newest counts, and a
+  time-out watches over it.
+* ``REFERENCE``: reliable, depth 1, volatile, so that any publisher matches; it is held until the next one.
+* ``GLANCE``: best effort, depth 1, for displays that look at the latest value now and then.
+"""
+
+from __future__ import annotations
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+
+def _profile(depth: int, reliable: bool = True) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+
+
+STREAM = _profile(1000)
+RECORD = _profile(5000)
+COMMAND = _profile(1)
+REFERENCE = _profile(1)
+GLANCE = _profile(1, reliable=False)
+DIAGNOSTICS = _profile(10)

@@ -1,0 +1,180 @@
+"""Running a node: from the command line to a clean end.
+
+``EventsExecutor`` wakes for events rather than polling all entities, which is what makes 1 kHz possible in Python.
+Calls of it without a time-out hang and ignore signals in rclpy 7.1, hence the loop around ``spin_once``.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes.parameters import DIAGNOSTICS_PERIOD, Parameter, help_text
+
+if TYPE_CHECKING:
+    from pam_antagonist.nodes.node import PamNode
+
+PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
+"""Environment variable with the process that a node is to end with, even if that one is killed."""
+
+_WAIT = 0.1  # longest time until a signal is noticed [s]
+_FAREWELL = 0.05  # from the last message to the end of its publisher [s]
+
+
+class _Stop:
+    """Set by the first signal."""
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+
+    def __call__(self, number: int, _frame: Any) -> None:
+        self.signal = number
+
+
+def no_options(arguments: list[str]) -> None:
+    """Refuse what is no ROS argument.
+
+    Raises:
+        BadInput: there is something.
+    """
+    if arguments:
+        raise BadInput(f"unknown argument {arguments[0]!r}: expected --help, or ROS arguments after --ros-args")
+
+
+def run_node(
+    create: Callable[[Any], PamNode],
+    argv: Sequence[str] | None,
+    *,
+    name: str,
+    description: str,
+    table: Sequence[Parameter],
+    options: Callable[[list[str]], Any] = no_options,
+) -> int:
+    """Run a node until SIGINT, SIGTERM, or until it says that it has finished.
+
+    Args:
+        create: makes the node from its options; everything slow (reading the rig, loading compiled code) happens
+            there, before the first sample.
+        argv: arguments; None: those of the process.
+        name: of the executable.
+        description: first part of ``--help``.
+        table: the node's parameters, for ``--help``.
+        options: reads the arguments that are not ROS's.
+
+    Returns:
+        Exit status: 0, or 2 after bad input, or 1 where ROS itself is missing; both are said in one line.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if "--help" in arguments or "-h" in arguments:
+        print(usage(name, description, table))
+        return 0
+    try:
+        return _run(create, arguments, name, options)
+    except BadInput as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+
+
+def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
+    """What ``--help`` prints."""
+    return (
+        f"usage: {name} [OPTIONS] [--ros-args [-p PARAMETER:=VALUE]... [--params-file FILE] [-r __ns:=/NAMESPACE]"
+        f" [-r TOPIC:=OTHER]...]\n\n{description.strip()}\n\nparameters:\n{help_text((*table, DIAGNOSTICS_PERIOD))}\n\n"
+        "The namespace is /pam unless it is remapped. SIGINT (Ctrl-C) or SIGTERM ends the node with status 0."
+    )
+
+
+def _run(create: Callable[[Any], PamNode], arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> int:
+    stop = _Stop()
+    handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        import rclpy
+    except ImportError as error:
+        needs = f"error: {name} needs ROS 2 ({one_line(error)}): start it with ./run, or source ROS 2 Jazzy"
+        print(needs, file=sys.stderr)
+        return 1
+    try:
+        node = create(_initialise(arguments, name, options))
+        try:
+            spin(node, stop)
+        finally:
+            node.close()
+            # Whoever is behind by a moment asks the publisher again for what it missed.
+            time.sleep(_FAREWELL)
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return 0
+
+
+def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> Any:
+    """Give ROS its arguments, and the others to ``options``."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import remove_ros_args
+
+    try:
+        left = remove_ros_args(args=arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:
+        # rcl adds the places in its own source code, which help nobody here.
+        said = re.sub(r",? at /\S+:\d+", "", one_line(error))
+        raise BadInput(f"{name}: {said}") from None
+    return options(left)
+
+
+def spin(node: PamNode, stop: _Stop) -> None:
+    """Serve a node until a signal comes, it has finished, or the parent process is gone."""
+    import rclpy
+
+    executor = make_executor(node)
+    # asio, inside of the executor, has put its own handlers in place.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    parent = int(os.environ.get(PARENT_VARIABLE, "0"))
+    # Whatever exists by now lives as long as the node; nothing of it is looked at again by the collector.
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        node.activate()
+        while stop.signal is None and not node.finished and rclpy.ok():
+            executor.spin_once(timeout_sec=_WAIT)
+            if parent and os.getppid() != parent:
+                break
+    finally:
+        gc.enable()
+        gc.unfreeze()
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+def make_executor(node: PamNode) -> Any:
+    """An executor with the node in it."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        from rclpy.executors import SingleThreadedExecutor
+
+        node.get_logger().warning(
+            "this rclpy has no EventsExecutor, without which samples are lost at 1 kHz: update ros-jazzy-rclpy"
+        )
+        executor: Any = SingleThreadedExecutor()
+    else:
+        executor = EventsExecutor()
+    executor.add_node(node)
+    return executor
+
+
+def one_line(error: BaseException) -> str:
+    """An error of a library in one line."""
+    return " ".join(str(error).split())[:300]

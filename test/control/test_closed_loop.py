@@ -1,0 +1,51 @@
+"""The PI on the plant model itself (no estimator): the printed integral gain against the corrected one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pam_antagonist.control import PUBLISHED_GAINS, Mode, PiController, Status
+from pam_antagonist.model.plant import Plant
+from pam_antagonist.rig import load_rig
+
+STEPS_DEG = (0.0, 10.0, -10.0)
+STEP_SECONDS = 6.0
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig("shin2022")
+
+
+def run(rig, gains, **options):
+    """Angle [rad], reference [rad] and whether a valve was at its limit, a sample (N,)."""
+    plant = Plant(rig, noise=False)
+    controller = PiController(gains, sample_period=rig.sample_period, **options)
+    angle, valves = 0.0, (5.5, 5.5)
+    log = []
+    for degrees in STEPS_DEG:
+        for _ in range(round(STEP_SECONDS / rig.sample_period)):
+            sample = plant.step(valves)
+            angle = float(sample.angle)
+            valves, status = controller.step(Mode.ANGLE, math.radians(degrees), angle)
+            log.append((angle, math.radians(degrees), status is Status.SATURATED))
+    return np.array(log)
+
+
+def test_as_printed_the_valves_sit_in_saturation(rig):
+    gains = {mode: PUBLISHED_GAINS[mode].as_printed(rig.sample_period) for mode in Mode}
+    log = run(rig, gains, anti_windup="none")
+    assert log[:, 2].mean() > 0.6
+    moving = log[round(STEP_SECONDS / rig.sample_period) :]
+    assert np.degrees(np.abs(moving[:, 0] - moving[:, 1])).mean() > 5.0
+
+
+def test_corrected_the_loop_settles_without_saturation(rig):
+    log = run(rig, PUBLISHED_GAINS)
+    assert log[:, 2].mean() < 0.01
+    n = round(STEP_SECONDS / rig.sample_period)
+    for end in (n, 2 * n, 3 * n):
+        assert abs(np.degrees(log[end - 1, 0] - log[end - 1, 1])) < 2.0

@@ -1,0 +1,156 @@
+"""The controller node in the process of the tests: one command for each estimate, safe voltages for everything else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+MS = 1_000_000
+SAFE = (5.5, 5.5)
+
+
+@pytest.fixture
+def node(ros: None) -> Iterator[Any]:
+    from pam_antagonist.nodes.controller_node import ControllerNode
+
+    node = ControllerNode()
+    published: list[tuple[int, tuple[float, float]]] = []
+
+    def note(data: bytes) -> None:
+        from rclpy.serialization import deserialize_message
+
+        from pam_antagonist_msgs.msg import ValveCommand
+
+        message = deserialize_message(data, ValveCommand)
+        stamp = message.header.stamp
+        published.append((stamp.sec * 10**9 + stamp.nanosec, tuple(message.voltage)))
+
+    node._output._publish = note
+    node.published = published
+    yield node
+    node.destroy_node()
+
+
+def estimate(node: Any, stamp_ns: int, angle: float = 0.0, torque: float = 0.0, flags: int = 0) -> None:
+    from rclpy.serialization import serialize_message
+
+    from pam_antagonist_msgs.msg import JointEstimate
+
+    message = JointEstimate(angle=angle, torque=torque, flags=flags)
+    message.header.frame_id = "somewhere_else"
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    node._on_estimate(serialize_message(message))
+
+
+def refer(node: Any, mode: int, value: float) -> None:
+    from pam_antagonist_msgs.msg import JointReference
+
+    node._on_reference(JointReference(mode=mode, value=value))
+
+
+def test_one_command_for_each_estimate_with_its_stamp(node: Any) -> None:
+    begin = node.now_ns()
+    refer(node, 0, 0.1)
+    for k in range(50):
+        estimate(node, begin + k * MS, angle=0.01 * math.sin(k))
+    assert [stamp for stamp, _ in node.published] == [begin + k * MS for k in range(50)]
+    assert node.published[0][1] == SAFE  # bumpless
+    # then the paper's law: 5.45 V/rad on the change of the angle
+    change = node.published[11][1][0] - node.published[10][1][0]
+    assert change == pytest.approx(-5.45 * 0.01 * (math.sin(11) - math.sin(10)), abs=1e-3)
+
+
+def test_torque_reference_controls_the_torque(node: Any) -> None:
+    begin = node.now_ns()
+    refer(node, 1, 0.5)
+    estimate(node, begin, angle=0.3, torque=0.5)
+    estimate(node, begin + MS, angle=-0.3, torque=0.5)
+    assert [voltage for _, voltage in node.published] == [SAFE, SAFE]
+    estimate(node, begin + 2 * MS, angle=0.3, torque=0.4)
+    assert node.published[-1][1][0] == pytest.approx(5.5 + 7.45 * 0.1, abs=1e-3)
+
+
+def test_without_a_reference_the_voltages_are_safe(node: Any) -> None:
+    estimate(node, node.now_ns(), angle=0.2)
+    assert node.published[-1][1] == SAFE
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"angle": math.nan},
+        {"angle": -math.inf},
+        {"flags": 64},
+        {"age": 21 * MS},
+    ],
+)
+def test_estimates_that_cannot_be_used_give_safe_voltages_and_the_next_one_goes_on(node: Any, wrong: dict) -> None:
+    begin = node.now_ns()
+    refer(node, 0, 0.3)
+    estimate(node, begin, angle=0.3)
+    estimate(node, begin + MS, angle=0.1)
+    before = node.published[-1][1]
+    assert before[0] > 6.0
+    age = wrong.pop("age", 0)
+    estimate(node, node.now_ns() - age, **{"angle": 0.1, **wrong})
+    assert node.published[-1][1] == SAFE
+    estimate(node, node.now_ns(), angle=0.1)
+    assert node.published[-1][1] == pytest.approx(before, abs=1e-3)
+
+
+@pytest.mark.parametrize(("mode", "value"), [(0, math.nan), (0, 0.5), (0, -20.0), (1, 3.1), (1, math.inf), (2, 0.0)])
+def test_references_that_cannot_be_used_give_safe_voltages_until_a_better_one_comes(
+    node: Any, mode: int, value: float
+) -> None:
+    refer(node, 0, 0.1)
+    estimate(node, node.now_ns(), angle=0.1)
+    refer(node, mode, value)
+    for _ in range(3):
+        estimate(node, node.now_ns(), angle=0.0)
+        assert node.published[-1][1] == SAFE
+    assert node.health(1)["commands"].level == 2
+    refer(node, 0, 0.1)
+    estimate(node, node.now_ns(), angle=0.0)
+    estimate(node, node.now_ns(), angle=0.0)
+    assert node.published[-1][1][0] == pytest.approx(5.5 + 0.545, abs=1e-2)
+    assert node.health(2)["commands"].level < 2
+
+
+def test_silence_gives_safe_voltages_in_the_order_of_stamps(node: Any) -> None:
+    node._watch()
+    assert node.published == []  # nothing has come that could be missed
+    begin = node.now_ns() - 25 * MS
+    refer(node, 0, 0.3)
+    estimate(node, begin, angle=0.3)
+    node._heard_ns = begin
+    node._watch()
+    node._watch()
+    estimate(node, begin + MS, angle=0.1)
+    stamps = [stamp for stamp, _ in node.published]
+    assert len(stamps) == 4
+    assert stamps == sorted(set(stamps))
+    assert stamps[1] < begin + MS
+    assert [voltage for _, voltage in node.published[1:3]] == [SAFE, SAFE]
+
+
+def test_a_clock_that_is_set_back_is_no_silence(node: Any) -> None:
+    estimate(node, node.now_ns())
+    node._heard_ns = node.now_ns() + 10**12
+    node._watch()
+    assert len(node.published) == 1
+    node._watch()
+    assert len(node.published) == 1
+
+
+def test_last_command_is_safe(node: Any) -> None:
+    begin = node.now_ns()
+    refer(node, 0, 0.3)
+    estimate(node, begin)
+    estimate(node, begin + MS)
+    node.close()
+    assert node.published[-1] == (begin + MS + 1, SAFE)

@@ -1,0 +1,159 @@
+"""The demo from its command line to its report, and when it is interrupted or a process of it fails."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.cli import demo
+from pam_antagonist.control import Mode
+from pam_antagonist.recording import read_bag
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "pam_antagonist", "demo", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def descendants(text: str) -> list[int]:
+    """Processes whose command line holds the text, beside zombies."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit() and int(folder.name) != os.getpid():
+            try:
+                if text in (folder / "cmdline").read_text() and (folder / "stat").read_text().split()[2] != "Z":
+                    found.append(int(folder.name))
+            except OSError:
+                continue
+    return found
+
+
+@pytest.mark.ros
+def test_torque_demo_ends_with_tables_and_reports(tmp_path: Path, domain: None) -> None:
+    out = tmp_path / "out"
+    process = start("--mode", "torque", "--duration", "5", "--no-figures", "--out", str(out), "--seed", "2")
+    said, errors = process.communicate(timeout=90)
+    assert process.returncode == 0, errors
+    assert errors == ""
+    took = re.search(r"running after ([0-9.]+) s", said)
+    assert took is not None
+    for words in ("UKF", "model alone", "Steady-state performance", "95 % interval", "Latency", "Lost: published"):
+        assert words in said
+    report = json.loads((out / "report.json").read_text())
+    assert report["joint"]["condition"] == "locked"
+    live = report["live_equal"]
+    assert live["equal"] == live["compared"] > 4000, live
+    assert report["ukf"]["torque"]["rmse_nm"] < 0.2
+    tracking = report["demo"]["tracking"]
+    assert tracking["reference_range_nm"] == 4.0
+    assert 0.5 < tracking["steady_state_performance"] <= 1.0
+    pipeline = report["demo"]["pipeline"]
+    assert pipeline["expected"] > 4500
+    assert set(pipeline["lost"].values()) == {0}
+    assert (out / "report.html").read_text().startswith("<!DOCTYPE html>")
+    recording = read_bag(out / "bag")
+    assert recording.reference is not None and set(recording.reference.mode) == {1}
+    assert set(recording.reference.value) == {0.0, 2.0, -2.0}
+    assert not descendants(str(tmp_path))
+
+
+@pytest.mark.ros
+def test_ctrl_c_stops_every_process_and_keeps_a_whole_bag(tmp_path: Path, domain: None) -> None:
+    out = tmp_path / "out"
+    process = start("--duration", "60", "--out", str(out))
+    end = time.monotonic() + 60.0
+    while not (out / "bag").is_dir() or "running" not in (process.stdout.readline() if process.stdout else ""):
+        assert time.monotonic() < end
+    time.sleep(1.5)
+    begin = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    said, errors = process.communicate(timeout=30)
+    assert time.monotonic() - begin < 6.0
+    assert process.returncode == 130, errors
+    assert str(out / "bag") in errors and "Traceback" not in errors + said
+    assert not descendants(str(tmp_path))
+    recording = read_bag(out / "bag")
+    assert len(recording.stamp_ns) > 1000
+    assert recording.issues == ()
+
+
+@pytest.mark.ros
+def test_a_failing_process_stops_the_demo_with_its_own_words(tmp_path: Path, domain: None) -> None:
+    """Here the plant: it dies in the middle of the experiment."""
+    out = tmp_path / "out"
+    process = start("--duration", "60", "--out", str(out))
+    end = time.monotonic() + 60.0
+    while "running" not in (process.stdout.readline() if process.stdout else ""):
+        assert time.monotonic() < end
+    (plant,) = [
+        pid for pid in descendants("wait_for_subscribers") if f"/{process.pid}/" in f"/{_parent(pid)}/"
+    ]
+    os.kill(plant, signal.SIGKILL)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "error: plant ended with status -9" in errors and "Traceback" not in errors
+    assert not descendants(str(tmp_path))
+
+
+def _parent(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--rig", "no_such"], "unknown rig 'no_such'"),
+        (["--tuning", "no_such"], "tuning 'no_such'"),
+        (["--duration", "0"], "--duration"),
+        (["--duration", "inf"], "--duration"),
+        (["--mode", "stiffness"], "--mode"),
+        (["--mismatch", "1"], "--mismatch"),
+        (["--seed", "-1"], "--seed"),
+        (["bag"], "bag"),
+    ],
+)
+def test_bad_arguments_are_refused_before_anything_starts(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert demo.main([*arguments, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and words in error and error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_output_folder_that_exists_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "precious").write_text("data")
+    assert demo.main(["--out", str(tmp_path)]) == 2
+    assert "nothing is overwritten" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == ["precious"]
+
+
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("duration", [1.0, 5.0, 30.0, 600.0])
+def test_references_are_steps_within_the_paper_s_ranges(mode: Mode, duration: float) -> None:
+    steps = demo.references(mode, duration)
+    times = [at for at, _ in steps]
+    assert steps[0] == (0.0, 0.0)
+    assert times == sorted(times) and times[-1] < duration
+    largest = max(abs(value) for _, value in steps)
+    assert largest == pytest.approx(math.radians(20.0) if mode is Mode.ANGLE else 2.0)
+    assert min(value for _, value in steps) == -largest
+
+
+def test_references_stay_within_what_the_joint_can_reach() -> None:
+    steps = demo.references(Mode.ANGLE, 30.0, math.radians(10.0))
+    assert max(abs(value) for _, value in steps) == pytest.approx(math.radians(8.0))

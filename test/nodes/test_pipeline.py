@@ -1,0 +1,151 @@
+"""Plant, estimator, controller and recorder as processes, through a stall of the machine; what the bag says then."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.estimation import ESTIMATE_DTYPE, Estimator
+from pam_antagonist.nodes.accounting import Accounting, account
+from pam_antagonist.nodes.processes import Processes, ros_arguments
+from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.rig import load_rig
+
+pytestmark = pytest.mark.ros
+
+PERIOD_NS = 1_000_000
+STALL = 0.3
+LATE = 64
+
+
+@dataclass(frozen=True)
+class Run:
+    recording: Recording
+    account: Accounting
+    statuses: dict[str, int]
+    said: str
+    topics_read_by_estimator: set[str]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
+    """3.5 s at 1 kHz with two references, the whole pipeline stopped for 0.3 s in between."""
+    from probe import Probe
+
+    folder = tmp_path_factory.mktemp("pipeline")
+    with Processes(folder) as processes, Probe("valve_command") as probe:
+        processes.start("record", ["--out", str(folder / "bag")])
+        processes.start("estimator", ros_arguments({}, {}))
+        processes.start("controller", ros_arguments({}, {}))
+        processes.start("plant", ros_arguments({"mismatch": 0.01, "seed": 3, "wait_for_subscribers": 2}, {}))
+        probe.until(lambda: probe.matched("reference", 2) and len(probe.seen["valve_command"]) > 200, 60.0, "a start")
+        processes.check()
+        probe.refer(0, 0.0)
+        probe.wait(0.7)
+        probe.refer(0, math.radians(10.0))
+        probe.wait(1.0)
+        for number in (signal.SIGSTOP, signal.SIGCONT):
+            for process in processes.running.values():
+                process.popen.send_signal(number)
+            time.sleep(STALL if number == signal.SIGSTOP else 0.0)
+        probe.wait(1.3)
+        topics = {
+            name for name, _ in probe.node.get_subscriber_names_and_types_by_node("estimator", "/pam")
+        }
+        processes.check()
+        statuses = processes.stop("plant")
+        time.sleep(0.3)
+        statuses |= processes.stop("controller", "estimator", "record")
+    recording = read_bag(folder / "bag")
+    accounting = account(recording, 1e-3)
+    assert accounting is not None
+    return Run(recording, accounting, statuses, (folder / "record.log").read_text(), topics)
+
+
+def test_every_process_ends_with_status_0(run: Run) -> None:
+    assert run.statuses == {"plant": 0, "controller": 0, "estimator": 0, "record": 0}
+
+
+def test_every_sample_is_estimated_and_commanded_in_order_also_through_a_stall(run: Run) -> None:
+    assert run.account.expected > 3000
+    assert set(run.account.lost.values()) == {0}
+    assert set(run.account.out_of_order.values()) == {0}
+
+
+def test_what_the_stall_held_up_is_flagged_late(run: Run) -> None:
+    assert run.recording.estimate is not None
+    late = run.recording.estimate.stamp_ns[run.recording.estimate.flags & LATE != 0]
+    assert 100 <= len(late)
+    # A machine that is busy elsewhere makes more of them; those of the stall are one stretch of samples.
+    longest = max(np.diff(np.flatnonzero(np.diff(late) != PERIOD_NS), prepend=-1, append=len(late) - 1))
+    assert longest >= 200
+
+
+def test_stamps_are_a_period_apart_without_drift(run: Run) -> None:
+    assert set(np.diff(run.recording.stamp_ns)) == {PERIOD_NS}
+
+
+def test_replay_gives_the_very_bits_that_were_published(run: Run) -> None:
+    live, recording = run.recording.estimate, run.recording
+    assert live is not None
+    first = int(np.searchsorted(recording.stamp_ns, live.started_ns[0]))
+    assert recording.stamp_ns[first] == live.started_ns[0]
+    replay = Estimator(load_rig("shin2022")).run(
+        recording.stamp_ns[first:], recording.pressure[first:], recording.voltage[first:]
+    )
+    _, at_live, at_replay = np.intersect1d(live.stamp_ns, replay.stamp_ns, return_indices=True)
+    assert len(at_live) == len(live) > 3000
+    for name in ESTIMATE_DTYPE.names or ():
+        published = np.asarray(getattr(live, name), dtype=np.float64)[at_live]
+        again = np.asarray(replay.rows[name], dtype=np.float64)[at_replay]
+        if name == "flags":
+            published = (published.astype(int) & ~LATE).astype(np.float64)
+        assert np.array_equal(published, again, equal_nan=True), name
+    assert set(live.started_ns) == {live.started_ns[0]}
+
+
+def test_joint_moves_towards_the_reference(run: Run) -> None:
+    angle, estimate = run.recording.angle, run.recording.estimate
+    assert angle is not None and estimate is not None
+    assert abs(angle[:200].mean()) < math.radians(1.0)
+    assert angle[-200:].mean() > math.radians(4.0)
+    assert abs(estimate.angle[-200:].mean() - angle[-200:].mean()) < math.radians(1.0)
+
+
+def test_valves_had_what_was_commanded_or_the_safe_voltages(run: Run) -> None:
+    voltage = run.recording.voltage
+    assert np.all(np.isfinite(voltage))
+    assert np.all((voltage >= 0.0) & (voltage <= 10.0))
+    assert np.ptp(voltage[:, 0]) > 0.5  # something was asked for
+    assert np.allclose(voltage.sum(axis=1), 11.0, atol=1e-9)  # the PI moves both valves by the same
+
+
+def test_a_command_takes_less_than_a_sample_may_be_old(run: Run) -> None:
+    assert run.account.latency.samples == run.account.expected
+    assert 0.0 < run.account.latency.median < 20.0
+
+
+def test_estimator_reads_nothing_that_is_measured_for_validation(run: Run) -> None:
+    topics = {topic for topic in run.topics_read_by_estimator if topic.startswith("/pam/")}
+    assert topics == {"/pam/pressure_1", "/pam/pressure_2", "/pam/valve_state"}
+
+
+def test_recorder_says_what_it_recorded(run: Run) -> None:
+    lines = {line.split()[0]: int(line.split()[1]) for line in run.said.splitlines() if line.startswith("  /")}
+    assert lines["/pam/pressure_1"] == len(run.recording.received_ns["pressure_1"].stamp_ns)
+    assert lines["/pam/reference"] == 2
+    assert lines["/pam/measured/external_torque"] == 0
+    assert lines["/diagnostics"] >= 10
+
+
+def test_recording_needed_no_repair(run: Run) -> None:
+    assert run.recording.issues == ()
+    assert Path(run.recording.path).is_dir()
+    assert os.listdir(run.recording.path)

@@ -1,0 +1,232 @@
+"""The plant node in the process of the tests: its clock, its valves, its messages."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pam_antagonist.model.plant import Plant
+from pam_antagonist.rig import load_rig
+
+pytestmark = pytest.mark.ros
+
+MS = 1_000_000
+T0 = 1_795_000_000 * 10**9
+
+
+class Sent(list):
+    """Messages of a topic, as objects."""
+
+    def __init__(self, kind: Any) -> None:
+        self.kind = kind
+
+    def __call__(self, data: bytes) -> None:
+        from rclpy.serialization import deserialize_message
+
+        self.append(deserialize_message(data, self.kind))
+
+
+@pytest.fixture
+def make(ros: None) -> Iterator[Callable[..., Any]]:
+    from rclpy.parameter import Parameter
+
+    nodes = []
+
+    def factory(**parameters: Any) -> Any:
+        module = importlib.import_module("pam_antagonist.nodes.plant_node")
+        overrides = {name: Parameter(name, value=value) for name, value in parameters.items()}
+
+        class Node(module.PlantNode):
+            """A plant whose clock stands still until it is moved."""
+
+            time = T0
+
+            def now_ns(self) -> int:
+                return self.time
+
+            @property
+            def _parameter_overrides(self) -> dict:
+                return overrides
+
+            @_parameter_overrides.setter
+            def _parameter_overrides(self, value: dict) -> None:
+                pass
+
+        node = Node()
+        outputs = {"p1": node._pressures[0], "p2": node._pressures[1], "valves": node._valves, "joint": node._joint}
+        node.sent = {}
+        for name, output in outputs.items():
+            node.sent[name] = output._publish = Sent(output.publisher.msg_type)
+        nodes.append(node)
+        return node
+
+    yield factory
+    for node in nodes:
+        node.destroy_node()
+
+
+def stamp(message: Any) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def command(node: Any, first: float, second: float) -> None:
+    from rclpy.serialization import serialize_message
+
+    from pam_antagonist_msgs.msg import ValveCommand
+
+    node._on_command(serialize_message(ValveCommand(voltage=[first, second])))
+
+
+def tick(node: Any, milliseconds: float) -> None:
+    """Let time pass and the timer fire."""
+    node.time += round(milliseconds * MS)
+    node._tick()
+
+
+def test_four_messages_of_a_sample_carry_one_stamp(make: Callable[..., Any]) -> None:
+    node = make()
+    for _ in range(10):
+        tick(node, 1.0)
+    stamps = {name: [stamp(message) for message in messages] for name, messages in node.sent.items()}
+    assert stamps["p1"] == [T0 + k * MS for k in range(1, 11)]
+    assert stamps["p2"] == stamps["valves"] == stamps["joint"] == stamps["p1"]
+
+
+def test_messages_are_those_of_the_plant(make: Callable[..., Any]) -> None:
+    node = make(seed=5, mismatch=0.02)
+    twin = Plant(load_rig("shin2022"), seed=5, mismatch=0.02)
+    for k in range(30):
+        command(node, 6.0, 4.5)
+        tick(node, 1.0)
+        sample = twin.step((6.0, 4.5))
+        assert node.sent["p1"][k].fluid_pressure == sample.pressure[0]
+        assert node.sent["p2"][k].fluid_pressure == sample.pressure[1]
+        assert tuple(node.sent["valves"][k].voltage) == tuple(sample.voltage) == (6.0, 4.5)
+        assert node.sent["joint"][k].position[0] == sample.angle
+        assert node.sent["joint"][k].effort[0] == sample.torque
+    message = node.sent["p1"][0]
+    assert message.variance == pytest.approx(load_rig("shin2022").sensors.pressure_std ** 2)
+    assert (message.header.frame_id, node.sent["joint"][0].header.frame_id) == ("muscle_1", "joint")
+    assert list(node.sent["joint"][0].name) == ["joint"] and not node.sent["joint"][0].velocity
+
+
+def test_uneven_ticks_do_not_move_the_stamps(make: Callable[..., Any]) -> None:
+    """A timer that is late, and drops ticks: every sample is made up for, with the stamp that it was to have."""
+    node = make()
+    rng = np.random.default_rng(0)
+    for pause in rng.uniform(0.2, 5.0, 200):
+        tick(node, pause)
+    stamps = [stamp(message) for message in node.sent["p1"]]
+    assert np.all(np.diff(stamps) == MS)
+    assert 0 <= node.time - stamps[-1] < MS
+
+
+def test_a_stall_is_caught_up_with_in_portions(make: Callable[..., Any]) -> None:
+    node = make()
+    tick(node, 1.0)
+    tick(node, 300.0)
+    assert len(node.sent["p1"]) == 26  # then commands are looked at
+    for _ in range(20):
+        tick(node, 0.0)
+    assert len(node.sent["p1"]) == 301
+    assert np.all(np.diff([stamp(message) for message in node.sent["p1"]]) == MS)
+
+
+@pytest.mark.parametrize("jump", [1500.0, -1500.0])
+def test_a_jump_of_the_clock_is_not_caught_up_with(make: Callable[..., Any], jump: float) -> None:
+    node = make()
+    for _ in range(5):
+        tick(node, 1.0)
+    tick(node, jump)
+    tick(node, 1.0)
+    assert len(node.sent["p1"]) == 7
+    assert stamp(node.sent["p1"][-1]) == node.time
+    assert node.health(1)["sampling"].values["clock jumps"] == 1
+
+
+def test_valves_are_safe_before_commands_and_after_the_time_out(make: Callable[..., Any]) -> None:
+    node = make(safe_voltage=[5.0, 5.2])
+    tick(node, 1.0)
+    command(node, 7.0, 4.0)
+    for _ in range(40):
+        tick(node, 1.0)
+    voltages = [tuple(message.voltage) for message in node.sent["valves"]]
+    assert voltages[0] == (5.0, 5.2)
+    assert voltages[1:21] == [(7.0, 4.0)] * 20
+    assert set(voltages[21:]) == {(5.0, 5.2)}
+    assert node.health(1)["commands"].level == 1
+
+
+def test_commands_are_clipped_and_those_without_a_number_are_not_obeyed(make: Callable[..., Any]) -> None:
+    node = make()
+    command(node, 12.0, -3.0)
+    tick(node, 1.0)
+    command(node, math.nan, 5.0)
+    tick(node, 1.0)
+    assert [tuple(message.voltage) for message in node.sent["valves"]] == [(10.0, 0.0), (10.0, 0.0)]
+    assert node.health(1)["commands"].values["refused, not finite"] == 1
+
+
+def test_first_sample_waits_for_subscribers_and_gives_them_time(make: Callable[..., Any]) -> None:
+    from sensor_msgs.msg import FluidPressure
+
+    from pam_antagonist.nodes import qos
+
+    node = make(wait_for_subscribers=1)
+    tick(node, 1.0)
+    assert node.sent["p1"] == []
+    for topic in ("pressure_1", "pressure_2"):
+        node.create_subscription(FluidPressure, topic, lambda message: None, qos.STREAM)
+    tick(node, 1.0)
+    tick(node, 1000.0)
+    assert node.sent["p1"] == []  # valve_state has none yet
+    from pam_antagonist_msgs.msg import ValveCommand
+
+    node.create_subscription(ValveCommand, "valve_state", lambda message: None, qos.STREAM)
+    for _ in range(499):
+        tick(node, 1.0)
+    assert node.sent["p1"] == []
+    for _ in range(10):
+        tick(node, 1.0)
+    assert 5 <= len(node.sent["p1"]) <= 10
+
+
+def test_simulated_time_drives_the_samples(domain: None) -> None:
+    """At a tenth of the real speed, as /clock says."""
+    import rclpy
+    from probe import Probe
+    from rosgraph_msgs.msg import Clock
+
+    from pam_antagonist.nodes import qos
+    from pam_antagonist.nodes.plant_node import PlantNode
+    from pam_antagonist.nodes.spin import make_executor
+
+    rclpy.init(args=["--ros-args", "-p", "use_sim_time:=true"])
+    try:
+        with Probe("pressure_1") as probe:
+            node = PlantNode()
+            executor = make_executor(node)
+            node.activate()
+            clock = probe.node.create_publisher(Clock, "/clock", qos.DIAGNOSTICS)
+            probe.until(lambda: clock.get_subscription_count() > 0, 10.0, "a subscriber of /clock")
+            for k in range(100):
+                message = Clock()
+                message.clock.sec, message.clock.nanosec = 100, k * MS
+                clock.publish(message)
+                for _ in range(20):
+                    executor.spin_once(timeout_sec=0.001)
+            probe.wait(0.2)
+            stamps = [stamp(message) for _, message in probe.seen["pressure_1"]]
+            executor.remove_node(node)
+            executor.shutdown()
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    assert len(stamps) > 60
+    assert np.all(np.diff(stamps) == MS)
+    assert 100 * 10**9 <= stamps[0] and stamps[-1] <= 100 * 10**9 + 99 * MS
