@@ -107,7 +107,9 @@ def _run(plan: _Plan, whole: Problem, theta: Floats) -> tuple[Stage, Floats]:
     used = [k for k, fits in enumerate(fitting) if fits]
     before = _rms(whole, theta)
     if not chosen or not used:
-        why = "no parameter of it is free" if not chosen else f"no recording of a {' or '.join(plan.joints)} joint has it"
+        why = (
+            "no parameter of it is free" if not chosen else f"no recording of a {' or '.join(plan.joints)} joint has it"
+        )
         return Stage(plan.name, plan.source, (), before, before, f"skipped: {why}"), theta
     count = len(whole.free)
     rig_now = moved(whole.rig, whole.values(theta))

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import flow
@@ -36,27 +35,23 @@ class SteadyPoints:
     spread: Floats
 
 
-def steady_pressure(open_rate: Floats, p: Floats) -> Floats:
-    """Step one: the pressure at which as much flows in as out, for each open rate.
+def steady_open_rate(pressure: Floats, p: Floats) -> Floats:
+    """Step one: the open rate at which as much flows in as out, for each pressure.
 
     In the steady state equation (5) is α m_in = (1 − α) m_out, in which neither the orifice areas nor the
-    polytropic indices stand (Proposition 1); the pressure is its root.
+    polytropic indices stand (Proposition 1), so that α = m_out/(m_in + m_out). It is the relation that the paper
+    gets by simulating until the pressure stands.
 
     Args:
-        open_rate: α (K,) [-].
+        pressure: (K,) [Pa], between atmosphere and supply.
         p: parameter vector.
 
     Returns:
-        (K,) [Pa].
+        α (K,) [-].
     """
-    low, high = p[par.ATMOSPHERE], p[par.SUPPLY]
-    result = np.empty(len(open_rate))
-    for k, alpha in enumerate(open_rate):
-        if alpha <= 0.0 or alpha >= 1.0:
-            result[k] = low if alpha <= 0.0 else high
-        else:
-            result[k] = brentq(lambda pressure, a=alpha: flow.mass_flow(0, a, pressure, p), low, high, xtol=1e-3)
-    return result
+    inflow = np.array([flow.orifice_flow(p[par.SUPPLY], value, p) for value in pressure])
+    outflow = np.array([flow.orifice_flow(value, p[par.ATMOSPHERE], p) for value in pressure])
+    return np.asarray(outflow / (inflow + outflow))
 
 
 def steady_points(voltage: Floats, pressure: Floats, dt: float) -> SteadyPoints:
@@ -106,6 +101,5 @@ def valve_curve(points: SteadyPoints, p: Floats) -> tuple[Floats, Floats]:
             f"{len(points.voltage)} voltages were held until the pressure stood still, expected at least {_FEWEST}: "
             f"record a staircase, each step held until the pressure drifts by less than {_DRIFT / 1e3:g} kPa/s"
         )
-    grid = np.linspace(0.0, 1.0, 2001)
-    rate = np.interp(points.pressure, steady_pressure(grid, p), grid)
-    return points.voltage, np.maximum.accumulate(rate)
+    inside = np.clip(points.pressure, p[par.ATMOSPHERE], p[par.SUPPLY])
+    return points.voltage, np.maximum.accumulate(steady_open_rate(inside, p))

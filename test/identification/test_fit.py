@@ -1,0 +1,161 @@
+"""Parameters come back from recordings of a plant whose parameters are known."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.fit import fit
+from pam_antagonist.identification.freedom import free_parameters
+from pam_antagonist.identification.prediction import Problem, blocks
+from pam_antagonist.identification.stages import moved, run_stages
+from pam_antagonist.identification.trial import PRESSURE_1, TORQUE, Trial, make_trial
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.plant import Plant
+from pam_antagonist.model.profiles import profile
+from pam_antagonist.recording import Recording
+from pam_antagonist.rig import Rig, load_rig
+
+RIG = load_rig("shin2022")
+TRUE = {
+    "valve_1.inflow_area": 5.3e-8,
+    "valve_2.outflow_area": 7.5e-8,
+    "muscle_2.force.w2": 16.4,
+    "friction.shaft": 0.207,
+}
+SECONDS = 15.0
+
+
+@lru_cache(maxsize=8)
+def record(joint: str, seed: int) -> Recording:
+    """The plant with the true parameters, exact otherwise, behind its sensors."""
+    plant = Plant(moved(RIG, TRUE), joint=joint, seed=seed, substeps=1)
+    voltage = profile("steps", SECONDS, RIG.sample_period, seed=seed)
+    samples = [plant.step(row) for row in voltage]
+    return Recording(
+        path=Path(f"{joint}_{seed}"),
+        stamp_ns=np.arange(1, len(samples) + 1, dtype=np.int64) * 1_000_000,
+        pressure=np.array([sample.pressure for sample in samples]),
+        voltage=voltage,
+        angle=np.array([sample.angle for sample in samples]),
+        torque=np.array([sample.torque for sample in samples]),
+    )
+
+
+def trials(seed: int) -> list[Trial]:
+    return [make_trial(record(joint, seed), RIG, joint, 0.0, joint) for joint in ("free", "locked")]
+
+
+def problem(rig: Rig = RIG, seed: int = 1, **options: object) -> Problem:
+    chosen = [item for item in free_parameters(rig) if item.name in TRUE]
+    return Problem(rig, trials(seed), chosen, **options)  # type: ignore[arg-type]
+
+
+def test_true_parameters_come_back_with_error_bars_of_the_right_size() -> None:
+    deviations = []
+    for seed in (1, 3):
+        found = fit(problem(seed=seed), rounds=3)
+        assert all(found.determined.values())
+        for name, true in TRUE.items():
+            assert found.values[name] == pytest.approx(true, rel=2e-3)
+            deviations.append((found.values[name] - true) / found.std[name])
+    # Eight values: their scatter in error bars is 1 within a factor of two or so, or the bars are wrong.
+    assert 0.4 < float(np.sqrt(np.mean(np.square(deviations)))) < 2.0, deviations
+
+
+def test_a_parameter_that_the_recordings_do_not_tell_stays_at_its_prior() -> None:
+    chosen = [item for item in free_parameters(RIG) if item.name in ("friction.shaft", "valve_1.inflow_area")]
+    locked = [trial for trial in trials(1) if trial.joint == "locked"]
+    found = fit(Problem(RIG, locked, chosen), rounds=2)
+    assert found.determined == {"valve_1.inflow_area": True, "friction.shaft": False}
+    assert found.values["friction.shaft"] == pytest.approx(RIG.friction.shaft, rel=1e-6)
+    assert found.std["friction.shaft"] == pytest.approx(0.05 * RIG.friction.shaft, rel=0.01)
+
+
+def test_the_jacobian_is_the_slope_of_the_residuals() -> None:
+    task = problem()
+    theta = np.zeros(task.size)
+    up, down = theta.copy(), theta.copy()
+    up[0] += 0.01
+    down[0] -= 0.01
+    slope = (task.residuals(up)[1] - task.residuals(down)[1]) / 0.02
+    assert np.allclose(task.jacobian(theta)[1][:, :, 0], slope, rtol=0.05, atol=0.02 * np.abs(slope).max())
+
+
+def test_stages_bring_the_model_near_and_the_refinement_to_the_noise() -> None:
+    free = free_parameters(RIG, frozen=["joint", "gas", "muscle_1"])
+    stages, found = run_stages(RIG, trials(2), free)
+    assert [stage.name for stage in stages] == ["flow", "force map", "friction", "joint refinement"]
+    first, last = stages[0].before, stages[-1].after
+    noise = RIG.sensors.pressure_std / np.sqrt(20)
+    assert first[PRESSURE_1] is not None and last[PRESSURE_1] is not None and last[TORQUE] is not None
+    assert last[PRESSURE_1] < 1.3 * noise < 0.5 * first[PRESSURE_1]
+    assert last[TORQUE] < 1.3 * RIG.sensors.torque_std / np.sqrt(20)
+    assert found.values["valve_1.inflow_area"] == pytest.approx(TRUE["valve_1.inflow_area"], rel=0.01)
+
+
+def test_a_stage_without_its_recording_is_skipped_and_says_so() -> None:
+    locked = [trial for trial in trials(1) if trial.joint == "locked"]
+    stages, _ = run_stages(RIG, locked, free_parameters(RIG, frozen=["muscle_1", "muscle_2", "joint"]))
+    notes = {stage.name: stage.note for stage in stages}
+    assert notes["force map"] == "skipped: no parameter of it is free"
+    assert notes["friction"] == "skipped: no recording of a free joint has it"
+    assert notes["flow"] == ""
+
+
+def test_freeing_and_freezing_by_name() -> None:
+    names = {item.name for item in free_parameters(RIG)}
+    assert "friction.shaft" in names and "geometry.radius" not in names and "muscle_1.volume.d1" not in names
+    assert not any(name.startswith("muscle_1.") for name in (i.name for i in free_parameters(RIG, frozen=["muscle_1"])))
+    assert "supply.pressure" in {item.name for item in free_parameters(RIG, free=["supply.pressure"])}
+    prior = next(
+        i for i in free_parameters(RIG.replaced(priors={"friction.shaft": 0.01})) if i.name == "friction.shaft"
+    )
+    assert prior.prior_std == 0.01
+    with pytest.raises(BadInput, match="did you mean 'friction.shaft'"):
+        free_parameters(RIG, free=["friction.shaf"])
+    with pytest.raises(BadInput, match="nothing is left"):
+        free_parameters(RIG, frozen=[name.partition(".")[0] for name in par.INDEX])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (lambda r: r.slice(0.0, 3.0), "too short"),
+        (lambda r: _changed(r, voltage=np.full_like(r.voltage, 5.5)), "valves never moved"),
+        (lambda r: _changed(r, pressure=450e3 + 0.01 * (r.pressure - 450e3)), "moves by"),
+        (lambda r: _changed(r, pressure=np.minimum(r.pressure, 470e3)), "saturated"),
+        (lambda r: _changed(r, pressure=np.where(np.arange(len(r))[:, None] % 3 == 0, np.nan, r.pressure)), "missing"),
+    ],
+)
+def test_recordings_that_tell_nothing_are_refused_with_the_reason(spoil, complaint: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(BadInput, match=complaint) as refusal:
+        make_trial(spoil(record("locked", 1)), RIG, "locked", 0.0, "bag")
+    assert str(refusal.value).startswith("bag: ") and "\n" not in str(refusal.value)
+
+
+def _changed(recording: Recording, **arrays: np.ndarray) -> Recording:
+    kept = {name: getattr(recording, name) for name in ("stamp_ns", "pressure", "voltage", "angle", "torque")}
+    return Recording(path=recording.path, **{**kept, **arrays})
+
+
+def test_missing_samples_are_bridged_and_not_counted() -> None:
+    whole = record("free", 1)
+    keep = np.ones(len(whole), dtype=bool)
+    keep[3000:3040] = False
+    gappy = Recording(
+        path=whole.path,
+        stamp_ns=whole.stamp_ns[keep],
+        pressure=whole.pressure[keep],
+        voltage=whole.voltage[keep],
+        angle=whole.angle[keep],
+        torque=whole.torque[keep],
+    )
+    trial = make_trial(gappy, RIG, "free", 0.0, "gappy")
+    assert len(trial) == len(whole)
+    assert np.isnan(trial.measured[3000:3040]).all() and np.isfinite(trial.voltage).all()
+    assert np.isnan(blocks(trial.measured)[150:152]).all() and np.isfinite(blocks(trial.measured)[152:]).all()
