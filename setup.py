@@ -38,7 +38,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *tree("config", (".yaml",)),
+        *tree("config", (".xml", ".yaml")),
         *tree("launch", (".py",)),
     ],
     install_requires=[

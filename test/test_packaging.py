@@ -30,6 +30,7 @@ TABLES = {node.__name__.rsplit(".", 1)[1]: node.PARAMETERS for node in (plant, e
 
 # import name -> rosdep key; None: rosdep has no key, and the nodes do without.
 ROSDEP = {
+    "joblib": "python3-joblib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
     "plotly": None,
@@ -212,7 +213,7 @@ def test_colcon_puts_files_where_ros_looks(workspace: Path) -> None:
     share = install / "pam_antagonist/share"
     assert (share / "ament_index/resource_index/packages/pam_antagonist").is_file()
     assert (share / "pam_antagonist/package.xml").is_file()
-    for file in (LAUNCH_FILE, *(path for path in (ROOT / "config").rglob("*.yaml"))):
+    for file in (LAUNCH_FILE, *(path for path in (ROOT / "config").rglob("*") if path.is_file())):
         assert (share / "pam_antagonist" / file.relative_to(ROOT)).read_bytes() == file.read_bytes()
     messages = install / "pam_antagonist_msgs/share/pam_antagonist_msgs/msg"
     assert {path.name for path in messages.glob("*.msg")} == {

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import DIAGNOSTICS_PERIOD, Parameter, help_text
+from pam_antagonist.paths import config_dir
 
 if TYPE_CHECKING:
     from pam_antagonist.nodes.node import PamNode
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
 """Environment variable with the process that a node is to end with, even if that one is killed."""
 
+_PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _WAIT = 0.1  # longest time until a signal is noticed [s]
 _FAREWELL = 0.05  # from the last message to the end of its publisher [s]
 
@@ -122,6 +124,7 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
+    tune_middleware()
     try:
         left = remove_ros_args(args=arguments)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -130,6 +133,20 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
         said = re.sub(r",? at /\S+:\d+", "", one_line(error))
         raise BadInput(f"{name}: {said}") from None
     return options(left)
+
+
+def tune_middleware() -> None:
+    """Have Fast DDS, before it starts in this process, take config/fastdds.xml unless there is another profile.
+
+    Other middlewares ignore it.
+    """
+    if _PROFILES_VARIABLE in os.environ:
+        return
+    profiles = config_dir() / "fastdds.xml"
+    if profiles.is_file():
+        os.environ[_PROFILES_VARIABLE] = str(profiles)
+    else:
+        print(f"warning: {profiles} is missing: samples will be lost when a node stalls", file=sys.stderr)
 
 
 def spin(node: PamNode, stop: _Stop) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 from types import TracebackType
 from typing import Any
 
@@ -13,6 +14,7 @@ from sensor_msgs.msg import JointState
 
 from pam_antagonist.control import Mode
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.spin import tune_middleware
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
 
@@ -22,13 +24,15 @@ _LISTENERS = 2  # of the reference: controller and recorder
 class Watch:
     """A node without an executor: it takes the latest message when asked, and costs nothing in between.
 
-    Use it as a context manager. Signals stay with the caller.
+    Use it as a context manager. Inside, SIGINT and SIGTERM become a ``KeyboardInterrupt`` with the next call of a
+    method, or at the end: one that came up in the middle of a call into rclpy would turn into something else there.
 
     Args:
         namespace: of the pipeline.
     """
 
     def __init__(self, namespace: str = DEFAULT_NAMESPACE) -> None:
+        tune_middleware()
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("watch", namespace=namespace, context=self._context, start_parameter_services=False)
@@ -44,16 +48,33 @@ class Watch:
         self._latest: dict[str, Any] = {}
 
     def __enter__(self) -> Watch:
+        self._interrupted = False
+        self._handlers = {
+            number: signal.signal(number, self._interrupt) for number in (signal.SIGINT, signal.SIGTERM)
+        }
         return self
+
+    def _interrupt(self, number: int, frame: object) -> None:
+        self._interrupted = True
+
+    def _check(self) -> None:
+        if self._interrupted:
+            self._interrupted = False
+            raise KeyboardInterrupt
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        if value is None:
+            self._check()
 
     def latest(self, topic: str) -> Any:
         """The newest message of a topic (logical name), None if none has come."""
+        self._check()
         subscription = self._topics[topic]
         with subscription.handle:
             taken = subscription.handle.take_message(subscription.msg_type, False)
@@ -74,6 +95,7 @@ class Watch:
 
     def send(self, mode: Mode, value: float) -> None:
         """Publish a reference [rad] or [N m], stamped now."""
+        self._check()
         message = JointReference(mode=int(mode), value=value)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._reference.publish(message)

@@ -12,6 +12,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import FluidPressure, JointState
 
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.spin import tune_middleware
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
 
@@ -31,6 +32,7 @@ class Probe:
     """Collects (time of reception [ns], message) of each topic that it was given; publishes to any."""
 
     def __init__(self, *topics: str) -> None:
+        tune_middleware()
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node("probe", namespace="/pam", context=self._context, start_parameter_services=False)

@@ -1,0 +1,171 @@
+"""Files that people write (rigs, maps of CSV columns): strict YAML, checked by a schema, refused in one line.
+
+Works with pydantic 1.10 and 2.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import reprlib
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import pydantic
+import yaml
+from pydantic import BaseModel, ValidationError
+from typing_extensions import Self
+
+from pam_antagonist.errors import BadInput
+
+_LARGEST_FILE = 100_000
+_DEEPEST = 5
+
+if pydantic.VERSION.startswith("1."):
+
+    class Strict(BaseModel):
+        """Values that cannot be changed, all of them finite, and no keys beside the declared ones."""
+
+        class Config:
+            extra = "forbid"
+            allow_mutation = False
+
+        @pydantic.validator("*", allow_reuse=True)
+        def _finite(cls, value: Any) -> Any:
+            """What ``allow_inf_nan`` does in pydantic 2."""
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
+                raise ValueError("expected finite numbers")
+            return value
+
+        def replaced(self, **fields: Any) -> Self:
+            """A copy with some fields replaced; what is put in is not checked again."""
+            return self.copy(update=fields)
+
+else:
+
+    class Strict(BaseModel):  # type: ignore[no-redef]
+        """Values that cannot be changed, all of them finite, and no keys beside the declared ones."""
+
+        model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+        def replaced(self, **fields: Any) -> Self:
+            """A copy with some fields replaced; what is put in is not checked again."""
+            return self.model_copy(update=fields)
+
+
+Schema = TypeVar("Schema", bound=BaseModel)
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML without code, and without keys that silently replace earlier ones."""
+
+
+def _mapping_without_duplicates(loader: _StrictLoader, node: yaml.MappingNode) -> dict[Any, Any]:
+    seen: set[Any] = set()
+    for key_node, _ in node.value:
+        key = loader.construct_object(key_node, deep=True)  # type: ignore[no-untyped-call]
+        if key in seen:
+            raise yaml.YAMLError(f"key {key!r} stands twice, again in line {key_node.start_mark.line + 1}")
+        seen.add(key)
+    return loader.construct_mapping(node, deep=True)
+
+
+_StrictLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping_without_duplicates)
+
+
+def read_mapping(path: Path, what: str, example: str) -> dict[str, Any]:
+    """Read a YAML file that maps names to values.
+
+    Args:
+        path: the file.
+        what: what it is, for messages ("rig").
+        example: a file that is a good one, for messages.
+
+    Raises:
+        BadInput: not there, not readable, too large, not YAML, a key that stands twice, or no mapping.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise BadInput(f"{path}: {path.stat().st_size} bytes, which is no {what} file (a few kB expected)")
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such {what} file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    except (yaml.YAMLError, RecursionError, ValueError, TypeError) as error:
+        raise BadInput(f"{path}: not valid YAML: {' '.join(str(error).split())[:300]}") from None
+    if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
+        raise BadInput(f"{path}: expected a mapping of names to values, as in {example}")
+    return content
+
+
+def validated(schema: type[Schema], content: dict[str, Any], where: str, switches: Collection[str] = ()) -> Schema:
+    """Check a file's content by its schema.
+
+    Args:
+        schema: what the file may hold.
+        content: what it holds.
+        where: the file, for messages.
+        switches: keys that may be yes or no.
+
+    Raises:
+        BadInput: unknown or missing keys, a value of another kind or out of bounds.
+    """
+    for name in _switches(content):
+        if name.rsplit(".", 1)[-1] not in switches:
+            raise BadInput(f"{where}: {name} is yes or no: expected a number")
+    try:
+        return schema(**content)
+    except ValidationError as error:
+        raise BadInput(f"{where}: {_first_complaint(error, schema)}") from None
+    except OverflowError as error:  # pydantic 1 meets an integer of hundreds of digits
+        raise BadInput(f"{where}: a number is too large: {error}") from None
+
+
+def _switches(content: dict[str, Any], prefix: str = "", depth: int = 0) -> Iterator[str]:
+    """Paths of all values that YAML reads as true or false; pydantic would take them for 1 and 0."""
+    for key, value in content.items():
+        if isinstance(value, bool):
+            yield f"{prefix}{key}"
+        elif isinstance(value, dict) and depth < _DEEPEST:
+            yield from _switches(value, f"{prefix}{key}.", depth + 1)
+
+
+def _first_complaint(error: ValidationError, schema: type[BaseModel]) -> str:
+    """One line for the first thing that pydantic found wrong, typos first: they explain missing keys."""
+    complaints = sorted(error.errors(), key=lambda item: "extra" not in str(item["type"]))
+    first = complaints[0]
+    where = ".".join(str(part) for part in first["loc"])
+    if "extra" in str(first["type"]):
+        missing = [str(item["loc"][-1]) for item in complaints if "missing" in str(item["type"])]
+        close = difflib.get_close_matches(str(first["loc"][-1]), missing, 1, cutoff=0.5)
+        text = f"unknown key {where!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
+    elif "missing" in str(first["type"]):
+        text = f"{where} is missing"
+    else:
+        value = f" (found {reprlib.repr(first['input'])[:80]})" if "input" in first else ""
+        text = f"{where}: {str(first['msg'])[:1].lower()}{str(first['msg'])[1:]}{value}"
+        description = _description(first["loc"], schema)
+        if description:
+            text += f"; it is {description}"
+    more = len(complaints) - 1
+    return text + (f"; and {more} more" if more else "")
+
+
+def _description(location: tuple[Any, ...], schema: type[BaseModel]) -> str:
+    """What the schema says about the value at a location."""
+    node: Any = schema
+    text = ""
+    for part in location:
+        fields = getattr(node, "model_fields", None) or getattr(node, "__fields__", {})
+        field = fields.get(part)
+        if field is None:
+            return ""
+        info = getattr(field, "field_info", field)
+        text = info.description or ""
+        node = getattr(field, "annotation", None) or getattr(field, "outer_type_", None)
+        # An optional part of a file is a union of its schema and None.
+        node = next((part for part in get_args(node) if isinstance(part, type) and issubclass(part, BaseModel)), node)
+    return text
