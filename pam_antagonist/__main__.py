@@ -27,6 +27,7 @@ COMMANDS: dict[str, Command] = {
         "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"
     ),
     "simulate": Command("pam_antagonist.cli.simulate:main", "make a recording of a simulated joint"),
+    "import_csv": Command("pam_antagonist.cli.import_csv:main", "make a recording of a CSV file"),
     "benchmark": Command("pam_antagonist.cli.benchmark:main", "measure the speed of estimator, pipeline and replay"),
     "plant": Command("pam_antagonist.nodes.plant:main", "a simulated joint that publishes what its sensors show"),
     "estimator": Command("pam_antagonist.nodes.estimator:main", "the joint's angle and torque from two pressures"),
