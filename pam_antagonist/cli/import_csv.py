@@ -1,0 +1,114 @@
+"""``import_csv``: a lab's CSV file as a recording."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.recording.csv_import import notes, read_csv
+from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map_names
+from pam_antagonist.recording.notes import write_notes
+
+_DESCRIPTION = """\
+Make a recording of a CSV file: a rosbag2 (MCAP) with the topics of a live joint, for replay and identify.
+
+A map, a short YAML file, says which column is what and in which unit; --example prints one that explains
+itself. Pressures may be gauge or absolute, valves columns, constant or sealed. Values that are implausible in
+their unit are refused with the unit that they look like. Missing cells stay missing.
+"""
+_EXAMPLES = """\
+examples:
+  import_csv --example > my_map.yaml          then change it to fit your file
+  import_csv trial_7.csv --map my_map.yaml --out trial_7
+  import_csv sealed_joint.csv --map sealed_joint --out sealed
+"""
+_LONG = 100_000  # samples that take long enough to write to be worth a word
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("import_csv", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the CSV file")
+    out.add_argument(
+        "--map", metavar="MAP", help=f"a YAML file, or the name of a map of the package: {', '.join(map_names())}"
+    )
+    out.add_argument("--out", type=Path, metavar="BAG", help="folder of the bag; a new one")
+    out.add_argument("--example", action="store_true", help="print a map that explains itself, and do nothing else")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    if arguments.example:
+        print(example_text(), end="")
+        return common.DONE
+    _check_given(arguments)
+    common.check_output(arguments.out)
+    mapping = load_map(arguments.map)
+    recording = _read(arguments.file, mapping)
+    with common.output_folder(arguments.out, make=False) as folder:
+        if len(recording) >= _LONG and sys.stderr.isatty():
+            print(f"writing {len(recording):,} samples ...", file=sys.stderr)
+        write_bag(folder, recording)
+        write_notes(folder, notes(arguments.file, mapping))
+    print(_summary(recording, mapping, arguments))
+    return common.DONE
+
+
+def _check_given(arguments: argparse.Namespace) -> None:
+    given = {"FILE": arguments.file, "--map": arguments.map, "--out": arguments.out}
+    missing = [name for name, value in given.items() if value is None]
+    if missing:
+        raise BadInput(f"{', '.join(missing)} missing (see import_csv --help; --example prints a map to begin with)")
+
+
+def _read(path: Path, mapping: CsvMap) -> Recording:
+    size = path.stat().st_size if path.is_file() else 0
+    with common.progress(size, f"read {path.name}", "B") as bar:
+        return read_csv(path, mapping, progress=bar.update)
+
+
+def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespace) -> str:
+    def span(values: NDArray[np.float64] | None, scale: float, unit: str) -> str:
+        if values is None:
+            return "not in the file"
+        return f"{np.nanmin(values) * scale:.4g} to {np.nanmax(values) * scale:.4g} {unit}"
+
+    pressure, voltage = recording.pressure, recording.voltage
+    valves = [
+        f"valve {number} {'sealed' if valve.sealed else span(voltage[:, number - 1], 1.0, 'V')}"
+        for number, valve in enumerate(mapping.valves, 1)
+    ]
+    lines = [
+        f"{arguments.out}: {len(recording)} samples, {recording.duration_s:.3f} s, one each "
+        f"{recording.sample_period_s * 1e3:.4g} ms",
+        f"  pressures {span(pressure[:, 0], 1e-3, 'kPa')} and {span(pressure[:, 1], 1e-3, 'kPa')} absolute",
+        f"  {', '.join(valves)}",
+        f"  angle {span(recording.angle, float(np.degrees(1.0)), 'deg')}, torque {span(recording.torque, 1.0, 'N m')}, "
+        f"external torque {span(recording.external_torque, 1.0, 'N m')}",
+    ]
+    lines += [textwrap.fill(text, 100, initial_indent="! ", subsequent_indent="  ") for text in recording.issues]
+    if mapping.sealed:
+        lines.append(
+            "the rig file for this bag has to say that the chambers are sealed: valve voltages mean nothing in it"
+        )
+    lines.append(f"replay {arguments.out} --rig RIG --out DIR   tells what the estimator makes of it")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

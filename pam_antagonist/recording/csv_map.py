@@ -1,0 +1,250 @@
+"""What the columns of a CSV file are: a YAML file, checked."""
+
+from __future__ import annotations
+
+import codecs
+import difflib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal, Optional, Tuple, Union  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+
+from pydantic import Field, StrictFloat, StrictInt, StrictStr
+
+from ..errors import BadInput
+from ..paths import config_dir
+from ..strict_yaml import Strict, read_mapping, validated
+from .units import UNITS, canonical
+
+Name = Union[StrictInt, StrictStr]  # noqa: UP007
+Delimiter = Literal[",", ";", "|", "\t", "tab", "space"]
+_SWITCHES = ("header", "sealed")
+_LOWEST_ATMOSPHERE, _HIGHEST_ATMOSPHERE = 50e3, 120e3  # [Pa], as in rigs
+QUANTITIES = {
+    "time": "time", "atmosphere": "pressure", "pressure_1": "pressure", "pressure_2": "pressure",
+    "valve_1": "voltage", "valve_2": "voltage", "angle": "angle", "torque": "torque", "external_torque": "torque",
+}  # fmt: skip
+"""Entry of a map -> quantity of ``UNITS`` that its unit is one of."""
+EXAMPLE = "example"
+"""Name of the map that explains maps."""
+
+
+class Layout(Strict):
+    """How the file is written."""
+
+    delimiter: Delimiter = Field(default=",", description="what stands between two cells")
+    decimal: Literal[".", ","] = Field(default=".", description="what stands before the decimals")
+    header: bool = Field(default=True, description="whether the first line names the columns")
+    skip_lines: int = Field(default=0, ge=0, le=10_000, description="lines before the header")
+    skip_after_header: int = Field(default=0, ge=0, le=10_000, description="lines between the header and the first row")
+    comment: Optional[str] = Field(  # noqa: UP045
+        default="#", min_length=1, max_length=10, description="what lines begin with that are left out, or null"
+    )
+    encoding: str = Field(default="utf-8", description="how characters are encoded")
+    missing: Tuple[Union[Name, StrictFloat], ...] = Field(default=(), description="cells that mean no value")  # noqa: UP006, UP007
+
+
+class Time(Strict):
+    """A column, or a rate."""
+
+    column: Optional[Name] = Field(None, description="name of the column, or its number from 1")  # noqa: UP045
+    unit: Optional[str] = Field(None, description="unit of that column")  # noqa: UP045
+    rate: Optional[float] = Field(None, ge=2.0, le=50_000.0, description="rows a second, without a column [Hz]")  # noqa: UP045
+    resample: Optional[float] = Field(  # noqa: UP045
+        None, ge=2.0, le=50_000.0, description="rate of an even grid to put the rows on [Hz]"
+    )
+    out_of_order: Literal["refuse", "drop"] = Field(
+        "refuse", description="what to do about rows that are not later than those before them"
+    )
+
+
+class Column(Strict):
+    """A column with a number in it: value = scale * cell + offset, in the unit."""
+
+    column: Name = Field(description="name of the column, or its number from 1")
+    unit: str = Field(description="unit of scale * cell + offset")
+    scale: float = Field(1.0, description="factor, before the unit; -1 turns the sign")
+    offset: float = Field(0.0, description="what is added after the factor, in the unit")
+
+
+class Pressure(Column):
+    """A muscle's pressure."""
+
+    reference: Literal["gauge", "absolute"] = Field(description="whether 0 is the atmosphere or the vacuum")
+
+
+class Atmosphere(Strict):
+    """What a gauge pressure counts from."""
+
+    pressure: float = Field(description="absolute pressure of the surroundings, in the unit")
+    unit: str
+
+
+class Valve(Strict):
+    """A column, or one voltage for the whole file; ``sealed`` says that no air passes."""
+
+    column: Optional[Name] = Field(None, description="name of the column, or its number from 1")  # noqa: UP045
+    constant: Optional[float] = Field(None, description="voltage throughout, in the unit")  # noqa: UP045
+    sealed: bool = Field(False, description="whether the chamber is closed, so that no air passes")
+    unit: str
+    scale: float = Field(1.0, description="factor, before the unit")
+    offset: float = Field(0.0, description="what is added after the factor, in the unit")
+    holds: Literal["until_row", "from_row"] = Field(
+        "until_row", description="whether a row's voltage was on the valve up to the row's time, or from then on"
+    )
+
+
+class CsvMap(Strict):
+    """The columns of one kind of CSV file. Read one with :func:`load_map`."""
+
+    file: Layout = Layout()
+    time: Time
+    atmosphere: Optional[Atmosphere] = None  # noqa: UP045
+    pressure_1: Pressure
+    pressure_2: Pressure
+    valve_1: Valve
+    valve_2: Valve
+    angle: Optional[Column] = None  # noqa: UP045
+    torque: Optional[Column] = None  # noqa: UP045
+    external_torque: Optional[Column] = None  # noqa: UP045
+
+    @property
+    def pressures(self) -> tuple[Pressure, Pressure]:
+        """Both pressures."""
+        return self.pressure_1, self.pressure_2
+
+    @property
+    def valves(self) -> tuple[Valve, Valve]:
+        """Both valves."""
+        return self.valve_1, self.valve_2
+
+    @property
+    def sealed(self) -> tuple[int, ...]:
+        """Numbers of the muscles whose chambers are sealed."""
+        return tuple(number for number, valve in enumerate(self.valves, 1) if valve.sealed)
+
+    def measured(self) -> dict[str, Column]:
+        """The columns of validation signals that there are: angle, torque, external_torque."""
+        known = {"angle": self.angle, "torque": self.torque, "external_torque": self.external_torque}
+        return {name: column for name, column in known.items() if column is not None}
+
+    def columns(self) -> dict[str, Name]:
+        """Quantity -> column, for everything that is read from the file."""
+        entries: dict[str, Time | Column | Valve] = {
+            "time": self.time, "pressure_1": self.pressure_1, "pressure_2": self.pressure_2,
+            "valve_1": self.valve_1, "valve_2": self.valve_2, **self.measured(),
+        }  # fmt: skip
+        return {name: entry.column for name, entry in entries.items() if entry.column is not None}
+
+
+def map_names() -> list[str]:
+    """Names of the maps that come with the package, without the one that explains."""
+    return sorted(path.stem for path in (config_dir() / "maps").glob("*.yaml") if path.stem != EXAMPLE)
+
+
+def example_text() -> str:
+    """A map that explains itself."""
+    return (config_dir() / "maps" / f"{EXAMPLE}.yaml").read_text(encoding="utf-8")
+
+
+def load_map(name_or_path: str | Path) -> CsvMap:
+    """Read and check a map.
+
+    Args:
+        name_or_path: the path of a YAML file, or the name of one in ``config/maps`` (``sealed_joint``).
+
+    Raises:
+        BadInput: not there, not readable, an unknown key or unit, entries that contradict each other.
+    """
+    path = _locate(str(name_or_path))
+    content = read_mapping(path, "map", "import_csv --example")
+    found = validated(CsvMap, content, str(path), _SWITCHES)
+    for complaint in _contradictions(found):
+        raise BadInput(f"{path}: {complaint}")
+    found = _in_known_units(str(path), found)
+    if found.atmosphere is not None:
+        _check_atmosphere(str(path), found.atmosphere)
+    return found
+
+
+def _locate(name: str) -> Path:
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    if name not in map_names():
+        close = difflib.get_close_matches(name, map_names(), 1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise BadInput(f"unknown map {name!r}: expected a .yaml file or one of {', '.join(map_names())}{hint}")
+    return config_dir() / "maps" / f"{name}.yaml"
+
+
+def _contradictions(found: CsvMap) -> Iterator[str]:
+    """What the schema cannot see."""
+    time = found.time
+    if (time.column is None) == (time.rate is None):
+        yield "time: expected either column (with its unit) or rate"
+    if time.column is not None and time.unit is None:
+        yield f"time.unit is missing: expected one of {', '.join(UNITS['time'])}"
+    for name, valve in (("valve_1", found.valve_1), ("valve_2", found.valve_2)):
+        if valve.sealed and (valve.column is not None or valve.constant is None):
+            yield (
+                f"{name} is sealed: expected constant, the voltage to write for it (that at which the valve is "
+                "closed, or 0 where there is no valve), and no column"
+            )
+        if (valve.column is None) == (valve.constant is None):
+            yield f"{name}: expected either column or constant"
+        if valve.constant is not None and (valve.scale, valve.offset, valve.holds) != (1.0, 0.0, "until_row"):
+            yield f"{name} is constant: expected no scale, offset or holds"
+    for name, entry in _scaled(found):
+        if entry.scale == 0.0:
+            yield f"{name}.scale is 0: expected the factor between cells and values"
+    gauges = [name for name in ("pressure_1", "pressure_2") if getattr(found, name).reference == "gauge"]
+    if gauges and found.atmosphere is None:
+        yield f"atmosphere is missing: {gauges[0]} is gauge pressure, and bags hold absolute pressure"
+    yield from _columns_twice(found)
+    if not found.file.header:
+        if found.file.skip_after_header:
+            yield "file.skip_after_header is given, but the file has no header: expected file.skip_lines"
+        for name, column in found.columns().items():
+            if isinstance(column, str):
+                yield f"{name}.column is {column!r}, but the file has no header: expected the column's number, from 1"
+    try:
+        codecs.lookup(found.file.encoding)
+    except (LookupError, ValueError):  # ValueError: a name with a zero byte
+        yield f"file.encoding: unknown encoding {found.file.encoding[:40]!r}, expected such as utf-8, cp1252 or utf-16"
+
+
+def _columns_twice(found: CsvMap) -> Iterator[str]:
+    """Two quantities from one column. Two valves may be driven by one signal, but nothing else may."""
+    seen: dict[Name, str] = {}
+    for name, column in found.columns().items():
+        if isinstance(column, int) and column < 1:
+            yield f"{name}.column is {column}: columns are counted from 1"
+        if column in seen and {name, seen[column]} != {"valve_1", "valve_2"}:
+            yield f"{name} and {seen[column]} are the same column, {column!r}"
+        seen[column] = name
+
+
+def _scaled(found: CsvMap) -> list[tuple[str, Column | Valve]]:
+    return [
+        ("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2),
+        ("valve_1", found.valve_1), ("valve_2", found.valve_2), *found.measured().items(),
+    ]  # fmt: skip
+
+
+def _in_known_units(path: str, found: CsvMap) -> CsvMap:
+    """The same map with every unit as it stands in ``UNITS``."""
+    changed = {}
+    for name, quantity in QUANTITIES.items():
+        entry = getattr(found, name)
+        if entry is not None and entry.unit is not None:
+            changed[name] = entry.replaced(unit=canonical(f"{path}: {name}.unit", quantity, entry.unit))
+    return found.replaced(**changed)
+
+
+def _check_atmosphere(path: str, atmosphere: Atmosphere) -> None:
+    pascal = atmosphere.pressure * UNITS["pressure"][atmosphere.unit]
+    if not _LOWEST_ATMOSPHERE <= pascal <= _HIGHEST_ATMOSPHERE:
+        raise BadInput(
+            f"{path}: atmosphere.pressure is {atmosphere.pressure:g} {atmosphere.unit} = {pascal:g} Pa, expected "
+            f"{_LOWEST_ATMOSPHERE:g} to {_HIGHEST_ATMOSPHERE:g} Pa absolute; at sea level it is 101325 Pa"
+        )

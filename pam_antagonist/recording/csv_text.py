@@ -1,0 +1,167 @@
+"""A CSV file as lines of text that hold something, cut into cells."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+from ..errors import BadInput
+from .csv_map import Layout
+
+_LONGEST_LINE = 1 << 20
+_SNIFFED = 4096
+_DELIMITERS = {"tab": "\t", "space": " "}
+_BINARY = {b"PK\x03\x04": "a zip file, such as of a spreadsheet program: save it as CSV there",
+           b"\x1f\x8b": "packed with gzip: unpack it first", b"\x89HDF": "an HDF5 file: export it as CSV",
+           b"MATLAB": "a MATLAB file: export it as CSV", b"\x89MCAP": "a bag already"}  # fmt: skip
+
+
+def check_file(path: Path) -> int:
+    """Size of a file that may be text [bytes].
+
+    Raises:
+        BadInput: not there, not readable, empty, or a file of another kind.
+    """
+    try:
+        if not path.exists():
+            raise BadInput(f"{path}: no such file")
+        if not path.is_file():
+            raise BadInput(f"{path}: not a file, expected a CSV file")
+        with path.open("rb") as stream:
+            start = stream.read(_SNIFFED)
+        size = path.stat().st_size
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:  # a name with a zero byte
+        raise BadInput(f"{path!s}: no file can have this name: {error}") from None
+    if size == 0:
+        raise BadInput(f"{path}: is empty, expected a CSV file")
+    for magic, what in _BINARY.items():
+        if start.startswith(magic):
+            raise BadInput(f"{path}: not a CSV file but {what}")
+    if b"\0" in start and not start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise BadInput(f"{path}: not a text file (it holds zero bytes), expected a CSV file")
+    return size
+
+
+@contextmanager
+def opened(path: Path, layout: Layout) -> Iterator[TextIO]:
+    """The file as text; a byte order mark decides over the declared encoding.
+
+    Raises:
+        BadInput: not readable.
+    """
+    try:
+        with path.open("rb") as raw:
+            start = raw.read(4)
+        encoding = layout.encoding
+        if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+            encoding = "utf-16"
+        elif start.startswith(b"\xef\xbb\xbf"):
+            encoding = "utf-8-sig"
+        with path.open(encoding=encoding) as stream:
+            yield stream
+    except LookupError:
+        raise BadInput(f"{path}: file.encoding is {layout.encoding}, which is no encoding of text") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+class Line(NamedTuple):
+    """A line of the file.
+
+    Attributes:
+        number: counted from 1, as editors do.
+        text: with the line break.
+    """
+
+    number: int
+    text: str
+
+
+class Lines:
+    """The lines of a file that hold something: no blank ones, no comments.
+
+    Attributes:
+        unterminated: whether the last line that was read had no line break, as the last one of a file may.
+
+    Raises:
+        BadInput: while iterating, a line that is too long or no text in the declared encoding.
+    """
+
+    def __init__(self, path: Path, layout: Layout, stream: TextIO) -> None:
+        self._path, self._stream, self._layout = path, stream, layout
+        self._number = 0
+        self._blank = ' \t\r\n"' + _delimiter(layout)
+        self.unterminated = False
+
+    def __iter__(self) -> Iterator[Line]:
+        return self
+
+    def __next__(self) -> Line:
+        comment = self._layout.comment
+        while text := self._raw():
+            if text.strip(self._blank) and not (comment and text.lstrip().startswith(comment)):
+                return Line(self._number, text)
+        raise StopIteration
+
+    def skip(self, count: int) -> None:
+        """Pass over lines, whatever they hold."""
+        for _ in range(count):
+            self._raw()
+
+    def _raw(self) -> str:
+        try:
+            text = self._stream.readline(_LONGEST_LINE)
+        except UnicodeError:
+            raise BadInput(
+                f"{self._path}: after line {self._number} a character is not {self._layout.encoding}; give "
+                "file.encoding in the map, cp1252 for files of older Windows programs"
+            ) from None
+        self._number += 1
+        if text:
+            self.unterminated = not text.endswith("\n")
+        if len(text) >= _LONGEST_LINE:
+            raise BadInput(
+                f"{self._path}: line {self._number} has over a million characters, expected a row of numbers"
+            )
+        if "\0" in text:
+            raise BadInput(f"{self._path}: line {self._number} holds a zero byte, expected text")
+        return text
+
+
+def other_delimiter(layout: Layout, text: str) -> str:
+    """A delimiter that would cut the text into more than one cell, in words; "" where there is none."""
+    words = {";": "';'", "\t": "tab", "|": "'|'", ",": "','", " ": "space"}
+    return next((word for mark, word in words.items() if mark in text.strip() and mark != _delimiter(layout)), "")
+
+
+def _delimiter(layout: Layout) -> str:
+    return _DELIMITERS.get(layout.delimiter, layout.delimiter)
+
+
+def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
+    """Cells of each line.
+
+    Raises:
+        BadInput: a quotation that does not end in its line, or a cell that is too long.
+    """
+    if layout.delimiter == "space":
+        return [line.text.split() for line in lines]
+    try:
+        rows = list(csv.reader((line.text for line in lines), delimiter=_delimiter(layout), skipinitialspace=True))
+    except csv.Error as error:
+        raise BadInput(f"{path}: between lines {lines[0].number} and {lines[-1].number}: {error}") from None
+    if len(rows) != len(lines):
+        odd = next((line for line in lines if line.text.count('"') % 2), lines[0])
+        raise BadInput(f"{path}: line {odd.number} opens a quotation mark and does not close it: {shown(odd.text)}")
+    return rows
+
+
+def shown(text: str) -> str:
+    """Text of a file as it may stand in a message: in one line, and not too long."""
+    text = " ".join(text.split())
+    return text if len(text) <= 60 else text[:57] + "..."

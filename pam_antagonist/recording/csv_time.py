@@ -1,0 +1,162 @@
+"""When the rows of a CSV file were taken: stamps from a column or a rate, and what is odd about them.
+
+Rows keep the times that were measured: the estimator and the identification take jitter and gaps as they are. What they
+cannot take (repeated or backward times, rows at just any time) is refused, unless the map says what to do about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+from .csv_map import Time
+from .csv_table import Table
+from .units import UNITS
+
+Stamps = NDArray[np.int64]
+
+START_NS = 1_000_000_000_000_000_000
+"""Stamp of the first row (in 2001) where its column does not count from 1970: one file always gives one bag."""
+
+_FIRST_EPOCH, _LAST_EPOCH = 900_000_000.0, 2_147_483_000.0  # [s] since 1970; ROS stamps end with 31 bits of seconds
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 20e-6, 0.5  # [s] that are believed
+_USUAL_PERIOD = 2e-3  # [s]
+_LONGEST = 100_000_000.0  # [s] from the first to the last row: three years
+_ODD = 0.5  # an interval that differs from the median by more than this share of it is no jitter
+_UNEVEN_SHARE = 0.05  # share of such intervals from which on there is no sample period to speak of
+_DROPPED_SHARE = 0.05  # share of rows out of order from which on dropping them would hide something else
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """When the rows were taken.
+
+    Attributes:
+        stamp_ns: Stamps of the kept rows (M,) [ns], strictly increasing.
+        keep: Indices of the kept rows in the file (M,).
+        issues: Sentences about what was dropped or is odd.
+    """
+
+    stamp_ns: Stamps
+    keep: NDArray[np.intp]
+    issues: tuple[str, ...]
+
+
+def timing(where: str, time: Time, table: Table) -> Timing:
+    """Stamps of the rows.
+
+    Args:
+        where: The file, for messages.
+        time: What the map says about time.
+        table: The file's numbers; those of "time" are used where the map names a column.
+
+    Raises:
+        BadInput: Fewer than two rows, times that are missing, repeat, run backwards or are uneven, or a unit that
+            makes the sample period unbelievable.
+    """
+    if len(table) < 2:
+        raise BadInput(f"{where}: {len(table)} row of numbers, expected at least two")
+    if time.rate is not None:
+        return Timing(START_NS + _grid(len(table), time.rate), np.arange(len(table)), ())
+    assert time.unit is not None
+    issues: list[str] = []
+    cells = table.values["time"]
+    keep = _in_order(where, time, table, issues)
+    seconds = cells[keep] * UNITS["time"][time.unit]
+    _check_period(where, table.labels["time"], time.unit, cells[keep])
+    if seconds[-1] - seconds[0] > _LONGEST:
+        index = int(np.argmax(np.diff(seconds))) + 1
+        raise BadInput(
+            f"{where}: line {table.line[keep[index]]}: {table.labels['time']} jumps by {np.diff(seconds).max():.4g} s"
+        )
+    # Differences first: an epoch in ns has more digits than a float.
+    since = np.rint((cells[keep] - cells[keep[0]]) * UNITS["time"][time.unit] * 1e9).astype(np.int64)
+    epoch = _FIRST_EPOCH <= seconds[0] and seconds[-1] <= _LAST_EPOCH
+    stamp_ns = (round(float(seconds[0]) * 1e6) * 1000 if epoch else START_NS) + since
+    if np.any(np.diff(stamp_ns) <= 0):
+        raise BadInput(f"{where}: {table.labels['time']} has steps of less than a nanosecond")
+    _judge_intervals(where, time, table, keep, since, issues)
+    return Timing(stamp_ns, keep, tuple(issues))
+
+
+def even_grid(stamp_ns: Stamps, rate: float) -> Stamps:
+    """Stamps at a rate [Hz] from the first to the last one given (M,) [ns]."""
+    count = int((stamp_ns[-1] - stamp_ns[0]) * 1e-9 * rate + 1e-6) + 1
+    return np.asarray(stamp_ns[0] + _grid(count, rate))
+
+
+def _grid(count: int, rate: float) -> Stamps:
+    return np.asarray(np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64))
+
+
+def _in_order(where: str, time: Time, table: Table, issues: list[str]) -> NDArray[np.intp]:
+    """Rows that are later than all before them; whether others may be there is up to the map."""
+    cells, label = table.values["time"], table.labels["time"]
+    known = np.isfinite(cells)
+    newest = np.maximum.accumulate(np.where(known, cells, -np.inf))
+    later = known & (cells > np.concatenate(([-np.inf], newest[:-1])))
+    wrong = np.flatnonzero(~later)
+    if len(wrong) == 0:
+        return np.arange(len(cells))
+    row = int(wrong[0])
+    if time.out_of_order == "drop" and len(wrong) <= max(1, _DROPPED_SHARE * len(cells)):
+        issues.append(
+            f"{len(wrong)} rows are not later than those before them, the first in line {table.line[row]}: dropped"
+        )
+        return np.flatnonzero(later)
+    begin = f"{where}: line {table.line[row]}: {label}"
+    if not known[row]:
+        what, hint = "is missing", "give out_of_order: drop under time to leave such rows out"
+    elif cells[row] == newest[row - 1]:
+        what = f"repeats, {cells[row]:.12g} {time.unit}"
+        hint = (
+            "where the column has too few decimals but the rows came evenly, give time: {rate: ROWS_PER_SECOND} in "
+            "place of it; where a few rows were written twice, give out_of_order: drop"
+        )
+    else:
+        what = f"runs backwards, {cells[row]:.12g} {time.unit} after {newest[row - 1]:.12g} {time.unit}"
+        hint = "cut a file that holds several recordings at such lines; for a few stray rows, give out_of_order: drop"
+    many = f" ({len(wrong)} of {len(cells)} rows are not later than those before them)" if len(wrong) > 1 else ""
+    raise BadInput(f"{begin} {what}{many}, expected increasing times; {hint}")
+
+
+def _check_period(where: str, label: str, unit: str, cells: NDArray[np.float64]) -> None:
+    if len(cells) < 2:
+        raise BadInput(f"{where}: one row with a usable time, expected at least two")
+    step = float(np.median(np.diff(cells)))
+    period = step * UNITS["time"][unit]
+    if _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
+        return
+    fits = {name: abs(np.log(step * factor / _USUAL_PERIOD)) for name, factor in UNITS["time"].items()
+            if _SHORTEST_PERIOD <= step * factor <= _LONGEST_PERIOD}  # fmt: skip
+    hint = f"; steps of {step:.4g} look like {min(fits, key=lambda name: fits[name])}" if fits else ""
+    counter = "; if it only counts rows, give time: {rate: ROWS_PER_SECOND} in place of it" if step == 1.0 else ""
+    raise BadInput(
+        f"{where}: {label} declared in {unit} makes {period:.4g} s between rows, expected {_SHORTEST_PERIOD:g} to "
+        f"{_LONGEST_PERIOD:g} s{hint}{counter}"
+    )
+
+
+def _judge_intervals(
+    where: str, time: Time, table: Table, keep: NDArray[np.intp], since: Stamps, issues: list[str]
+) -> None:
+    """Say how even the rows are; refuse those that are at any time but evenly."""
+    interval = np.diff(since) * 1e-9
+    median = float(np.median(interval))
+    odd = np.abs(interval - median) > _ODD * median
+    if np.count_nonzero(odd) > _UNEVEN_SHARE * len(interval) and time.resample is None:
+        raise BadInput(
+            f"{where}: {table.labels['time']} is uneven, {100.0 * np.mean(odd):.0f} % of the intervals differ by more "
+            f"than half from the median of {median * 1e3:.4g} ms (from {interval.min() * 1e3:.4g} to "
+            f"{interval.max() * 1e3:.4g} ms); give time.resample, the rate [Hz] of an even grid to put the rows on"
+        )
+    if np.any(odd):
+        longest = int(np.argmax(interval))
+        issues.append(
+            f"{np.count_nonzero(odd)} of {len(interval)} intervals between rows are no {median * 1e3:.4g} ms, the "
+            f"longest ({interval[longest] * 1e3:.4g} ms) before line {table.line[keep[longest + 1]]}"
+            + ("" if time.resample is not None else ": times kept as they are")
+        )

@@ -1,0 +1,59 @@
+"""Units that CSV columns come in, and what they are in SI units."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from ..errors import BadInput
+
+# psi: one pound-force (0.45359237 kg at 9.80665 m/s²) on a square inch (0.0254 m); exact by definition, like lbf.
+_POUND_FORCE = 0.45359237 * 9.80665
+_TABLE = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "pressure": {
+        "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5, "psi": _POUND_FORCE / 0.0254**2,
+    },
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
+    "torque": {
+        "N m": 1.0, "N cm": 1e-2, "N mm": 1e-3, "mN m": 1e-3, "kgf cm": 9.80665e-2, "lbf in": _POUND_FORCE * 0.0254,
+    },
+    "voltage": {"V": 1.0, "mV": 1e-3},
+}  # fmt: skip
+
+UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {quantity: MappingProxyType(units) for quantity, units in _TABLE.items()}
+)
+"""Quantity -> unit -> how many SI units (s, Pa, rad, N m, V) one of it is."""
+
+_ALIASES = {"µs": "us", "μs": "us", "°": "deg", "degrees": "deg", "degree": "deg"}
+
+
+def canonical(where: str, quantity: str, unit: str) -> str:
+    """The unit as it stands in ``UNITS``; spaces and dots between the parts of a product do not matter.
+
+    Upper and lower case do: MPa is a thousand million mPa.
+
+    Args:
+        where: where the unit was given, for the message.
+        quantity: a key of ``UNITS``.
+        unit: as it was written, such as "Nm", "N·m" or "kPa".
+
+    Raises:
+        BadInput: no such unit of this quantity.
+    """
+    known = UNITS[quantity]
+    bare = {_bare(name): name for name in known}
+    text = _bare(_ALIASES.get(unit.strip(), unit))
+    if text in bare:
+        return bare[text]
+    lower = {name.lower(): name for name in bare}
+    close = difflib.get_close_matches(text.lower(), lower, 1, cutoff=0.6)
+    hint = f"; did you mean {bare[lower[close[0]]]}?" if close else ""
+    raise BadInput(f"{where}: unknown unit {unit[:40]!r} of {quantity}, expected one of {', '.join(known)}{hint}")
+
+
+def _bare(unit: str) -> str:
+    return "".join(letter for letter in unit if letter not in " ·*.-")

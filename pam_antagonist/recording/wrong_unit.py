@@ -1,0 +1,208 @@
+"""Values that are implausible in the unit that they were declared in, and which unit they look like.
+
+What is plausible is said once, in :mod:`~pam_antagonist.recording.plausible`; here the declared unit is told apart from
+others in which the same numbers would be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+from . import plausible
+from .units import UNITS
+
+Floats = NDArray[np.float64]
+
+STANDARD_ATMOSPHERE = 101_325.0
+"""[Pa]"""
+_PRESSURIZED = 15e3  # [Pa] over the atmosphere; a muscle that never holds more was never used
+_USUAL_PRESSURE = 300e3  # [Pa] over the atmosphere
+_USUAL_ANGLE = math.radians(20.0)
+_STILL = math.radians(0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Numbers of a CSV column.
+
+    Attributes:
+        label: Quantity and column, for messages.
+        values: (N,) in the unit, NaN where missing.
+        unit: Declared unit.
+        reference: Of a pressure: "gauge" or "absolute".
+    """
+
+    label: str
+    values: Floats
+    unit: str
+    reference: str = ""
+
+    @property
+    def span(self) -> str:
+        """Lowest and highest value, with the unit as declared."""
+        finite = self.values[np.isfinite(self.values)]
+        return f"{finite.min():.4g} to {finite.max():.4g} {self.unit}" + (
+            f" {self.reference}" if self.reference else ""
+        )
+
+
+def pascal(values: Floats, unit: str, reference: str, atmosphere: float) -> Floats:
+    """Absolute pressure [Pa] of values in a unit."""
+    return np.asarray(values * UNITS["pressure"][unit] + (atmosphere if reference == "gauge" else 0.0))
+
+
+def check_pressures(where: str, first: Signal, second: Signal, atmosphere: float, issues: list[str]) -> None:
+    """Refuse pressures that no muscle can have, or that leave both muscles slack.
+
+    Args:
+        where: The file.
+        first: Pressure of muscle 1 as declared.
+        second: Pressure of muscle 2.
+        atmosphere: Absolute pressure of the surroundings [Pa].
+        issues: Gets sentences about single odd values and a muscle that is never pressurised.
+
+    Raises:
+        BadInput: With the unit or reference that the numbers look like.
+    """
+    slack = []
+    for signal in (first, second):
+        values = pascal(signal.values, signal.unit, signal.reference, atmosphere)
+        try:
+            plausible.check_pressure(where, signal.label, values, issues)
+        except BadInput:
+            raise BadInput(_pressure_message(where, signal, values, atmosphere)) from None
+        if _top(values) - atmosphere < _PRESSURIZED:
+            slack.append((signal, values))
+    # One vented muscle is a way to use a joint, unless it has a unit of its own and fits another one. Two are not.
+    apart = (first.unit, first.reference) != (second.unit, second.reference)
+    if len(slack) == 2 or (slack and apart and _other_pressure(slack[0][0], atmosphere)):
+        raise BadInput(_pressure_message(where, *slack[0], atmosphere))
+    for signal, _ in slack:
+        issues.append(f"{signal.label} stays at the atmosphere's pressure, {signal.span}: was it never filled?")
+
+
+def _pressure_message(where: str, signal: Signal, values: Floats, atmosphere: float) -> str:
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return f"{where}: {signal.label} holds no value in {len(values)} rows"
+    text = (
+        f"{where}: {signal.label} goes from {signal.span}, which makes {finite.min() / 1e3:.4g} to "
+        f"{finite.max() / 1e3:.4g} kPa absolute, expected the pressures of a filled muscle, "
+        f"{plausible.MIN_PRESSURE / 1e3:g} to {plausible.MAX_PRESSURE / 1e3:g} kPa absolute"
+    )
+    other = _other_pressure(signal, atmosphere)
+    if other:
+        return f"{text}; {_top(signal.values):.3g} looks like {other}"
+    return text + ("" if np.any(finite != finite[0]) else "; it is the same throughout: is the sensor connected?")
+
+
+def _other_pressure(signal: Signal, atmosphere: float) -> str:
+    """What the numbers would be the pressures of a filled muscle in, other than the declared; "" for nothing."""
+    fits: dict[tuple[str, str], float] = {}
+    for unit in UNITS["pressure"]:
+        for reference in ("gauge", "absolute"):
+            values = pascal(signal.values, unit, reference, atmosphere)
+            over = _top(values) - atmosphere
+            if over >= _PRESSURIZED and _passes(plausible.check_pressure, values):
+                fits[unit, reference] = abs(math.log(over / _USUAL_PRESSURE))
+    # The same unit with the other reference is the smaller mistake; then the same reference.
+    for chosen in (
+        [fit for fit in fits if fit[0] == signal.unit and fit[1] != signal.reference],
+        [fit for fit in fits if fit[0] != signal.unit and fit[1] == signal.reference],
+        [fit for fit in fits if fit[0] != signal.unit],
+    ):
+        if chosen:
+            unit, reference = min(chosen, key=lambda fit: fits[fit])
+            return f"{reference} pressure" if unit == signal.unit else unit
+    return ""
+
+
+def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
+    """Refuse an angle beyond half a turn.
+
+    Raises:
+        BadInput: With the unit that the numbers look like.
+    """
+    factor = UNITS["angle"][signal.unit]
+    try:
+        plausible.check_angle(where, signal.label, signal.values * factor, issues)
+    except BadInput:
+        hint = _looks_like(signal, "angle", plausible.check_angle, _USUAL_ANGLE)
+        if not hint or signal.unit == "deg":  # many encoders count degrees from a mark of their own
+            hint += "; give offset if the sensor counts from elsewhere"
+        raise BadInput(
+            f"{where}: {signal.label} goes from {signal.span}, expected within half a turn of 0, where the muscles are "
+            f"equally long{hint}"
+        ) from None
+    finite = signal.values[np.isfinite(signal.values)]
+    if signal.unit == "deg" and len(finite) and np.ptp(finite) * factor < _STILL and np.ptp(finite) > _STILL:
+        issues.append(f"{signal.label} goes from {signal.span}: a locked joint? {np.ptp(finite):.3g} could be rad")
+
+
+def check_torque(where: str, signal: Signal, issues: list[str]) -> None:
+    """Refuse a torque that no such joint bears.
+
+    Raises:
+        BadInput: With the unit that the numbers look like.
+    """
+    try:
+        plausible.check_torque(where, signal.label, signal.values * UNITS["torque"][signal.unit], issues)
+    except BadInput:
+        hint = _looks_like(signal, "torque", plausible.check_torque, 2.0)
+        raise BadInput(
+            f"{where}: {signal.label} goes from {signal.span}, expected up to {plausible.MAX_TORQUE:g} N m{hint}"
+        ) from None
+
+
+def check_voltage(where: str, signal: Signal, issues: list[str]) -> None:
+    """Refuse voltages beyond 0 to 10 V, and millivolts that leave a valve where it is.
+
+    Raises:
+        BadInput: With the unit that the numbers look like.
+    """
+    volt = signal.values * UNITS["voltage"][signal.unit]
+    finite = volt[np.isfinite(volt)]
+    if not len(finite):
+        raise BadInput(f"{where}: {signal.label} holds no value in {len(volt)} rows")
+    try:
+        plausible.check_voltage(where, signal.label, volt, issues)
+        tiny = signal.unit != "V" and 0.0 < np.abs(finite).max() < 0.05
+    except BadInput:
+        tiny = True
+    if tiny:
+        hint = _looks_like(signal, "voltage", plausible.check_voltage, 5.0)
+        raise BadInput(
+            f"{where}: {signal.label} goes from {signal.span}, expected 0 to 10 V"
+            f"{hint or '; give scale and offset where a column holds something else, such as percent'}"
+        )
+
+
+def _looks_like(signal: Signal, quantity: str, check: Callable[..., None], usual: float) -> str:
+    """ "; 366 looks like kPa", or "" where the numbers are implausible in every unit."""
+    top = _top(np.abs(signal.values))
+    fits = {
+        unit: abs(math.log(top * factor / usual))
+        for unit, factor in UNITS[quantity].items()
+        if unit != signal.unit and top > 0.0 and _passes(check, signal.values * factor)
+    }
+    return f"; {top:.3g} looks like {min(fits, key=lambda unit: fits[unit])}" if fits else ""
+
+
+def _passes(check: Callable[..., None], values: Floats) -> bool:
+    try:
+        check("", "", values, [])
+    except BadInput:
+        return False
+    return True
+
+
+def _top(values: Floats) -> float:
+    """What nearly all values stay below; NaN for none."""
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, 0.99)) if len(finite) else math.nan

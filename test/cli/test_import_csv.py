@@ -1,0 +1,204 @@
+"""``import_csv`` from the command line: a bag that replay reads, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.__main__ import main as dispatch
+from pam_antagonist.cli import import_csv, replay
+from pam_antagonist.cli.import_csv import main
+from pam_antagonist.recording import read_bag
+from pam_antagonist.recording.notes import sealed_muscles
+
+FILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured" / "sealed_joint" / "sealed_joint.csv"
+MAP = """\
+time: {column: "time [ms]", unit: ms}
+pressure_1: {column: "p1 [bar]", unit: bar, reference: gauge}
+pressure_2: {column: "p2 [bar]", unit: bar, reference: gauge}
+atmosphere: {pressure: 101.3, unit: kPa}
+valve_1: {column: u1, unit: V}
+valve_2: {column: u2, unit: V}
+angle: {column: phi, unit: deg, scale: -1}
+torque: {column: tau, unit: N mm}
+"""
+
+
+@pytest.fixture
+def as_csv(bag: Path, tmp_path: Path) -> Path:
+    """The simulated recording of ``bag`` as a lab would have it, with its map beside it."""
+    recording = read_bag(bag)
+    assert recording.angle is not None and recording.torque is not None
+    columns = np.column_stack(
+        [
+            np.arange(len(recording)),
+            (recording.pressure - 101.3e3) * 1e-5,
+            recording.voltage,
+            -np.degrees(recording.angle),
+            recording.torque * 1e3,
+        ]
+    )
+    names = "time [ms],p1 [bar],p2 [bar],u1,u2,phi,tau"
+    np.savetxt(tmp_path / "trial.csv", columns, fmt="%.17g", delimiter=",", header=names, comments="")
+    (tmp_path / "map.yaml").write_text(MAP)
+    return tmp_path / "trial.csv"
+
+
+def arguments(file: Path, out: Path) -> list[str]:
+    return [str(file), "--map", str(file.parent / "map.yaml"), "--out", str(out)]
+
+
+def test_a_recording_comes_back_from_its_csv_file(
+    bag: Path, as_csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments(as_csv, tmp_path / "deep" / "out")) == 0
+    before, after = read_bag(bag), read_bag(tmp_path / "deep" / "out")
+    assert np.diff(after.stamp_ns).tolist() == np.diff(before.stamp_ns).tolist()
+    for name in ("pressure", "voltage", "angle", "torque"):
+        assert getattr(after, name) == pytest.approx(getattr(before, name), rel=1e-12, abs=1e-12), name
+    assert after.issues == ()
+    said = capsys.readouterr().out
+    assert f"{len(before)} samples" in said and "one each 1 ms" in said and "external torque not in the file" in said
+
+
+def test_replay_of_the_csv_file_is_replay_of_the_recording(bag: Path, as_csv: Path, tmp_path: Path) -> None:
+    assert main(arguments(as_csv, tmp_path / "imported")) == 0
+    reports = []
+    for path, out in ((bag, "a"), (tmp_path / "imported", "b")):
+        assert replay.main([str(path), "--rig", "shin2022", "--out", str(tmp_path / out), "--no-figures"]) == 0
+        reports.append(json.loads((tmp_path / out / "report.json").read_text()))
+    for name in ("angle", "torque"):
+        assert reports[1]["ukf"][name] == pytest.approx(reports[0]["ukf"][name], rel=1e-6)
+
+
+@pytest.mark.skipif(not FILE.exists(), reason="no ../shared/data/measured beside the project")
+def test_the_sealed_joint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "sealed"
+    assert main([str(FILE), "--map", "sealed_joint", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "valve 1 sealed, valve 2 sealed" in said
+    assert "the rig file for this bag has to say that the chambers are sealed" in said
+    assert sealed_muscles(out) == (1, 2)
+    recording = read_bag(out)
+    assert recording.external_torque is not None and recording.angle is not None
+    assert recording.pressure.min() > 450e3 and np.degrees(recording.angle.max()) == pytest.approx(6.06, abs=0.01)
+    assert np.abs(recording.external_torque).max() == pytest.approx(1.0, abs=1e-3)
+
+
+def test_what_was_odd_is_said(as_csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = as_csv.read_text().splitlines(keepends=True)
+    cells = lines[100].split(",")
+    lines[100] = ",".join([*cells[:5], "", *cells[6:]])
+    as_csv.write_text("".join(lines[:500] + lines[700:]))
+    assert main(arguments(as_csv, tmp_path / "out")) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "! 1 of 3800 samples without angle (column 'phi')" in said
+    assert "no 1 ms, the longest (201 ms) before line 501: times kept as they are" in said
+
+
+def test_an_existing_output_is_left_alone(as_csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "precious").touch()
+    assert main(arguments(as_csv, tmp_path / "out")) == 2
+    assert "nothing is overwritten" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["precious"]
+
+
+@pytest.mark.parametrize("where", ["write_bag", "write_notes"])
+def test_nothing_is_left_of_an_output_that_failed(
+    as_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], where: str
+) -> None:
+    before = sorted(tmp_path.iterdir())
+    real = getattr(import_csv, where)
+
+    def full_disk(folder: Path, *rest: object) -> None:
+        real(folder, *rest)
+        assert (folder / "metadata.yaml").exists() and not (tmp_path / "out").exists()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(import_csv, where, full_disk)
+    assert main(arguments(as_csv, tmp_path / "out")) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("edit", "says"),
+    [
+        (lambda text: text.replace("p1 [bar]", "P1 [bar]", 1), "there is no column 'p1 [bar]'"),
+        (lambda text: "", "is empty"),
+        (lambda text: text.replace(",", ";"), "is the delimiter ';'?"),
+        (lambda text: text.replace("\n1000,", "\n1000,x"), "line 1002, pressure_1 (column 'p1 [bar]')"),
+    ],
+)
+def test_a_bad_file_is_one_line_and_no_output(
+    as_csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], edit: Callable[[str], str], says: str
+) -> None:
+    as_csv.write_text(edit(as_csv.read_text()))
+    assert main(arguments(as_csv, tmp_path / "out")) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {as_csv}: ") and says in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_wrong_unit_is_caught_with_a_hint(as_csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "map.yaml").write_text(MAP.replace("unit: bar", "unit: kPa"))
+    assert main(arguments(as_csv, tmp_path / "out")) == 2
+    assert "looks like bar" in capsys.readouterr().err
+    (tmp_path / "map.yaml").write_text(MAP.replace("unit: ms", "unit: s"))
+    assert main(arguments(as_csv, tmp_path / "out")) == 2
+    assert "steps of 1 look like ms" in capsys.readouterr().err
+
+
+def test_the_example_is_printed_and_nothing_else_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--example"]) == 0
+    assert "pressure_1: {column: p1, unit: kPa, reference: gauge}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "given", [[], ["trial.csv"], ["trial.csv", "--map", "m.yaml"], ["--map", "m.yaml", "--out", "o"]]
+)
+def test_missing_arguments_are_named(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(given) == 2
+    error = capsys.readouterr().err
+    for name in ("FILE", "--map", "--out"):
+        wanted = not (name in given or (name == "FILE" and "trial.csv" in given))
+        assert (f"{name}," in error or f"{name} missing" in error) == wanted, name
+    assert error.count("\n") == 1 and "--example" in error
+
+
+def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
+    assert dispatch(["import_csv", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "examples:" in text and "--example" in text and "sealed_joint" in text
+
+
+def test_it_loads_no_ros_and_no_estimator(
+    python: Callable[..., subprocess.CompletedProcess[str]], as_csv: Path
+) -> None:
+    given = [*arguments(as_csv, as_csv.parent / "out")]
+    code = f"""
+import sys
+from pam_antagonist.__main__ import main
+status = main(["import_csv", *{given!r}])
+heavy = [name for name in ("rclpy", "numba", "scipy", "plotly", "pandas") if name in sys.modules]
+sys.exit(status or (f"loaded {{heavy}}" if heavy else 0))
+"""
+    done = python("-c", code)
+    assert done.returncode == 0, done.stderr
+    assert (as_csv.parent / "out" / "metadata.yaml").exists()
+
+
+def test_an_interrupt_leaves_nothing(as_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.setattr(import_csv, "write_notes", interrupted)
+    assert main(arguments(as_csv, tmp_path / "out")) == 130
+    assert sorted(tmp_path.iterdir()) == before

@@ -1,0 +1,183 @@
+"""Maps: what may stand in them, what is refused and how; the ones that come with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from csv_files import MAP, Lab
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording.csv_map import example_text, load_map, map_names
+from pam_antagonist.recording.units import UNITS
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Lab:
+    return Lab(tmp_path)
+
+
+def gauge(**changes: Any) -> dict[str, Any]:
+    return {"column": "p1", "unit": "kPa", "reference": "gauge", **changes}
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "no pressure": ({"pressure_2": None}, "pressure_2 is missing"),
+    "no valve": ({"valve_1": None}, "valve_1 is missing"),
+    "no time": ({"time": None}, "time is missing"),
+    "a typo": ({"presure_1": gauge(), "pressure_1": None}, "unknown key 'presure_1' (did you mean 'pressure_1'?)"),
+    "an unknown key": ({"angle": {"column": "a", "unit": "deg", "sign": -1}}, "unknown key 'angle.sign'"),
+    "no reference": ({"pressure_1": {"column": "p1", "unit": "kPa"}}, "pressure_1.reference is missing"),
+    "another reference": ({"pressure_1": gauge(reference="relative")}, "pressure_1.reference: "),
+    "gauge without an atmosphere": ({"pressure_1": gauge()}, "atmosphere is missing: pressure_1 is gauge pressure"),
+    "an atmosphere in kPa as bar": (
+        {"atmosphere": {"pressure": 101.325, "unit": "bar"}},
+        "atmosphere.pressure is 101.325 bar = 1.01325e+07 Pa, expected 50000 to 120000 Pa absolute",
+    ),
+    "time without a unit": ({"time": {"column": "t"}}, "time.unit is missing: expected one of s, ms, us, ns"),
+    "time twice": ({"time": {"column": "t", "unit": "s", "rate": 100}}, "time: expected either column"),
+    "no time in time": ({"time": {}}, "time: expected either column"),
+    "a rate of zero": ({"time": {"rate": 0}}, "time.rate: "),
+    "an endless rate": ({"time": {"rate": float("inf")}}, "time.rate: "),
+    "an empty valve": ({"valve_2": {"unit": "V"}}, "valve_2: expected either column or constant"),
+    "a valve twice": ({"valve_2": {"column": "u", "constant": 5, "unit": "V"}}, "valve_2: expected either"),
+    "sealed without a voltage": (
+        {"valve_1": {"sealed": True, "unit": "V"}},
+        "valve_1 is sealed: expected constant, the",
+    ),
+    "sealed with a column": (
+        {"valve_1": {"sealed": True, "column": "u1", "unit": "V"}},
+        "valve_1 is sealed: expected constant",
+    ),
+    "a constant with a scale": ({"valve_1": {"constant": 5, "unit": "V", "scale": 2}}, "expected no scale"),
+    "a scale of zero": ({"angle": {"column": "a", "unit": "deg", "scale": 0}}, "angle.scale is 0"),
+    "a scale in words": ({"angle": {"column": "a", "unit": "deg", "scale": "minus"}}, "angle.scale: "),
+    "a column that YAML takes for yes": ({"valve_1": {"column": True, "unit": "V"}}, "valve_1.column is yes or no"),
+    "column 0": ({"valve_1": {"column": 0, "unit": "V"}}, "valve_1.column is 0: columns are counted from 1"),
+    "a column of a half": ({"valve_1": {"column": 1.5, "unit": "V"}}, "valve_1.column"),
+    "one column for two muscles": (
+        {"pressure_2": {"column": "p1", "unit": "kPa", "reference": "absolute"}},
+        "pressure_2 and pressure_1 are the same column, 'p1'",
+    ),
+    "names without a header": ({"file": {"header": False}}, "time.column is 't', but the file has no header"),
+    "a delimiter of two letters": ({"file": {"delimiter": "::"}}, "file.delimiter: "),
+    "an unknown encoding": ({"file": {"encoding": "latin-99"}}, "unknown encoding 'latin-99'"),
+    "lines after no header": (
+        {"file": {"header": False, "skip_after_header": 1}},
+        "file.skip_after_header is given, but the file has no header",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "says"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_is_refused(lab: Lab, changes: dict[str, Any], says: str) -> None:
+    assert says in lab.entries(**changes).refusal()
+
+
+@pytest.mark.parametrize(
+    ("entry", "quantity", "unit", "hint"),
+    [
+        ("pressure_1", "pressure", "KPA", "did you mean kPa?"),
+        ("pressure_2", "pressure", "psig", "did you mean psi?"),
+        ("pressure_1", "pressure", "mPa", "did you mean MPa?"),
+        ("valve_1", "voltage", "volt", ""),
+        ("angle", "angle", "grad", "did you mean"),
+        ("torque", "torque", "nm", "did you mean N m?"),
+        ("time", "time", "sec", ""),
+        ("external_torque", "torque", "N", ""),
+    ],
+)
+def test_unknown_units_list_the_known_ones(lab: Lab, entry: str, quantity: str, unit: str, hint: str) -> None:
+    content = {**MAP.get(entry, {"column": "x"}), "unit": unit}
+    said = lab.entries(**{entry: content}).refusal()
+    assert f"{entry}.unit: unknown unit {unit!r} of {quantity}, expected one of {', '.join(UNITS[quantity])}" in said
+    assert hint in said
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "expected a mapping of names to values, as in import_csv --example"),
+        ("- time\n", "expected a mapping"),
+        ("time: {rate: 5}\ntime: {rate: 6}\n", "key 'time' stands twice"),
+        ("a: !!python/object/apply:os.system [ls]\n", "not valid YAML"),
+        ("#" * 200_000, "which is no map file"),
+    ],
+)
+def test_files_that_are_no_maps(lab: Lab, text: str, says: str) -> None:
+    lab.map.write_text(text)
+    assert says in lab.refusal()
+
+
+def test_maps_are_found_by_name_or_path(lab: Lab, tmp_path: Path) -> None:
+    assert "sealed_joint" in map_names()
+    assert load_map("sealed_joint").sealed == (1, 2)
+    with pytest.raises(BadInput, match="unknown map 'sealed_join': .*did you mean 'sealed_joint'"):
+        load_map("sealed_join")
+    with pytest.raises(BadInput, match="no such map file"):
+        load_map(tmp_path / "absent.yaml")
+
+
+@pytest.mark.parametrize("name", map_names())
+def test_the_maps_of_the_package_are_good(name: str) -> None:
+    load_map(name)
+
+
+def test_the_example_is_a_map_that_reads_the_file_it_describes(lab: Lab) -> None:
+    lab.map.write_text(example_text(), encoding="utf-8")
+    header = ("t", "p1", "p2", "u1", "u2", "angle", "torque", "load")
+    lab.rows([(0.01 * k, 366, 340, 5.5, 5.4, -12 + k, 0.5, 0.1) for k in range(10)], header)
+    recording = lab.read()
+    assert recording.pressure[0] == pytest.approx([467325.0, 441325.0])
+    assert recording.angle is not None and recording.torque is not None and recording.external_torque is not None
+    assert recording.issues == ()
+
+
+def test_the_example_names_every_unit_of_pressure_and_every_key() -> None:
+    text = example_text()
+    for unit in UNITS["pressure"]:
+        assert f"{unit}" in text
+    file = load_map("sealed_joint").file
+    assert set(yaml.safe_load(text)["file"]) == set(getattr(type(file), "model_fields", None) or type(file).__fields__)
+
+
+def test_defaults_of_the_layout_are_those_that_the_example_shows(lab: Lab) -> None:
+    shown = yaml.safe_load(example_text())["file"]
+    shown["missing"] = tuple(shown["missing"])
+    layout = load_map(lab.map).file
+    assert {name: getattr(layout, name) for name in shown} == shown
+
+
+_VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-3, 10**30)
+    | st.floats()
+    | st.sampled_from(["kPa", "t", "V", "gauge", "\0", "ä"]),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from(["unit", "column", "a"]), inner),
+    max_leaves=4,
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=120, deadline=None)
+@given(
+    entry=st.sampled_from(["file", "time", "atmosphere", "pressure_1", "valve_2", "angle", "other"]),
+    key=st.sampled_from(["column", "unit", "scale", "offset", "constant", "sealed", "rate", "delimiter", "encoding",
+                         "comment", "missing", "skip_lines", "reference", "pressure", None]),
+    value=_VALUES,
+)  # fmt: skip
+def test_any_entry_is_read_or_refused_in_one_line(lab: Lab, entry: str, key: str | None, value: Any) -> None:
+    content = {name: dict(known) for name, known in MAP.items()}
+    if key is None:
+        content[entry] = value
+    else:
+        content.setdefault(entry, {})[key] = value
+    lab.map.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
+    try:
+        lab.read()
+    except BadInput as error:
+        assert "\n" not in str(error).strip()

@@ -1,0 +1,168 @@
+"""When the rows were taken: jitter and gaps are kept, what cannot be time is refused unless the map says what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from csv_files import Lab
+
+from pam_antagonist.recording.csv_time import START_NS
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Lab:
+    return Lab(tmp_path)
+
+
+def at(lab: Lab, times: Iterable[Any], **time: Any) -> Lab:
+    """Rows at some times, with pressures that tell which row is which."""
+    lab.rows([(t, 300 + k, 500 - k, 4 + 0.01 * k, 5) for k, t in enumerate(times)])
+    return lab.entries(time={"column": "t", "unit": "s", **time})
+
+
+def milliseconds(recording_stamps: np.ndarray) -> list[float]:
+    return ((recording_stamps - recording_stamps[0]) * 1e-6).tolist()
+
+
+def test_a_rate_replaces_the_column(lab: Lab) -> None:
+    lab.entries(time={"rate": 300})
+    assert lab.read().stamp_ns.tolist() == [START_NS, START_NS + 3_333_333, START_NS + 6_666_667, START_NS + 10_000_000]
+
+
+def test_times_begin_anywhere(lab: Lab) -> None:
+    for first in (0.0, -2.5, 1e6):
+        stamps = at(lab, [first, first + 0.01, first + 0.02]).read().stamp_ns
+        assert stamps[0] == START_NS
+        assert milliseconds(stamps) == pytest.approx([0.0, 10.0, 20.0], abs=1e-3)
+
+
+def test_seconds_since_1970_are_kept(lab: Lab) -> None:
+    stamps = at(lab, ["1700000000.25", "1700000000.251", "1700000000.252"]).read().stamp_ns
+    assert stamps[0] == 1_700_000_000_250_000_000
+    assert milliseconds(stamps) == pytest.approx([0.0, 1.0, 2.0], abs=1e-3)
+    stamps = at(lab, ["1700000000250000000", "1700000000251000000"], unit="ns").read().stamp_ns
+    assert stamps[0] == 1_700_000_000_250_000_000
+    assert milliseconds(stamps) == pytest.approx([0.0, 1.0], abs=1e-3)
+
+
+def test_seconds_since_1904_do_not_fit_into_a_stamp_and_begin_anew(lab: Lab) -> None:
+    assert at(lab, ["3800000000.00", "3800000000.01"]).read().stamp_ns[0] == START_NS
+
+
+def test_jitter_is_kept_and_not_worth_a_word(lab: Lab) -> None:
+    rng = np.random.default_rng(1)
+    times = 0.01 * np.arange(200) + rng.uniform(-0.002, 0.002, 200)
+    recording = at(lab, times).read()
+    assert milliseconds(recording.stamp_ns) == pytest.approx(((times - times[0]) * 1e3).tolist(), abs=1e-5)
+    assert recording.issues == ()
+
+
+def test_a_gap_is_kept_and_said(lab: Lab) -> None:
+    times = np.concatenate([np.arange(50), 60 + np.arange(50)]) * 0.01
+    recording = at(lab, times).read()
+    assert np.diff(recording.stamp_ns).max() == 110_000_000
+    (said,) = recording.issues
+    assert said == (
+        "1 of 99 intervals between rows are no 10 ms, the longest (110 ms) before line 52: times kept as they are"
+    )
+
+
+def test_a_gap_of_seconds_is_said_as_in_any_recording(lab: Lab) -> None:
+    times = np.concatenate([np.arange(50), 300 + np.arange(50)]) * 0.01
+    assert any(
+        text == "no samples for 2.510 s, from 0.490 s after the first one on" for text in at(lab, times).read().issues
+    )
+
+
+UNEVEN = np.cumsum(np.tile([0.001, 0.03, 0.01, 0.01, 0.01], 10))
+
+
+def test_uneven_rows_are_refused_with_a_way_out(lab: Lab) -> None:
+    said = at(lab, UNEVEN).refusal()
+    assert "time (column 't') is uneven" in said
+    assert "median of 10 ms (from 1 to 30 ms)" in said
+    assert "give time.resample" in said
+
+
+def test_uneven_rows_are_resampled_where_the_map_says_so(lab: Lab) -> None:
+    recording = at(lab, UNEVEN, resample=50).read()
+    grid = np.arange(len(recording)) * 0.02
+    assert milliseconds(recording.stamp_ns) == pytest.approx((grid * 1e3).tolist())
+    assert UNEVEN[-1] - UNEVEN[0] - 0.02 < grid[-1] <= UNEVEN[-1] - UNEVEN[0]
+    times = UNEVEN - UNEVEN[0]
+    row = np.arange(len(times))
+    assert recording.pressure[:, 0] == pytest.approx(np.interp(grid, times, 300e3 + 1e3 * row), rel=1e-9)
+    # A voltage is not interpolated: it is that of the row that comes next, whose voltage was on the valve until then.
+    following = [int(np.flatnonzero(times >= moment - 1e-9)[0]) for moment in grid]
+    assert recording.voltage[:, 0] == pytest.approx(4 + 0.01 * np.array(following))
+    said = " | ".join(recording.issues)
+    assert "resampled from about 100 to 50 Hz by interpolation" in said
+    assert "faster motion is folded in" in said
+
+
+def test_resampling_leaves_gaps_empty(lab: Lab) -> None:
+    times = np.concatenate([np.arange(50), 100 + np.arange(50)]) * 0.01
+    recording = at(lab, times, resample=100).read()
+    assert np.flatnonzero(np.isnan(recording.pressure[:, 0])).tolist() == list(range(50, 100))
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "says"),
+    [
+        (
+            [0, 1, 2, 3],
+            "s",
+            "1 s between rows, expected 2e-05 to 0.5 s; steps of 1 look like ms; if it only counts rows",
+        ),
+        ([0, 0.001, 0.002], "ms", "steps of 0.001 look like s"),
+        ([0, 0.001, 0.002], "us", "steps of 0.001 look like s"),
+        ([0, 1000, 2000], "s", "steps of 1000 look like us"),
+        ([0, 1000000, 2000000], "us", "steps of 1e+06 look like ns"),
+        ([0, 30000, 60000, 90000], "s", "30000 look like us"),
+    ],
+)
+def test_a_wrong_unit_of_time(lab: Lab, times: Sequence[float], unit: str, says: str) -> None:
+    said = at(lab, times, unit=unit).refusal().replace("3e+04", "30000")
+    assert f"time (column 't') declared in {unit} makes" in said
+    assert says in said
+
+
+def test_repeated_times_are_refused_with_both_reasons(lab: Lab) -> None:
+    said = at(lab, ["0.00", "0.00", "0.00", "0.01", "0.01"]).refusal()
+    assert "line 3: time (column 't') repeats, 0 s (3 of 5 rows are not later than those before them)" in said
+    assert "too few decimals" in said and "time: {rate: ROWS_PER_SECOND}" in said
+
+
+def test_backward_times_are_refused(lab: Lab) -> None:
+    said = at(lab, [0.0, 0.01, 0.02, 0.0, 0.01]).refusal()
+    assert "line 5: time (column 't') runs backwards, 0 s after 0.02 s" in said
+    assert "several recordings" in said
+
+
+def test_rows_without_a_time_are_refused(lab: Lab) -> None:
+    assert "line 3: time (column 't') is missing" in at(lab, [0.0, "", 0.02]).refusal()
+
+
+def test_a_few_stray_rows_are_dropped_where_the_map_says_so(lab: Lab) -> None:
+    times: list[Any] = [round(0.01 * k, 2) for k in range(100)]
+    times[40] = times[39]
+    times[60] = 0.05
+    times[70] = ""
+    recording = at(lab, times, out_of_order="drop").read()
+    assert len(recording) == 97
+    assert 300e3 + 40e3 not in recording.pressure[:, 0] and 300e3 + 41e3 in recording.pressure[:, 0]
+    assert "3 rows are not later than those before them, the first in line 42: dropped" in recording.issues
+
+
+def test_dropping_is_no_way_to_lose_a_recording(lab: Lab) -> None:
+    times = [0.01 * k for k in range(100)] * 2
+    assert "line 102: time (column 't') runs backwards" in at(lab, times, out_of_order="drop").refusal()
+
+
+def test_a_jump_of_years_is_refused(lab: Lab) -> None:
+    times = [0.01 * k for k in range(50)] + [1.7e9 + 0.01 * k for k in range(50)]
+    assert "line 52: time (column 't') jumps by 1.7e+09 s" in at(lab, times).refusal()
