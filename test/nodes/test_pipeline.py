@@ -36,7 +36,7 @@ class Run:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
-    """3.5 s at 1 kHz with two references, the whole pipeline stopped for 0.3 s in between."""
+    """4.5 s at 1 kHz with two references; the whole pipeline, then the estimator alone, stopped for 0.3 s."""
     from probe import Probe
 
     folder = tmp_path_factory.mktemp("pipeline")
@@ -51,11 +51,12 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
         probe.wait(0.7)
         probe.refer(0, math.radians(10.0))
         probe.wait(1.0)
-        for number in (signal.SIGSTOP, signal.SIGCONT):
-            for process in processes.running.values():
-                process.popen.send_signal(number)
-            time.sleep(STALL if number == signal.SIGSTOP else 0.0)
-        probe.wait(1.3)
+        for names in (tuple(processes.running), ("estimator",)):
+            for number in (signal.SIGSTOP, signal.SIGCONT):
+                for name in names:
+                    processes.running[name].popen.send_signal(number)
+                time.sleep(STALL if number == signal.SIGSTOP else 0.0)
+            probe.wait(1.0)
         topics = {
             name for name, _ in probe.node.get_subscriber_names_and_types_by_node("estimator", "/pam")
         }
@@ -73,10 +74,16 @@ def test_every_process_ends_with_status_0(run: Run) -> None:
     assert run.statuses == {"plant": 0, "controller": 0, "estimator": 0, "record": 0}
 
 
-def test_every_sample_is_estimated_and_commanded_in_order_also_through_a_stall(run: Run) -> None:
-    assert run.account.expected > 3000
+def test_every_sample_is_estimated_and_commanded_in_order_also_through_stalls(run: Run) -> None:
+    """Fast DDS as it comes loses some of them: see config/fastdds.xml."""
+    assert run.account.expected > 4000
     assert set(run.account.lost.values()) == {0}
     assert set(run.account.out_of_order.values()) == {0}
+
+
+def test_nothing_is_taken_for_missing_that_comes_late(run: Run) -> None:
+    assert run.recording.estimate is not None
+    assert set(run.recording.estimate.flags & 7) == {0}
 
 
 def test_what_the_stall_held_up_is_flagged_late(run: Run) -> None:
