@@ -180,7 +180,7 @@ def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], d
             time.sleep(0.01)
         took = f"plant, estimator and controller are running after {_since_start():.1f} s"
         print(f"{took}; recording {duration:g} s", flush=True)
-        look = "{percentage:3.0f} %|{bar:20}| {n:.1f}/{total:g} s  {postfix}"
+        look = "{percentage:3.0f} %|{bar:20}| {n:.1f}/{total:g} s{postfix}"
         with tqdm(total=duration, bar_format=look, disable=None) as bar:
             start, shown = time.monotonic(), -1
             while (elapsed := time.monotonic() - start) < duration:
