@@ -134,7 +134,8 @@ def _main(argv: Sequence[str] | None) -> int:
     from pam_antagonist.cli import demo_report
 
     try:
-        demo_report.judge(out, rig, arguments.tuning, mode, with_figures=not arguments.no_figures)
+        simulated = demo_report.Simulated(arguments.mismatch, arguments.seed)
+        demo_report.judge(out, rig, arguments.tuning, mode, simulated, with_figures=not arguments.no_figures)
     except KeyboardInterrupt:
         print(f"\ninterrupted: the recording is in {out / 'bag'}, there is no report", file=sys.stderr)
         return common.INTERRUPTED

@@ -29,7 +29,20 @@ _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}
 _SIGN = {Mode.ANGLE: "°", Mode.TORQUE: " N m"}
 
 
-def judge(out: Path, rig: Rig, tuning: str, mode: Mode, with_figures: bool = True) -> None:
+@dataclasses.dataclass(frozen=True)
+class Simulated:
+    """What the joint was.
+
+    Attributes:
+        mismatch: relative standard deviation of its parameters from the rig's [-].
+        seed: of that scatter and of the sensor noise.
+    """
+
+    mismatch: float
+    seed: int
+
+
+def judge(out: Path, rig: Rig, tuning: str, mode: Mode, simulated: Simulated, with_figures: bool = True) -> None:
     """Replay OUT/bag, print the tables, write OUT/report.html and OUT/report.json.
 
     Args:
@@ -37,6 +50,7 @@ def judge(out: Path, rig: Rig, tuning: str, mode: Mode, with_figures: bool = Tru
         rig: as the estimator had it.
         tuning: of its filter.
         mode: what was controlled.
+        simulated: what the joint was.
         with_figures: False leaves the figures out of the page.
 
     Raises:
@@ -53,11 +67,11 @@ def judge(out: Path, rig: Rig, tuning: str, mode: Mode, with_figures: bool = Tru
     table = demo_table(replay.report, followed, accounting, mode)
     print(f"\n{replay_tables.errors_table(replay.report).text()}\n\n{table.text()}\n")
     first: list[Block] = [
-        Section("Closed loop", (TableBlock(table, prose=True), Text(_definitions(mode))), 2, "loop"),
+        Section("Closed loop", (TableBlock(table, prose=True), Text(_definitions(mode, simulated))), 2, "loop"),
     ]
     if with_figures:
         first.append(_figure(replay, mode))
-    strict_json.write_json(out / "report.json", document([replay], demo=_entry(mode, followed, accounting)))
+    strict_json.write_json(out / "report.json", document([replay], demo=_entry(mode, followed, accounting, simulated)))
     html = page([replay], "Sensor-less control, live", with_figures=with_figures, first=first).render()
     (out / "report.html").write_text(html, encoding="utf-8")
     print(f"report: {out / 'report.html'} and report.json; recording: {out / 'bag'}")
@@ -80,11 +94,12 @@ def follow(recording: Recording, mode: Mode) -> Tracking:
         raise BadInput(f"{recording.path}: {error}") from None
 
 
-def _entry(mode: Mode, followed: Tracking, accounting: Accounting | None) -> dict[str, Any]:
+def _entry(mode: Mode, followed: Tracking, accounting: Accounting | None, simulated: Simulated) -> dict[str, Any]:
     """The key ``demo`` of ``report.json``; angles in degrees, torques in N m, times in ms."""
     unit = _UNIT[mode]
     return {
         "mode": mode.name.lower(),
+        "simulated_joint": dataclasses.asdict(simulated),
         "tracking": {
             f"rmse_{unit}": followed.rmse,
             f"max_{unit}": followed.largest,
@@ -133,7 +148,7 @@ def demo_table(report: dict[str, Any], followed: Tracking, accounting: Accountin
             ("Lost: published, estimated, commanded", _lost(accounting)),
             ("Estimates that came late (over 20 ms)", str(accounting.late)),
         ]
-    return Table(("Closed loop", ""), tuple(rows))
+    return Table(("Control and pipeline", ""), tuple(rows))
 
 
 def _lost(accounting: Accounting) -> str:
@@ -144,9 +159,11 @@ def _lost(accounting: Accounting) -> str:
     return text + (f"; {disordered} out of order" if disordered else "")
 
 
-def _definitions(mode: Mode) -> str:
+def _definitions(mode: Mode, simulated: Simulated) -> str:
     what = mode.name.lower()
     return (
+        f"The joint was this package's simulator, its parameters off the rig's by {simulated.mismatch:.1%} (standard "
+        f"deviation, seed {simulated.seed}): how well a real joint does, only a recording of it can tell. "
         f"Steady-state performance is the paper's: 1 minus the worst steady-state |reference − measured {what}| over "
         f"the range of the references. Steady is the last {STEADY_PART:.0%} of every step that lasts "
         f"{SHORTEST_STEP:g} s or more; the measurement is the validation sensor's, with its noise, which estimator and "

@@ -80,5 +80,6 @@ class PamNode(Node):  # type: ignore[misc]
 
     def _diagnose(self) -> None:
         self._diagnostics.publish(self.health(time.monotonic_ns()))
-        # The automatic collection is off (see spin.py). What little becomes garbage is young: this takes microseconds.
-        gc.collect(0)
+        # The automatic collection is off, and what existed before the first sample is out of its sight (see spin.py):
+        # what is left to look through takes microseconds.
+        gc.collect()

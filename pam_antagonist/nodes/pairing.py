@@ -125,9 +125,7 @@ class SamplePairing:
         oldest = max(stamp for stamp in self._newest if stamp is not None) - self._timeout
         now = self._clock()
         gone = [
-            stamp
-            for stamp in self._waiting
-            if stamp < oldest and not 0 <= now - self._arrival[stamp] < self._timeout
+            stamp for stamp in self._waiting if stamp < oldest and not 0 <= now - self._arrival[stamp] < self._timeout
         ]
         return self._pop_until(max(gone)) if gone else []
 

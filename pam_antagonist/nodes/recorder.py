@@ -70,6 +70,4 @@ def _create(options: Options) -> RecorderNode:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node; see ``record --help``."""
-    return run_node(
-        _create, argv, name="record", description=DESCRIPTION, table=PARAMETERS, options=read_options
-    )
+    return run_node(_create, argv, name="record", description=DESCRIPTION, table=PARAMETERS, options=read_options)

@@ -49,9 +49,7 @@ class Watch:
 
     def __enter__(self) -> Watch:
         self._interrupted = False
-        self._handlers = {
-            number: signal.signal(number, self._interrupt) for number in (signal.SIGINT, signal.SIGTERM)
-        }
+        self._handlers = {number: signal.signal(number, self._interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def _interrupt(self, number: int, frame: object) -> None:

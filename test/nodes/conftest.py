@@ -29,8 +29,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _isolated(patch: pytest.MonkeyPatch) -> None:
     patch.setenv("ROS_DOMAIN_ID", str(1 + next(_DOMAINS) % 100))
     patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    # A process that is killed leaves locks in shared memory behind.
-    patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
 
 @pytest.fixture

@@ -33,9 +33,7 @@ def test_nothing_is_lost() -> None:
 
 def test_discovery_and_end_are_not_counted_as_losses() -> None:
     """The estimator found its topics 100 samples later than the recorder, the command's last 20 did not come out."""
-    result = account(
-        recording(joint_estimate=np.arange(100, 1000), valve_command=np.arange(120, 980)), 1e-3
-    )
+    result = account(recording(joint_estimate=np.arange(100, 1000), valve_command=np.arange(120, 980)), 1e-3)
     assert result is not None
     assert result.expected == 860
     assert set(result.lost.values()) == {0}

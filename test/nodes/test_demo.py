@@ -58,6 +58,7 @@ def test_torque_demo_ends_with_tables_and_reports(tmp_path: Path, domain: None) 
     assert live["equal"] == live["compared"] > 4000, live
     assert report["ukf"]["torque"]["rmse_nm"] < 0.2
     tracking = report["demo"]["tracking"]
+    assert report["demo"]["simulated_joint"] == {"mismatch": 0.01, "seed": 2}
     assert tracking["reference_range_nm"] == 4.0
     assert 0.5 < tracking["steady_state_performance"] <= 1.0
     pipeline = report["demo"]["pipeline"]
@@ -98,9 +99,7 @@ def test_a_failing_process_stops_the_demo_with_its_own_words(tmp_path: Path, dom
     end = time.monotonic() + 60.0
     while "running" not in (process.stdout.readline() if process.stdout else ""):
         assert time.monotonic() < end
-    (plant,) = [
-        pid for pid in descendants("wait_for_subscribers") if f"/{process.pid}/" in f"/{_parent(pid)}/"
-    ]
+    (plant,) = [pid for pid in descendants("wait_for_subscribers") if f"/{process.pid}/" in f"/{_parent(pid)}/"]
     os.kill(plant, signal.SIGKILL)
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 1

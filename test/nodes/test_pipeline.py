@@ -57,9 +57,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
                     processes.running[name].popen.send_signal(number)
                 time.sleep(STALL if number == signal.SIGSTOP else 0.0)
             probe.wait(1.0)
-        topics = {
-            name for name, _ in probe.node.get_subscriber_names_and_types_by_node("estimator", "/pam")
-        }
+        topics = {name for name, _ in probe.node.get_subscriber_names_and_types_by_node("estimator", "/pam")}
         processes.check()
         statuses = processes.stop("plant")
         time.sleep(0.3)
