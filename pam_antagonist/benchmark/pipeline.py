@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import tempfile
 import time
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import numpy as np
 from pam_antagonist.benchmark.figure import Figure, at_most
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.accounting import STAGES, Accounting, account
-from pam_antagonist.nodes.processes import Process, Processes, ProcessFailed, ros_arguments
+from pam_antagonist.nodes.processes import Process, Processes, ProcessFailed, free_domain, ros_arguments
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import load_rig
 
@@ -145,7 +144,7 @@ def _start_passthrough(period: float) -> Callable[[Processes], None]:
 
 def _run(start: Callable[[Processes], None], duration: float, period: float) -> _Run:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
+    os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     from pam_antagonist.nodes.watch import Watch
 
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as name:

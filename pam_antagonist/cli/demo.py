@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from pam_antagonist.cli import common
 from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
+from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain, ros_arguments
 from pam_antagonist.rig import Rig, load_rig
 
 if TYPE_CHECKING:
@@ -145,7 +145,8 @@ def _main(argv: Sequence[str] | None) -> int:
 def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) -> None:
     """Run the processes and step the reference."""
     # A domain of its own keeps two demos, or a demo and a rig, from hearing each other.
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    if "ROS_DOMAIN_ID" not in os.environ:
+        os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     name = str(Path(arguments.rig).resolve()) if arguments.rig.endswith((".yaml", ".yml")) else arguments.rig
     shared: dict[str, object] = {"rig": name}

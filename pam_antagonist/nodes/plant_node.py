@@ -19,7 +19,7 @@ from pam_antagonist_msgs.msg import ValveCommand
 
 _BURST = 25  # samples in a row while catching up, before commands are looked at again
 _JUMP = 1.0  # difference between clock and samples that is not caught up with [s]
-_SETTLE = 0.5  # time that subscribers have to find the publishers, after these have found them [s]
+_SETTLE = 0.3  # time that subscribers have to find the publishers, after these have found them [s]
 
 
 class PlantNode(PamNode):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -13,9 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from pam_antagonist.nodes.spin import PARENT_VARIABLE
+from pam_antagonist.nodes.spin import PARENT_VARIABLE, PRIORITY_VARIABLE
 
 _KILL_AFTER = 5.0  # time a process has to end by itself [s]
+_DOMAINS = 100  # with ports below those that Linux gives away by itself
+_FIRST_PORT, _PORTS_A_DOMAIN = 7410, 250
 _PRIORITY, _RECORDER_PRIORITY = 2, 1  # of the real-time scheduler; the recorder has long queues
 
 
@@ -46,6 +50,18 @@ class Process:
         errors = [line for line in lines if line.startswith("error:")]
         words = (errors or lines or ["it said nothing"])[-1]
         return words.removeprefix("error:").strip()
+
+
+def free_domain() -> int:
+    """A ROS domain that nobody on this machine uses: two pipelines in one domain would hear each other."""
+    domains = list(range(1, _DOMAINS + 1))
+    random.shuffle(domains)
+    for domain in domains:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial, contextlib.suppress(OSError):
+            # where DDS puts the first participant of a domain (RTPS, section 9.6.1.1)
+            trial.bind(("", _FIRST_PORT + _PORTS_A_DOMAIN * domain))
+            return domain
+    raise ProcessFailed(f"each of the ROS domains 1 to {_DOMAINS} is in use on this machine; set ROS_DOMAIN_ID")
 
 
 def ros_arguments(parameters: Mapping[str, object], remappings: Mapping[str, str]) -> list[str]:
@@ -79,7 +95,8 @@ class Processes:
 
     Use it as a context manager: whatever happens inside, every process is gone afterwards, in the order given to
     :meth:`stop` or in the order of their start. They have a session of their own, so that Ctrl-C reaches the caller
-    alone, and they end by themselves when the caller is killed.
+    alone, and they end by themselves when the caller is killed. Where that is allowed they run under the real-time
+    scheduler.
 
     Args:
         logs: folder for one log a process; it must exist.
@@ -113,7 +130,9 @@ class Processes:
             module: of Python that runs it.
         """
         log = self._logs / f"{name}.log"
-        env = {**os.environ, **(environment or {}), PARENT_VARIABLE: str(os.getpid())}
+        priority = _RECORDER_PRIORITY if name == "record" else _PRIORITY
+        ours = {PARENT_VARIABLE: str(os.getpid()), PRIORITY_VARIABLE: str(priority)}
+        env = {**os.environ, **ours, **(environment or {})}
         with log.open("wb") as output:
             popen = subprocess.Popen(
                 [sys.executable, "-m", module, name, *arguments],
@@ -124,11 +143,6 @@ class Processes:
                 start_new_session=True,
             )
         process = self.running[name] = Process(name, popen, log)
-        # A node that has a millisecond must not queue behind what else the machine is busy with. Only root may ask for
-        # that, or who was given the right (ulimit -r); everybody else gets what there is.
-        with contextlib.suppress(OSError, AttributeError):
-            priority = _RECORDER_PRIORITY if name == "record" else _PRIORITY
-            os.sched_setscheduler(popen.pid, os.SCHED_RR, os.sched_param(priority))
         return process
 
     def check(self) -> None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from pam_antagonist.nodes.processes import free_domain
+
 # pytest's importlib mode puts no folder on the path: probe.py stands beside the tests.
 sys.path.insert(0, str(Path(__file__).parent))
-
-_DOMAINS = itertools.count(os.getpid() % 80)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -27,7 +25,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def _isolated(patch: pytest.MonkeyPatch) -> None:
-    patch.setenv("ROS_DOMAIN_ID", str(1 + next(_DOMAINS) % 100))
+    patch.setenv("ROS_DOMAIN_ID", str(free_domain()))
     patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
