@@ -58,7 +58,8 @@ def measure(rig: str, duration: float) -> list[Figure]:
     return [
         at_most(
             "pipeline_round_trip",
-            "median time pressure → command, against that of a pipeline that passes messages through",
+            "median time pressure → command, against that of a pipeline that passes ordinary message objects through "
+            "(this package packs its messages in one step); both under the real-time scheduler where that is allowed",
             latency.median / through.median,
             1.3,
             "×",
