@@ -36,6 +36,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator, metrics, simulate_model
 from pam_antagonist.recording import Recording, bag_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report.live import as_live, compare_with_live
 from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig
@@ -240,7 +241,7 @@ def _judge(
             "sha256": bag_hash(recording.path),
             "topics": dict(recording.topics),
             "first_stamp_ns": int(recording.stamp_ns[0]),
-            "issues": list(recording.issues),
+            "issues": [*recording.issues, *_sealed(recording, rig)],
         },
         "joint": {
             "condition": joint.condition,
@@ -254,6 +255,15 @@ def _judge(
         "live_equal": None if recording.estimate is None else compare_with_live(recording.estimate, run),
         "live_without": None if recording.estimate is None else as_live(recording)[3],
     }
+
+
+def _sealed(recording: Recording, rig: Rig) -> list[str]:
+    """What to say of a recording whose muscles were sealed: no rig of this version has such chambers."""
+    sealed = sealed_muscles(recording.path)
+    if not sealed:
+        return []
+    which = f"muscle {sealed[0]} was" if len(sealed) == 1 else "both muscles were"
+    return [f"{which} sealed, as the bag says, but rig {rig.name} lets air through its valves: expect large errors"]
 
 
 def _figures(measured: FloatArray, value: FloatArray, unit: str, scale: float) -> dict[str, float]:

@@ -14,7 +14,8 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import EstimateRun, Estimator, simulate_model
-from pam_antagonist.recording import RecordedEstimate, Recording
+from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, write_bag
+from pam_antagonist.recording.notes import SEALED, write_notes
 from pam_antagonist.report.html import Text
 from pam_antagonist.report.replay import replay, replay_recording
 from pam_antagonist.report.replay_page import document, page, write_report
@@ -128,6 +129,14 @@ def test_progress_tells_of_every_sample(rig: Rig, free: Recording) -> None:
     replay(free, rig, progress=steps.append)
     assert sum(steps) == len(free.stamp_ns)
     assert len(steps) > 1
+
+
+def test_sealed_muscles_are_said_to_be_beyond_the_rig(rig: Rig, free: Recording, tmp_path: Path) -> None:
+    write_bag(tmp_path / "sealed", free)
+    assert replay_recording(free, rig)["recording"]["issues"] == []
+    write_notes(tmp_path / "sealed", {SEALED: "1 2"})
+    (said,) = replay_recording(read_bag(tmp_path / "sealed"), rig)["recording"]["issues"]
+    assert "both muscles were sealed" in said and "shin2022" in said
 
 
 # ------------------------------------------------------------------ equal to what was published live
