@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.benchmark.figure import Figure, at_least, at_most, pairwise
 from pam_antagonist.estimation import Estimator, simulate_model, ukf
+from pam_antagonist.estimation.estimator import parameter_sets
 from pam_antagonist.estimation.filter import make_work
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import STATES
@@ -57,17 +56,8 @@ class _Case:
         noise = np.random.default_rng(1).normal(0.0, rig.sensors.pressure_std, run.pressure.shape)
         self.pressure = run.pressure + noise
         self.stamps = 10**18 + np.arange(_SAMPLES, dtype=np.int64) * round(rig.sample_period * 1e9)
-        considered = rig.uncertainty if self.tuning.consider else {}
-        self.considered = len(considered)
-        reach = math.sqrt(STATES + self.considered + self.tuning.kappa)
-        self.parameter_sets = np.array(
-            [rig.parameters()]
-            + [
-                rig.parameters(changes={name: rig.value(name) + sign * reach * std})
-                for name, std in considered.items()
-                for sign in (1.0, -1.0)
-            ]
-        )
+        self.parameter_sets = parameter_sets(rig, self.tuning)
+        self.considered = (len(self.parameter_sets) - 1) // 2
         self.sigma_points = 1 + 2 * (STATES + self.considered)
         self._points = np.zeros((self.sigma_points, STATES))
         self._work = make_work(STATES, self.considered)

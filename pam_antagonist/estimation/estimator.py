@@ -12,7 +12,7 @@ from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation.filter import COUNTERS, ESTIMATE_DTYPE, ROW
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import STATES
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig, Tuning
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,30 @@ class ModelRun:
     subsystem: np.ndarray
 
 
+def parameter_sets(rig: Rig, tuning: Tuning, joint: str = "free", lock_angle: float = 0.0) -> np.ndarray:
+    """Parameter vectors of the sigma points: the nominal one, then a pair for each parameter that is considered.
+
+    Args:
+        rig: values and uncertainties.
+        tuning: whose κ decides how far the pairs lie apart, and whether there are any.
+        joint: ``free`` or ``locked``.
+        lock_angle: angle [rad] of a locked joint.
+
+    Returns:
+        (1 + 2 m, parameters.SIZE).
+
+    Raises:
+        BadInput: a joint condition that does not exist.
+    """
+    considered = rig.uncertainty if tuning.consider else {}
+    reach = math.sqrt(STATES + len(considered) + tuning.kappa)
+    sets = [rig.parameters(joint, lock_angle)]
+    for name, std in considered.items():
+        for step in (reach * std, -reach * std):
+            sets.append(rig.parameters(joint, lock_angle, {name: rig.value(name) + step}))
+    return np.array(sets)
+
+
 class Estimator:
     """The unscented Kalman filter of a rig, on pressures and valve voltages.
 
@@ -75,19 +99,11 @@ class Estimator:
 
     def __init__(self, rig: Rig, tuning: str = "default", joint: str = "free", lock_angle: float = 0.0) -> None:
         chosen = rig.tuning(tuning)
-        nominal = rig.parameters(joint, lock_angle)
-        considered = dict(rig.uncertainty) if chosen.consider else {}
-        n, m = STATES, len(considered)
-        reach = math.sqrt(n + m + chosen.kappa)
-        if reach == 0.0:
-            raise BadInput(f"tuning {tuning!r}: kappa {chosen.kappa:g} leaves no spread for the sigma points")
-        parameter_sets = [nominal]
-        for name, std in considered.items():
-            parameter_sets.append(rig.parameters(joint, lock_angle, {name: rig.value(name) + reach * std}))
-            parameter_sets.append(rig.parameters(joint, lock_angle, {name: rig.value(name) - reach * std}))
+        sets = parameter_sets(rig, chosen, joint, lock_angle)
+        n, m = STATES, (len(sets) - 1) // 2
         held = np.array([0.0, 0.0, 1.0, 1.0]) if joint == "locked" else np.ones(4)
         self._settings = (
-            np.array(parameter_sets),
+            sets,
             np.array(chosen.initial) * held,
             np.array(chosen.process) * held,
             np.array(chosen.measurement),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,15 +146,18 @@ class Problem:
         return [np.stack([part[index] for part in columns], axis=2) for index in range(len(self.trials))]
 
 
-def stacked(
-    parts: Sequence[Floats], weights: Sequence[Floats], finish: Callable[[Floats], Floats] | None = None
-) -> Floats:
-    """Residuals or Jacobians of all trials as one array, each channel over its standard deviation; NaN counts 0."""
+def stacked(parts: Sequence[Floats], weights: Sequence[Floats]) -> Floats:
+    """Residuals (B, C) or Jacobians (B, C, K) of all trials as one array (R,) or (R, K).
+
+    Args:
+        parts: one array a trial.
+        weights: for each trial the standard deviation of its channels (C,), by which they are divided.
+
+    Returns:
+        All rows, one after the other; what is missing (NaN) counts as 0.
+    """
     rows = []
     for part, weight in zip(parts, weights, strict=True):
-        scaled = part / (weight if part.ndim == 2 else weight[:, None])
-        rows.append(
-            np.nan_to_num(scaled).reshape(-1) if part.ndim == 2 else np.nan_to_num(scaled).reshape(-1, part.shape[2])
-        )
-    joined = np.concatenate(rows)
-    return finish(joined) if finish else joined
+        scaled = np.nan_to_num(part / weight.reshape(-1, *[1] * (part.ndim - 2)))
+        rows.append(scaled.reshape(-1, *part.shape[2:]))
+    return np.concatenate(rows)
