@@ -19,7 +19,6 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import load_rig
 
 _PASSTHROUGH = "pam_antagonist.benchmark.passthrough"
-_START_LIMIT = 90.0  # [s]
 _SETTLE = 2.0  # after the nodes have started, before memory is looked at [s]
 _NODES = ("plant", "estimator", "controller")
 
@@ -153,7 +152,8 @@ def _run(start: Callable[[Processes], None], duration: float, period: float) -> 
         with Processes(folder) as processes:
             processes.start("record", ["--out", str(folder / "bag")])
             start(processes)
-            _wait_for_commands(processes, Watch)
+            with Watch() as watch:
+                processes.wait(watch.missing)
             time.sleep(_SETTLE)
             nodes = {node: processes.running[node] for node in _NODES}
             before = {node: _resident_mb(process) for node, process in nodes.items()}
@@ -184,16 +184,6 @@ def _run(start: Callable[[Processes], None], duration: float, period: float) -> 
         growth_mb={node: resident[node] - before[node] for node in _NODES},
         cpu_percent={node: 100.0 * (cpu[node] - cpu_before[node]) / elapsed for node in _NODES},
     )
-
-
-def _wait_for_commands(processes: Processes, watch_type: type) -> None:
-    begin = time.monotonic()
-    with watch_type() as watch:
-        while not watch.running():
-            processes.check()
-            if time.monotonic() - begin > _START_LIMIT:
-                raise ProcessFailed(f"no command came within {_START_LIMIT:g} s of the start: {watch.missing()}")
-            time.sleep(0.05)
 
 
 def _resident_mb(process: Process) -> float:

@@ -44,7 +44,6 @@ _ANGLES = (20.0, -20.0, 0.0, 10.0, -10.0, 0.0)
 _TORQUES = (2.0, -2.0, 0.0, 1.0, -1.0, 0.0)
 _STEP = {Mode.ANGLE: 9.0, Mode.TORQUE: 4.5}  # length of a step, about [s]: the angle settles slower
 _REST = 2.0  # at the reference 0 before the first step [s]
-_START_LIMIT = 90.0  # for the nodes to start, which may have to compile first [s]
 _DRAIN = 0.3  # from the last sample to the end of those who wait for it [s]
 _LOOP = 0.05  # [s]
 
@@ -174,12 +173,7 @@ def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], d
     from pam_antagonist.nodes.watch import Watch
 
     with Watch() as watch:
-        begin = time.monotonic()
-        while not watch.running():
-            processes.check()
-            if time.monotonic() - begin > _START_LIMIT:
-                raise ProcessFailed(f"no command came within {_START_LIMIT:g} s of the start: {watch.missing()}")
-            time.sleep(0.01)
+        processes.wait(watch.missing)
         took = f"plant, estimator and controller are running after {_since_start():.1f} s"
         print(f"{took}; recording {duration:g} s", flush=True)
         look = "{percentage:3.0f} %|{bar:20}| {n:.1f}/{total:g} s{postfix}"

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.estimation.filter import LATE
 from pam_antagonist.recording import Recording
 
 Stamps = NDArray[np.int64]
 
 STAGES = ("pressure_1", "pressure_2", "valve_state", "joint_estimate", "valve_command")
 """The topics with one message a sample, in the order in which they come about."""
-
-_LATE = 64  # JointEstimate.LATE
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
     late = 0
     if recording.estimate is not None:
         counted = (recording.estimate.stamp_ns >= first) & (recording.estimate.stamp_ns <= last)
-        late = int(np.count_nonzero(recording.estimate.flags[counted] & _LATE))
+        late = int(np.count_nonzero(recording.estimate.flags[counted] & LATE))
     return Accounting(
         expected=expected,
         lost={stage: expected - inside[stage] for stage in STAGES},

@@ -10,13 +10,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
 from pam_antagonist.nodes.spin import PARENT_VARIABLE, PRIORITY_VARIABLE
 
+_START_LIMIT = 90.0  # for the nodes to start, which may have to compile first [s]
 _KILL_AFTER = 5.0  # time a process has to end by itself [s]
 _DOMAINS = 100  # with ports below those that Linux gives away by itself
 _FIRST_PORT, _PORTS_A_DOMAIN = 7410, 250
@@ -155,6 +156,22 @@ class Processes:
             if process.popen.poll() is not None:
                 status = process.popen.returncode
                 raise ProcessFailed(f"{process.name} ended with status {status}: {process.last_words()}")
+
+    def wait(self, missing: Callable[[], str]) -> None:
+        """Wait until nothing is missing any more.
+
+        Args:
+            missing: says in words what is, and nothing when nothing is.
+
+        Raises:
+            ProcessFailed: one has ended, or something is missing still after the time that compiling may take.
+        """
+        begin = time.monotonic()
+        while what := missing():
+            self.check()
+            if time.monotonic() - begin > _START_LIMIT:
+                raise ProcessFailed(f"no command came within {_START_LIMIT:g} s of the start: {what}")
+            time.sleep(0.01)
 
     def stop(self, *names: str) -> dict[str, int]:
         """End processes one after the other and wait for each; kill what does not end.

@@ -80,10 +80,6 @@ class Watch:
             self._latest[topic] = taken[0]
         return self._latest.get(topic)
 
-    def running(self) -> bool:
-        """Whether the whole chain delivers, and hears references."""
-        return not self.missing()
-
     def missing(self) -> str:
         """What does not deliver yet, in words; empty when everything does."""
         parts = [f"nothing on {TOPICS[name].relative}" for name in self._topics if self.latest(name) is None]

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun
-from pam_antagonist.estimation.filter import MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE
+from pam_antagonist.estimation.filter import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE
 from pam_antagonist.recording import RecordedEstimate, Recording
 
-LATE = 64
-"""The one flag that depends on when a sample arrived, which a replay cannot know."""
+
+class LiveInput(NamedTuple):
+    """What a filter is given of N samples.
+
+    Attributes:
+        pressure: (N, 2) [Pa], NaN where the live filter had none.
+        voltage: (N, 2) [V], NaN where it had none.
+        had: which samples it had at all (N,).
+        without: how many samples differ from the recorded ones.
+    """
+
+    pressure: NDArray[np.float64]
+    voltage: NDArray[np.float64]
+    had: NDArray[np.bool_]
+    without: int
 
 
-def as_live(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], int]:
+def as_live(recording: Recording) -> LiveInput:
     """What the live filter was given, where its estimates were recorded.
 
     A recorder may have got a message that the estimator got too late, or not at all. What the filter says it went
@@ -24,16 +37,12 @@ def as_live(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float
 
     Args:
         recording: the recording.
-
-    Returns:
-        Pressures (N, 2) [Pa] and voltages (N, 2) [V], NaN where the live filter had none; which samples it had (N,);
-        and how many samples differ from the recorded ones.
     """
     pressure, voltage = recording.pressure.copy(), recording.voltage.copy()
     had = np.ones(len(recording.stamp_ns), dtype=bool)
     live = recording.estimate
     if live is None or len(live.stamp_ns) == 0:
-        return pressure, voltage, had, 0
+        return LiveInput(pressure, voltage, had, 0)
     _, at, at_live = np.intersect1d(recording.stamp_ns, live.stamp_ns, return_indices=True)
     between = (recording.stamp_ns > live.stamp_ns[0]) & (recording.stamp_ns < live.stamp_ns[-1])
     had[between] = False
@@ -45,7 +54,7 @@ def as_live(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float
     lost = ~had
     for ours, theirs in ((pressure, recording.pressure), (voltage, recording.voltage)):
         lost |= (np.isnan(ours) & np.isfinite(theirs)).any(axis=1)
-    return pressure, voltage, had, int(lost.sum())
+    return LiveInput(pressure, voltage, had, int(lost.sum()))
 
 
 def same_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -77,6 +86,7 @@ def compare_with_live(live: RecordedEstimate, run: EstimateRun) -> dict[str, Any
         recorded = np.asarray(getattr(live, name))[at_live]
         replayed = run.rows[name][at_run]
         if name == "flags":
+            # Tells when a sample arrived, which a replay cannot know.
             recorded = recorded.astype(np.int64) & ~LATE
             replayed = replayed.astype(np.int64)
         same = same_bits(recorded, replayed)

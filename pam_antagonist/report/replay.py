@@ -37,7 +37,7 @@ from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator, me
 from pam_antagonist.recording import Recording, bag_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
-from pam_antagonist.report.live import as_live, compare_with_live
+from pam_antagonist.report.live import LiveInput, as_live, compare_with_live
 from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig
 
@@ -123,7 +123,8 @@ def replay(
     begin = time.perf_counter()
     state = joint_condition(recording, joint, lock_angle)
     estimator = Estimator(rig, tuning=tuning, joint=state.condition, lock_angle=state.lock_angle)
-    run = _estimate(recording, estimator, progress or (lambda samples: None))
+    given = as_live(recording)
+    run = _estimate(recording, given, estimator, progress or (lambda samples: None))
     if len(run.rows) == 0:
         raise BadInput(
             f"{recording.path}: no sample has both pressures and valve voltages, so no filter can be started"
@@ -132,6 +133,7 @@ def replay(
     model = _model_alone(recording, rig, state, run)
     modelled = time.perf_counter()
     report = _judge(recording, rig, state, run, model)
+    report["live_without"] = None if recording.estimate is None else given.without
     total = time.perf_counter() - begin + read_seconds
     report["realtime_factor"] = report["duration_s"] / total
     report["timing"] = {
@@ -155,7 +157,9 @@ def replay_recording(recording: Recording, rig: Rig, tuning: str = "default", jo
     return replay(recording, rig, tuning, joint).report
 
 
-def _estimate(recording: Recording, estimator: Estimator, progress: Callable[[int], None]) -> EstimateRun:
+def _estimate(
+    recording: Recording, given: LiveInput, estimator: Estimator, progress: Callable[[int], None]
+) -> EstimateRun:
     """Run the filter over the recording, begun afresh wherever the live one was."""
     stamps = recording.stamp_ns
     begins = np.zeros(1, dtype=np.int64)
@@ -165,14 +169,13 @@ def _estimate(recording: Recording, estimator: Estimator, progress: Callable[[in
         here = (known < len(stamps)) & (stamps[np.minimum(known, len(stamps) - 1)] == starts)
         if here.any():
             begins = known[here]
-    pressure, voltage, had, _ = as_live(recording)
     parts: list[EstimateRun] = []
     for first, end in zip(begins, [*begins[1:], len(stamps)], strict=True):
         estimator.reset()
         for low in range(int(first), int(end), _CHUNK):
             high = min(low + _CHUNK, int(end))
-            kept = low + np.flatnonzero(had[low:high])
-            part = estimator.run(stamps[kept], pressure[kept], voltage[kept])
+            kept = low + np.flatnonzero(given.had[low:high])
+            part = estimator.run(stamps[kept], given.pressure[kept], given.voltage[kept])
             parts.append(dataclasses.replace(part, index=kept[part.index]))
             progress(high - low)
     return EstimateRun(
@@ -253,7 +256,6 @@ def _judge(
             "counts": dataclasses.asdict(run.counts),
         },
         "live_equal": None if recording.estimate is None else compare_with_live(recording.estimate, run),
-        "live_without": None if recording.estimate is None else as_live(recording)[3],
     }
 
 
