@@ -10,7 +10,7 @@ from pam_antagonist.estimation import Estimator, simulate_model, ukf
 from pam_antagonist.estimation.estimator import parameter_sets
 from pam_antagonist.estimation.filter import make_work
 from pam_antagonist.model import dynamics
-from pam_antagonist.model.dynamics import STATES
+from pam_antagonist.model.parameters import BASE_STATES as STATES
 from pam_antagonist.model.profiles import profile
 from pam_antagonist.rig import Rig
 

@@ -10,8 +10,9 @@ import numpy as np
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation.filter import COUNTERS, ESTIMATE_DTYPE, ROW
-from pam_antagonist.model import dynamics
-from pam_antagonist.model.dynamics import STATES
+from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import ADDED_STATES, parameter_path
 from pam_antagonist.rig import Rig, Tuning
 
 
@@ -75,13 +76,43 @@ def parameter_sets(rig: Rig, tuning: Tuning, joint: str = "free", lock_angle: fl
     Raises:
         BadInput: a joint condition that does not exist.
     """
-    considered = rig.uncertainty if tuning.consider else {}
-    reach = math.sqrt(STATES + len(considered) + tuning.kappa)
-    sets = [rig.parameters(joint, lock_angle)]
-    for name, std in considered.items():
-        for step in (reach * std, -reach * std):
-            sets.append(rig.parameters(joint, lock_angle, {name: rig.value(name) + step}))
+    nominal = rig.parameters(joint, lock_angle)
+    steps = considered(rig) if tuning.consider else []
+    reach = math.sqrt(nominal[par.STATES] + len(steps) + tuning.kappa)
+    sets = [nominal]
+    for step in steps:
+        for way in (reach, -reach):
+            sets.append(rig.parameters(joint, lock_angle, {name: rig.value(name) + way * step[name] for name in step}))
     return np.array(sets)
+
+
+def considered(rig: Rig) -> list[dict[str, float]]:
+    """What the estimate's covariance takes for uncertain: independent steps of one standard deviation each.
+
+    Args:
+        rig: its ``uncertainty`` names parameters one by one, its ``directions`` several that move together.
+
+    Returns:
+        For each, the changes by parameter.
+    """
+    return [{name: std} for name, std in rig.uncertainty.items()] + list(rig.directions.values())
+
+
+def _of_states(p: np.ndarray, tuning: Tuning, period: float, locked: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Initial and process variances of all states, those that effects add from the catalogue or the tuning."""
+    initial, process = list(tuning.initial), list(tuning.process)
+    if locked:
+        # A locked joint's angle and velocity are known.
+        initial[:2] = process[:2] = [0.0, 0.0]
+    present = par.added_states(p)
+    for effect, state in ADDED_STATES:
+        if state.name not in present:
+            continue
+        noise = p[par.INDEX[parameter_path(effect, state.switch)]] if effect == "external_torque" else state.noise
+        own = tuning.states.get(state.name, (state.initial_std**2, noise**2 * period))
+        initial.append(own[0])
+        process.append(own[1])
+    return np.array(initial), np.array(process)
 
 
 class Estimator:
@@ -100,12 +131,12 @@ class Estimator:
     def __init__(self, rig: Rig, tuning: str = "default", joint: str = "free", lock_angle: float = 0.0) -> None:
         chosen = rig.tuning(tuning)
         sets = parameter_sets(rig, chosen, joint, lock_angle)
-        n, m = STATES, (len(sets) - 1) // 2
-        held = np.array([0.0, 0.0, 1.0, 1.0]) if joint == "locked" else np.ones(4)
+        n, m = int(sets[0, par.STATES]), (len(sets) - 1) // 2
+        initial, process = _of_states(sets[0], chosen, rig.sample_period, joint == "locked")
         self._settings = (
             sets,
-            np.array(chosen.initial) * held,
-            np.array(chosen.process) * held,
+            initial,
+            process,
             np.array(chosen.measurement),
             np.array(chosen.measurement) * (2.0 if chosen.gain == "printed" else 1.0),
             np.array([rig.sample_period, chosen.kappa, chosen.gate, lock_angle]),
@@ -216,6 +247,7 @@ def simulate_model(
     lock_angle: float = 0.0,
     angle0: float | None = None,
     substeps: int = 1,
+    external_torque: np.ndarray | None = None,
 ) -> ModelRun:
     """The model alone from the first pressures on, without any measurement after them.
 
@@ -228,22 +260,27 @@ def simulate_model(
         lock_angle: angle [rad] of a locked joint.
         angle0: angle [rad] of a free joint at the first sample; default: at rest under the pressures.
         substeps: Runge-Kutta steps a sample.
+        external_torque: torque from outside (N,) [N m] where it is known.
 
     Raises:
         BadInput: the first pressures or voltages are not finite.
     """
     p = rig.parameters(joint, lock_angle)
     held = _hold_last(np.array(voltage, dtype=np.float64, order="C"))
-    pressures = np.asarray(pressure0, dtype=np.float64)
-    if not (np.all(np.isfinite(pressures)) and np.all(np.isfinite(held))):
+    shown = np.asarray(pressure0, dtype=np.float64)
+    if not (np.all(np.isfinite(shown)) and np.all(np.isfinite(held))):
         raise BadInput("the model alone needs two finite pressures and voltages to start from")
+    if external_torque is not None:
+        held = np.column_stack([held, np.nan_to_num(external_torque)])
+    pressures = [sensor.pressure_behind(i, shown[i], p) for i in (0, 1)]
     if joint == "locked":
         angle = lock_angle
     else:
         angle = dynamics.rest_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
-    start = np.array([angle, 0.0, pressures[0], pressures[1]])
+    start = dynamics.initial_state(angle, pressures[0], pressures[1], held[0], p)
     states, torques, sigma = dynamics.simulate(start, held, p, rig.sample_period, substeps)
-    return ModelRun(states[:, 0], states[:, 1], states[:, 2:4], torques, sigma)
+    readings = np.column_stack([sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)])
+    return ModelRun(states[:, 0], states[:, 1], readings, torques, sigma)
 
 
 def _hold_last(voltage: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ import numpy as np
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.estimation import ukf
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 from pam_antagonist.model.parameters import LOCKED
 
@@ -67,7 +67,7 @@ _COVARIANCE, _PRESSURE, _FORCE, _STIFFNESS, _INNOVATION, _INNOVATION_COVARIANCE,
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
 _rest_angle, _forces, _torque_slope = dynamics.rest_angle, dynamics.forces, dynamics.torque_slope
-_subsystem = dynamics.subsystem
+_subsystem, _initial_state, _pressure_behind = dynamics.subsystem, dynamics.initial_state, sensor.pressure_behind
 
 
 def make_work(states: int, considered: int) -> tuple[np.ndarray, ...]:
@@ -94,11 +94,9 @@ def _start(stamp, y, u, memory, settings):
     parameter_sets, initial, _, _, _, scalars = settings
     n = x.shape[0]
     p = parameter_sets[0]
-    x[:] = 0.0
-    x[ANGLE] = scalars[3] if p[LOCKED] != 0.0 else _rest_angle(y[0], y[1], p)
-    x[VELOCITY] = 0.0
-    x[PRESSURE_1] = y[0]
-    x[PRESSURE_1 + 1] = y[1]
+    pressure_1, pressure_2 = _pressure_behind(0, y[0], p), _pressure_behind(1, y[1], p)
+    angle = scalars[3] if p[LOCKED] != 0.0 else _rest_angle(pressure_1, pressure_2, p)
+    x[:] = _initial_state(angle, pressure_1, pressure_2, u, p)
     covariance[:] = 0.0
     cross[:] = 0.0
     for i in range(n):
@@ -243,7 +241,10 @@ def process(stamp, y, u, memory, settings, work, row):
         counts[_PROCESSED] += 1
         return _write(row, memory, settings, np.nan, 0, work)
 
-    _innovate(x, covariance, y, measurement_noise, innovation, innovation_covariance)
+    p = parameter_sets[0]
+    for i in range(2):
+        innovation[i] = _pressure_behind(i, y[i], p)
+    _innovate(x, covariance, innovation, measurement_noise, innovation, innovation_covariance)
     use_1, use_2 = _select(innovation, innovation_covariance, finite_1, finite_2, gate)
     if (finite_1 and not use_1) or (finite_2 and not use_2):
         clock[_REJECTED] += 1

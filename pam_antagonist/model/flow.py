@@ -1,4 +1,7 @@
-"""Compressed air through the valve and into the chamber: equations (4) and (5)."""
+"""Compressed air through the valve and into the chamber: equations (4) and (5).
+
+With them the effects of the air: valve offset and lag, supply droop, leak, line resistance, warmth of the gas.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,14 @@ from pam_antagonist.model.parameters import (
     CRITICAL_RATIO,
     CURVE,
     CURVE_SIZE,
+    DROOP_STIFFNESS,
+    DROOP_TIME,
     FLOW_EXPONENT,
     GAS_CONSTANT,
     INFLOW_AREA,
+    LEAK_AREA,
+    LINE_RESISTANCE,
+    LINE_TIME,
     MAX_KNOTS,
     OUTFLOW_AREA,
     POLYTROPIC_FLOW,
@@ -21,8 +29,12 @@ from pam_antagonist.model.parameters import (
     SUBSONIC_FLOW,
     SUPPLY,
     TEMPERATURE,
+    THERMAL_SHARE,
+    THERMAL_TIME,
     VALVE,
+    VALVE_OFFSET,
     VALVE_SIZE,
+    VALVE_TIME,
 )
 
 INFLOW_CHOKED, BOTH_CHOKED, OUTFLOW_CHOKED = 0, 1, 2
@@ -31,7 +43,7 @@ INFLOW_CHOKED, BOTH_CHOKED, OUTFLOW_CHOKED = 0, 1, 2
 
 @inlined
 def open_rate(valve, voltage, p):
-    """α = κ(u): linear between the knots of the valve's curve, constant beyond its ends.
+    """α = κ(u − δ): linear between the knots of the valve's curve, constant beyond its ends; δ is the valve's offset.
 
     Args:
         valve: 0 or 1.
@@ -45,6 +57,7 @@ def open_rate(valve, voltage, p):
     knots = int(p[start])
     at = start + 1
     rate = start + 1 + MAX_KNOTS
+    voltage -= p[VALVE_OFFSET + valve]
     if voltage <= p[at]:
         return p[rate]
     for i in range(1, knots):
@@ -80,8 +93,8 @@ def orifice_flow(upstream, downstream, p):
 
 
 @inlined
-def mass_flow(valve, alpha, pressure, p):
-    """Mass flow m_i into the chamber [kg/s], equation (5): α m_in − (1 − α) m_out.
+def valve_flow(valve, alpha, pressure, supply, p):
+    """Equation (5) from a supply of any pressure, and what of it is drawn from the supply.
 
     A_0 is the inflow area where the sum is positive and the outflow area where it is not. A_0 is a
     factor of both terms, so the sign is known before the area is.
@@ -89,12 +102,37 @@ def mass_flow(valve, alpha, pressure, p):
     Args:
         valve: 0 or 1.
         alpha: open rate α [-] of :func:`open_rate`.
+        pressure: pressure at the valve [Pa].
+        supply: P_tank [Pa].
+        p: parameter vector.
+
+    Returns:
+        Mass flow into the chamber, and out of the supply [kg/s].
+    """
+    drawn = alpha * orifice_flow(supply, pressure, p)
+    flow = drawn - (1.0 - alpha) * orifice_flow(pressure, p[ATMOSPHERE], p)
+    area = p[VALVE + valve * VALVE_SIZE + (INFLOW_AREA if flow > 0.0 else OUTFLOW_AREA)]
+    return area * flow, area * drawn
+
+
+@inlined
+def mass_flow(valve, alpha, pressure, p):
+    """Mass flow m_i into the chamber [kg/s], equation (5): α m_in − (1 − α) m_out.
+
+    Args:
+        valve: 0 or 1.
+        alpha: open rate α [-] of :func:`open_rate`.
         pressure: P_i [Pa].
         p: parameter vector.
     """
-    flow = alpha * orifice_flow(p[SUPPLY], pressure, p) - (1.0 - alpha) * orifice_flow(pressure, p[ATMOSPHERE], p)
-    area = VALVE + valve * VALVE_SIZE + (INFLOW_AREA if flow > 0.0 else OUTFLOW_AREA)
-    return p[area] * flow
+    flow, _ = valve_flow(valve, alpha, pressure, p[SUPPLY], p)
+    return flow
+
+
+@inlined
+def leak_flow(muscle, pressure, p):
+    """Mass flow out of a leaking muscle [kg/s]: an orifice to the atmosphere."""
+    return p[LEAK_AREA + muscle] * orifice_flow(pressure, p[ATMOSPHERE], p)
 
 
 @inlined
@@ -111,6 +149,38 @@ def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
     supplied = p[POLYTROPIC_FLOW] * p[GAS_CONSTANT] * p[TEMPERATURE] * flow
     # The reciprocal is ready long before the flow is: one division less to wait for.
     return (supplied - p[POLYTROPIC_VOLUME] * volume_rate * pressure) * (1.0 / chamber_volume)
+
+
+@inlined
+def warmth_rates(muscle, warmth, polytropic_rate, p):
+    """How the warmth of the gas moves the pressure: dq/dt and what Ṗ loses by cooling [Pa/s].
+
+    Args:
+        muscle: 0 or 1.
+        warmth: q [Pa], the part of the pressure that is due to the gas being warmer than its surroundings.
+        polytropic_rate: Ṗ of equation (4) [Pa/s].
+        p: parameter vector.
+    """
+    cooling = warmth / p[THERMAL_TIME]
+    return p[THERMAL_SHARE + muscle] * polytropic_rate - cooling, cooling
+
+
+@inlined
+def droop_rate(droop, drawn, p):
+    """ds/dt [Pa/s] of the supply's deviation s [Pa] from its set pressure, with the drawn mass flow [kg/s]."""
+    return -p[DROOP_STIFFNESS] * drawn - droop / p[DROOP_TIME]
+
+
+@inlined
+def valve_rate(valve, alpha, wanted, p):
+    """dα/dt [1/s] of a valve that follows the open rate κ(u) that its voltage asks for."""
+    return (wanted - alpha) / p[VALVE_TIME + valve]
+
+
+@inlined
+def line_rate(muscle, sensed, chamber, flow, p):
+    """dP_s/dt [Pa/s] of the pressure at the valve: the chamber's and what the line's resistance adds, with a lag."""
+    return (chamber + p[LINE_RESISTANCE + muscle] * flow - sensed) / p[LINE_TIME]
 
 
 @inlined

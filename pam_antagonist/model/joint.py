@@ -1,22 +1,40 @@
-"""The joint: torque of the muscles, friction, motion. Equations (8), (9) and (10)."""
+"""The joint: torque of the muscles, friction, motion. Equations (8), (9) and (10).
+
+With them the laws of friction that the paper compares (10) with, and the effects friction and load torque.
+"""
 
 from __future__ import annotations
+
+import math
 
 from pam_antagonist._jit import inlined
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
+    EXTRA_COULOMB,
+    FRICTION_LAW,
+    FRICTION_LAWS,
     FRICTION_STEP,
+    FRICTION_VELOCITY,
     GRAVITY,
     INERTIA,
+    KINETIC_FRICTION,
+    LEVER_FORCE,
+    LOAD_CONSTANT,
+    LOAD_SINE,
     MASS,
     MUSCLE_FRICTION,
     PRESSURE_FLOOR,
     RADIUS,
     SHAFT_FRICTION,
     SHAFT_RADIUS,
+    STATIC_FRICTION,
     STIFFNESS,
+    STRIBECK,
+    STRIBECK_VELOCITY,
     VISCOUS,
 )
+
+_SIMPLE, _TONDU, _NONE = (float(FRICTION_LAWS.index(law)) for law in ("simple", "tondu", "none"))
 
 
 @inlined
@@ -42,8 +60,24 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
 
 
 @inlined
+def extra_coulomb_torque(velocity, p):
+    """What the effect ``friction`` adds to T_s + T_p [N m]: a constant, and a part that fades with the velocity."""
+    return p[EXTRA_COULOMB] + p[STRIBECK] * math.exp(-abs(velocity) / p[STRIBECK_VELOCITY])
+
+
+@inlined
+def load_torque(sine, p):
+    """Torque [N m] of the effect ``load_torque`` on the joint, with sin ψ."""
+    return p[LOAD_CONSTANT] + p[LOAD_SINE] * sine
+
+
+@inlined
 def friction_torque(velocity, applied, coulomb, p):
     """T_f [N m] by the law of Kikuuwe et al., equation (10), and whether the joint slides.
+
+    The laws that the paper compares it with (Table III) put another torque in place of T_s + T_p, and no
+    viscous one: ``simple`` a constant force on the lever, r F_r sgn ψ̇; ``tondu``
+    ((f_s − f_k) exp(−|ψ̇|/v) + f_k) sgn ψ̇ (Tondu and Lopez 2000), read as torques; ``none`` nothing.
 
     ψ̇(k) in the equation is the velocity that the joint would have after a step without friction,
     ψ̇(k−1) + Z T_0(k), with Z = T_stp/J. (The paper prints J/T_stp, which is no velocity per torque.) Used
@@ -61,10 +95,21 @@ def friction_torque(velocity, applied, coulomb, p):
     """
     z = p[FRICTION_STEP] / p[INERTIA]
     free = velocity + z * applied
+    viscous = p[VISCOUS]
+    law = p[FRICTION_LAW]
+    if law != 0.0:
+        viscous = 0.0
+        if law == _NONE:
+            return 0.0, 1.0
+        if law == _SIMPLE:
+            coulomb = p[LEVER_FORCE] * p[RADIUS]
+        elif law == _TONDU:
+            fade = math.exp(-abs(free) / p[FRICTION_VELOCITY])
+            coulomb = (p[STATIC_FRICTION] - p[KINETIC_FRICTION]) * fade + p[KINETIC_FRICTION]
     if abs(free) <= z * coulomb:
         return free / z, 0.0
     sign = 1.0 if free > 0.0 else -1.0
-    return (coulomb * sign + p[VISCOUS] * free) / (1.0 + z * p[VISCOUS]), 1.0
+    return (coulomb * sign + viscous * free) / (1.0 + z * viscous), 1.0
 
 
 @inlined

@@ -1,15 +1,28 @@
-"""Geometry, volume and contraction force of a muscle: equations (2), (3), (6) and (7)."""
+"""Geometry, volume and contraction force of a muscle: equations (2), (3), (6) and (7).
+
+With them the forms of the force map that the paper compares (6) with, and the effects hysteresis and creep.
+"""
 
 from __future__ import annotations
 
+import math
+
 from pam_antagonist._jit import inlined
 from pam_antagonist.model.parameters import (
+    C1,
+    CREEP_SHARE,
+    CREEP_TIME,
     D1,
     D2,
     D3,
+    FORCE_FORM,
+    FORCE_FORMS,
+    HYSTERESIS_AMPLITUDE,
+    HYSTERESIS_WIDTH,
     LENGTH,
     MUSCLE,
     MUSCLE_SIZE,
+    PULLEY,
     RADIUS,
     V1,
     V2,
@@ -19,6 +32,29 @@ from pam_antagonist.model.parameters import (
 
 _LEAST_VOLUME = 1e-8
 """[m³] Bound for lengths far outside the joint's range, where the parabola (3) falls through zero."""
+_HILDEBRANDT, _SAROSI = float(FORCE_FORMS.index("hildebrandt")), float(FORCE_FORMS.index("sarosi"))
+_UNIT_PRESSURE = 1e5
+"""[Pa] Unit of the pressure in the compared force maps, so that their coefficients are forces."""
+
+
+@inlined
+def leverage(angle, p):
+    """How the joint moves the muscles' ends: travel over r, its derivative (the lever arm over r), and that one's.
+
+    A seesaw's ends travel by r sin ψ (equation (2)), of which the paper counts the vertical part; a pulley
+    winds up r ψ.
+
+    Args:
+        angle: ψ [rad].
+        p: parameter vector.
+
+    Returns:
+        sin ψ, cos ψ, −sin ψ for a lever; ψ, 1, 0 for a pulley.
+    """
+    if p[PULLEY] != 0.0:
+        return angle, 1.0, 0.0
+    sine = math.sin(angle)
+    return sine, math.cos(angle), -sine
 
 
 @inlined
@@ -27,7 +63,7 @@ def length(muscle, sine, p):
 
     Args:
         muscle: 0 or 1.
-        sine: sin ψ of the joint angle.
+        sine: travel over r, sin ψ for a lever (:func:`leverage`).
         p: parameter vector.
 
     Returns:
@@ -60,19 +96,76 @@ def volume(muscle, muscle_length, p):
 
 @inlined
 def force(muscle, muscle_length, pressure, p):
-    """Contraction force [N], equations (6) and (7): F = v(l) P + w(l).
+    """Contraction force [N] of a form of the static force map.
 
-    The map is the paper's straight line. It is not cut off at zero: inside the joint's range and above
-    200 kPa it stays positive within a newton, and a cut would hide a wrong calibration.
+    ``linear`` is equations (6) and (7): F = v(l) P + w(l). It is not cut off at zero: inside the joint's range and
+    above 200 kPa it stays positive within a newton, and a cut would hide a wrong calibration. The others are those that
+    the paper compares it with (Table IV), in the contraction k = 1 − l/L_0 and q = P/100 kPa:
+
+    * ``hildebrandt`` (Hildebrandt et al. 2005): area and elastic force as polynomials,
+      (c1 + c2 k + c3 k²) q + c4 + c5 k + c6 k² + c7 k³;
+    * ``sarosi`` (Sárosi et al. 2010): (c1 q + c2) exp(c3 k) + c4 k q + c5 q + c6;
+    * ``polynomial`` (of second degree in both): c1 + c2 k + c3 q + c4 k² + c5 k q + c6 q².
     """
     base = MUSCLE + muscle * MUSCLE_SIZE
-    slope = p[base + V1] * muscle_length + p[base + V2]
-    intercept = p[base + W1] * muscle_length + p[base + W2]
-    return slope * pressure + intercept
+    form = p[FORCE_FORM]
+    if form == 0.0:
+        slope = p[base + V1] * muscle_length + p[base + V2]
+        intercept = p[base + W1] * muscle_length + p[base + W2]
+        return slope * pressure + intercept
+    k, q, c = 1.0 - muscle_length / p[LENGTH], pressure / _UNIT_PRESSURE, base + C1
+    if form == _HILDEBRANDT:
+        area = (p[c + 2] * k + p[c + 1]) * k + p[c]
+        return area * q + ((p[c + 6] * k + p[c + 5]) * k + p[c + 4]) * k + p[c + 3]
+    if form == _SAROSI:
+        return (p[c] * q + p[c + 1]) * math.exp(p[c + 2] * k) + (p[c + 3] * k + p[c + 4]) * q + p[c + 5]
+    return p[c] + (p[c + 3] * k + p[c + 1]) * k + (p[c + 2] + p[c + 4] * k + p[c + 5] * q) * q
 
 
 @inlined
-def force_length_slope(muscle, pressure, p):
-    """∂F/∂l [N/m] of equations (6) and (7)."""
+def force_length_slope(muscle, muscle_length, pressure, p):
+    """∂F/∂l [N/m] of :func:`force`."""
     base = MUSCLE + muscle * MUSCLE_SIZE
-    return p[base + V1] * pressure + p[base + W1]
+    form = p[FORCE_FORM]
+    if form == 0.0:
+        return p[base + V1] * pressure + p[base + W1]
+    k, q, c = 1.0 - muscle_length / p[LENGTH], pressure / _UNIT_PRESSURE, base + C1
+    if form == _HILDEBRANDT:
+        slope = (2.0 * p[c + 2] * k + p[c + 1]) * q + (3.0 * p[c + 6] * k + 2.0 * p[c + 5]) * k + p[c + 4]
+    elif form == _SAROSI:
+        slope = p[c + 2] * (p[c] * q + p[c + 1]) * math.exp(p[c + 2] * k) + p[c + 3] * q
+    else:
+        slope = 2.0 * p[c + 3] * k + p[c + 1] + p[c + 4] * q
+    return -slope / p[LENGTH]
+
+
+@inlined
+def loaded_force(muscle, static, loop, late, p):
+    """Contraction force [N] with what hysteresis and creep add to the static map.
+
+    Args:
+        muscle: 0 or 1.
+        static: F of :func:`force` [N].
+        loop: z [-], state of the hysteresis.
+        late: c [N], state of the creep; F itself where nothing creeps.
+        p: parameter vector.
+    """
+    return static + p[HYSTERESIS_AMPLITUDE + muscle] * loop + p[CREEP_SHARE + muscle] * (late - static)
+
+
+@inlined
+def hysteresis_rate(loop, rate, p):
+    """dz/dt [1/s] by Bouc and Wen, which depends on the way of the length and not on its speed.
+
+    Args:
+        loop: z [-].
+        rate: dl/dt [m/s].
+        p: parameter vector.
+    """
+    return (rate - 0.5 * (abs(rate) * loop + rate * abs(loop))) / p[HYSTERESIS_WIDTH]
+
+
+@inlined
+def creep_rate(late, static, p):
+    """dc/dt [N/s] of the creep: the static force, late by its time constant."""
+    return (static - late) / p[CREEP_TIME]

@@ -12,10 +12,22 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
+
 MAX_KNOTS = 24
 """The most points that a valve curve may have."""
 
-_MUSCLE = ("volume.d1", "volume.d2", "volume.d3", "force.v1", "force.v2", "force.w1", "force.w2")
+FORCE_FORMS = ("linear", "hildebrandt", "sarosi", "polynomial")
+"""Forms of the static force map (``muscle.force``)."""
+FRICTION_LAWS = ("kikuuwe", "simple", "tondu", "none")
+"""Laws of friction (``joint.friction_torque``)."""
+COEFFICIENTS = 7
+"""The most coefficients that a force map beside the linear one has."""
+
+_MUSCLE = (
+    *("volume.d1", "volume.d2", "volume.d3", "force.v1", "force.v2", "force.w1", "force.w2"),
+    *(f"force.c{i}" for i in range(1, COEFFICIENTS + 1)),
+)
 _VALVE = ("inflow_area", "outflow_area")
 _NAMES = (
     *(f"muscle_1.{name}" for name in _MUSCLE),
@@ -41,13 +53,18 @@ _NAMES = (
     "friction.shaft",
     "friction.muscle",
     "friction.pressure_floor",
+    "friction.lever_force",
+    "friction.static",
+    "friction.kinetic",
+    "friction.velocity",
     "friction.time_step",
+    *(parameter_path(effect.name, item.name) for effect in CATALOGUE.values() for item in effect.parameters),
 )
 INDEX: Mapping[str, int] = {name: index for index, name in enumerate(_NAMES)}
 """Index of each named parameter in the vector."""
 
 MUSCLE, MUSCLE_SIZE = INDEX["muscle_1.volume.d1"], len(_MUSCLE)
-D1, D2, D3, V1, V2, W1, W2 = range(len(_MUSCLE))
+D1, D2, D3, V1, V2, W1, W2, C1 = range(len(_MUSCLE) - COEFFICIENTS + 1)
 VALVE, VALVE_SIZE = INDEX["valve_1.inflow_area"], len(_VALVE)
 INFLOW_AREA, OUTFLOW_AREA = range(len(_VALVE))
 RADIUS = INDEX["geometry.radius"]
@@ -69,7 +86,33 @@ STOP = INDEX["joint.stop"]
 SHAFT_FRICTION = INDEX["friction.shaft"]
 MUSCLE_FRICTION = INDEX["friction.muscle"]
 PRESSURE_FLOOR = INDEX["friction.pressure_floor"]
+LEVER_FORCE = INDEX["friction.lever_force"]
+STATIC_FRICTION = INDEX["friction.static"]
+KINETIC_FRICTION = INDEX["friction.kinetic"]
+FRICTION_VELOCITY = INDEX["friction.velocity"]
 FRICTION_STEP = INDEX["friction.time_step"]
+
+# Effects. Where each muscle has its own, that of muscle 2 stands behind that of muscle 1.
+HYSTERESIS_AMPLITUDE = INDEX["effects.hysteresis.amplitude_1"]
+HYSTERESIS_WIDTH = INDEX["effects.hysteresis.width"]
+LEAK_AREA = INDEX["effects.leak.area_1"]
+DROOP_STIFFNESS = INDEX["effects.supply_droop.stiffness"]
+DROOP_TIME = INDEX["effects.supply_droop.time"]
+VALVE_TIME = INDEX["effects.valve_lag.time_1"]
+VALVE_OFFSET = INDEX["effects.valve_offset.voltage_1"]
+LINE_RESISTANCE = INDEX["effects.line_resistance.resistance_1"]
+LINE_TIME = INDEX["effects.line_resistance.time"]
+SENSOR_OFFSET = INDEX["effects.pressure_sensor.offset_1"]
+SENSOR_GAIN = INDEX["effects.pressure_sensor.gain_1"]
+LOAD_CONSTANT = INDEX["effects.load_torque.constant"]
+LOAD_SINE = INDEX["effects.load_torque.sine"]
+EXTRA_COULOMB = INDEX["effects.friction.coulomb"]
+STRIBECK = INDEX["effects.friction.stribeck"]
+STRIBECK_VELOCITY = INDEX["effects.friction.velocity"]
+CREEP_SHARE = INDEX["effects.creep.share_1"]
+CREEP_TIME = INDEX["effects.creep.time"]
+THERMAL_SHARE = INDEX["effects.thermal.share_1"]
+THERMAL_TIME = INDEX["effects.thermal.time"]
 
 # Behind the named values: the joint's condition, what is derived, the two valve curves.
 LOCKED = len(_NAMES)
@@ -77,13 +120,40 @@ CRITICAL_RATIO = LOCKED + 1
 CHOKED_FLOW = LOCKED + 2
 SUBSONIC_FLOW = LOCKED + 3
 FLOW_EXPONENT = LOCKED + 4
-CURVE = LOCKED + 5
+PULLEY = LOCKED + 5
+FORCE_FORM = LOCKED + 6
+FRICTION_LAW = LOCKED + 7
+STATELESS_EFFECTS = LOCKED + 8
+"""1 where an effect that adds no state is at work, so that a rig without any pays for one comparison."""
+STATES = LOCKED + 9
+"""How many states there are."""
+SLOT = LOCKED + 10
+"""Index in the state of each of ``effects.ADDED_STATES``, 0 for one that is not there."""
+CURVE = SLOT + len(ADDED_STATES)
 CURVE_SIZE = 1 + 2 * MAX_KNOTS
 SIZE = CURVE + 2 * CURVE_SIZE
 
+SLOT_OF: Mapping[str, int] = {state.name: SLOT + k for k, (_, state) in enumerate(ADDED_STATES)}
+"""Where in the vector the index of an added state stands, by the state's name."""
+_SWITCHES = tuple(INDEX[parameter_path(effect, state.switch)] for effect, state in ADDED_STATES)
+_STATELESS = tuple(
+    INDEX[parameter_path(effect.name, item.name)]
+    for effect in CATALOGUE.values()
+    if not effect.states
+    for item in effect.parameters
+    if item.is_size
+)
+BASE_STATES = 4
+
+
+def added_states(p: np.ndarray) -> list[str]:
+    """Names of the states that follow P_2, in their order."""
+    return [state.name for k, (_, state) in enumerate(ADDED_STATES) if p[SLOT + k] > 0.0]
+
 
 def refresh(p: np.ndarray) -> np.ndarray:
-    """Fill in what follows from the named values: the constants of equation (5) that hold no pressure.
+    """Fill in what follows from the named values: the constants of equation (5) that hold no pressure, and
+    which states the effects add.
 
     Args:
         p: parameter vector (SIZE,), changed in place.
@@ -96,6 +166,13 @@ def refresh(p: np.ndarray) -> np.ndarray:
     p[CHOKED_FLOW] = np.sqrt(k / gas * (2.0 / (k + 1.0)) ** ((k + 1.0) / (k - 1.0))) / root_t
     p[SUBSONIC_FLOW] = np.sqrt(2.0 * k / (gas * (k - 1.0))) / root_t
     p[FLOW_EXPONENT] = (k - 1.0) / k
+    p[STATELESS_EFFECTS] = float(any(p[index] != 0.0 for index in _STATELESS))
+    count = BASE_STATES
+    for slot, switch in enumerate(_SWITCHES):
+        present = p[switch] != 0.0
+        p[SLOT + slot] = count if present else 0.0
+        count += present
+    p[STATES] = count
     return p
 
 

@@ -13,7 +13,7 @@ from pam_antagonist.rig.schema import Rig
 from pam_antagonist.strict_yaml import read_mapping, validated
 
 _LONGEST_CHAIN = 4
-_SWITCHES = ("consider",)
+_SWITCHES = ("consider", "sealed")
 
 
 def rig_names() -> list[str]:

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
+from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig.schema import Rig
 
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
+_RANGE_WITHOUT_STOP = math.radians(25.0)
 _REACH = 5.0
 """Sigma points go so many standard deviations away from the value."""
 
 
 def is_positive(name: str) -> bool:
-    """Whether a parameter is positive in any rig: all but the coefficients of volume and force map are."""
-    return ".force." not in name and ".volume." not in name
+    """Whether a parameter is positive in any rig: all but those of volume, force map and effects are."""
+    return ".force." not in name and ".volume." not in name and not name.startswith("effects.")
 
 
 def unphysical(rig: Rig) -> str:
@@ -35,40 +39,86 @@ def unphysical(rig: Rig) -> str:
         complaint = _bad_curve(f"{name}.curve", np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
         if complaint:
             return complaint
-    reach = rig.geometry.radius * math.sin(rig.joint.stop if rig.joint.stop is not None else math.radians(25.0))
-    for name, muscle in (("muscle_1", rig.muscle_1), ("muscle_2", rig.muscle_2)):
-        for length in (rig.geometry.length - reach, rig.geometry.length, rig.geometry.length + reach):
-            volume = (muscle.volume.d1 * length + muscle.volume.d2) * length + muscle.volume.d3
-            if not _LEAST_VOLUME < volume < _LARGEST_VOLUME:
-                return (
-                    f"{name}.volume gives {volume:.3g} m³ at a length of {length:g} m: expected {_LEAST_VOLUME:g} "
-                    f"to {_LARGEST_VOLUME:g} m³ within the joint's range"
-                )
-        slope = muscle.force.v1 * rig.geometry.length + muscle.force.v2
-        if not 1e-7 < slope < 0.1:
-            return (
-                f"{name}.force gives dF/dP = {slope:.3g} m² at geometry.length: expected 1e-7 to 0.1 m² "
-                "(force in N over absolute pressure in Pa)"
-            )
-    for section, spreads in (("uncertainty", rig.uncertainty), ("priors", rig.priors)):
-        for name, std in spreads.items():
-            if name not in par.INDEX or name == "friction.time_step":
-                close = difflib.get_close_matches(name, par.INDEX, 1)
-                return f"{section}: unknown parameter {name!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
-            if not (math.isfinite(std) and std > 0.0):
-                return f"{section} of {name}: {std:g}, expected a standard deviation above 0"
-            if section == "uncertainty" and is_positive(name) and std * _REACH >= rig.value(name):
-                return (
-                    f"uncertainty of {name}: {std:g}, expected less than a {_REACH:g}th of its value, "
-                    f"{rig.value(name):g}, since it cannot be negative"
-                )
+    complaint = _bad_effects(rig) or _bad_muscles(rig) or _bad_spreads(rig)
+    if complaint:
+        return complaint
     for name, tuning in rig.tunings.items():
         numbers = np.array([*tuning.initial, *tuning.process, *tuning.measurement])
+        for state in tuning.states:
+            if state not in par.SLOT_OF:
+                return f"tunings.{name}.states: unknown {state!r}, expected one of {', '.join(par.SLOT_OF)}"
+        numbers = np.concatenate([numbers, *(np.array(pair) for pair in tuning.states.values())])
         if not (np.all(np.isfinite(numbers)) and np.all(numbers >= 0.0) and min(tuning.measurement) > 0.0):
             return f"tunings.{name}: expected variances, finite and not negative, those of the measurement above 0"
     if "default" not in rig.tunings:
         return "tunings: expected one that is called 'default'"
     return "" if np.all(np.isfinite(rig.parameters()[par.LOCKED :])) else "gas: these constants give no finite flow"
+
+
+def _bad_muscles(rig: Rig) -> str:
+    """Volume and force map over the joint's range, by the functions that the model runs."""
+    p = rig.parameters()
+    bound = rig.joint.stop if rig.joint.stop is not None else _RANGE_WITHOUT_STOP
+    for i, name in enumerate(("muscle_1", "muscle_2")):
+        for angle in (-bound, 0.0, bound):
+            travel, _, _ = muscle.leverage(angle, p)
+            length = muscle.length(i, travel, p)
+            volume, _ = muscle.volume(i, length, p)
+            if not _LEAST_VOLUME < volume < _LARGEST_VOLUME:
+                return (
+                    f"{name}.volume gives {volume:.3g} m³ at a length of {length:g} m: expected {_LEAST_VOLUME:g} "
+                    f"to {_LARGEST_VOLUME:g} m³ within the joint's range"
+                )
+        length, pressure = rig.geometry.length, 3.0 * rig.atmosphere.pressure
+        rise = (muscle.force(i, length, pressure + 1e3, p) - muscle.force(i, length, pressure, p)) / 1e3
+        if not 1e-7 < rise < 0.1:
+            return (
+                f"{name}.force gives dF/dP = {rise:.3g} m² at geometry.length: expected 1e-7 to 0.1 m² "
+                f"(force in N over absolute pressure in Pa; form {rig.model.force!r})"
+            )
+    return ""
+
+
+def _unknown(section: str, name: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(name, list(known), 1)
+    return f"{section}: unknown {name!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
+
+
+def _bad_effects(rig: Rig) -> str:
+    for name, values in rig.effects.items():
+        if name not in CATALOGUE:
+            return _unknown("effects", name, CATALOGUE) + f"; expected one of {', '.join(CATALOGUE)}"
+        known = {item.name: item for item in CATALOGUE[name].parameters}
+        for key, value in values.items():
+            if key not in known:
+                return _unknown(f"effects.{name}", key, known) + f"; expected one of {', '.join(known)}"
+            item = known[key]
+            if not item.low <= value <= item.high:
+                return (
+                    f"effects.{name}.{key}: {value:g}, expected {item.low:g} to {item.high:g} {item.unit} "
+                    f"({item.meaning})"
+                )
+    return ""
+
+
+def _bad_spreads(rig: Rig) -> str:
+    """Standard deviations of parameters: whose they are, and what sigma points would make of the value."""
+    sections = [("uncertainty", rig.uncertainty, True), ("priors", rig.priors, False)]
+    sections += [(f"directions.{name}", changes, True) for name, changes in rig.directions.items()]
+    for section, spreads, reached in sections:
+        for name, std in spreads.items():
+            if name not in par.INDEX or name == "friction.time_step":
+                close = difflib.get_close_matches(name, par.INDEX, 1)
+                return f"{section}: unknown parameter {name!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
+            signed = section.startswith("directions")
+            if not (math.isfinite(std) and (signed or std > 0.0)):
+                return f"{section} of {name}: {std:g}, expected a standard deviation above 0"
+            if reached and is_positive(name) and abs(std) * _REACH >= rig.value(name):
+                return (
+                    f"{section} of {name}: {std:g}, expected less than a {_REACH:g}th of its value, "
+                    f"{rig.value(name):g}, since it cannot be negative"
+                )
+    return ""
 
 
 def _bad_curve(where: str, voltage: np.ndarray, rate: np.ndarray) -> str:

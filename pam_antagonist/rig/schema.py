@@ -15,13 +15,22 @@ from pydantic import Field
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.strict_yaml import Strict
+
+
+class Form(Strict):
+    """Which of the compared models is used; the first of each is the paper's own."""
+
+    force: Literal["linear", "hildebrandt", "sarosi", "polynomial"] = Field("linear", description="static force map")
+    friction: Literal["kikuuwe", "simple", "tondu", "none"] = Field("kikuuwe", description="law of friction")
 
 
 class Geometry(Strict):
     """Equation (2)."""
 
-    radius: float = Field(gt=1e-3, lt=0.5, description="r, radius of the seesaw [m]")
+    kind: Literal["lever", "pulley"] = Field("lever", description="lever: l = L_0 ∓ r sin ψ; pulley: l = L_0 ∓ r ψ")
+    radius: float = Field(gt=1e-3, lt=0.5, description="r, radius of the seesaw or pulley [m]")
     length: float = Field(gt=0.02, lt=2.0, description="L_0, muscle length at ψ = 0 [m]")
 
 
@@ -40,6 +49,13 @@ class Force(Strict):
     v2: float = Field(description="p_v2 [m²]")
     w1: float = Field(description="p_w1 [N/m]")
     w2: float = Field(description="p_w2 [N]")
+    c1: float = Field(0.0, description="c1 of the other forms [N]")
+    c2: float = Field(0.0, description="c2 of the other forms [N]")
+    c3: float = Field(0.0, description="c3 of the other forms [- or N]")
+    c4: float = Field(0.0, description="c4 of the other forms [N]")
+    c5: float = Field(0.0, description="c5 of the other forms [N]")
+    c6: float = Field(0.0, description="c6 of the other forms [N]")
+    c7: float = Field(0.0, description="c7 of the other forms [N]")
 
 
 class Muscle(Strict):
@@ -69,6 +85,7 @@ class ValveLimits(Strict):
 
     voltage_min: float = Field(ge=0.0, le=10.0, description="[V]")
     voltage_max: float = Field(ge=0.0, le=10.0, description="[V]")
+    sealed: bool = Field(False, description="no air passes: the chambers are closed")
 
 
 class Gas(Strict):
@@ -113,6 +130,10 @@ class Friction(Strict):
     pressure_floor: float = Field(
         gt=500.0, lt=200e3, description="least gauge pressure in T_p, which is singular at the atmosphere's [Pa]"
     )
+    lever_force: float = Field(13.7, ge=0.0, lt=1e4, description="F_r of law 'simple', on the lever [N]")
+    static: float = Field(0.146, ge=0.0, lt=100.0, description="f_s of law 'tondu' [N m]")
+    kinetic: float = Field(0.03285, ge=0.0, lt=100.0, description="f_k of law 'tondu' [N m]")
+    velocity: float = Field(0.8, gt=0.0, lt=100.0, description="x_k of law 'tondu' [rad/s]")
 
 
 class Sensors(Strict):
@@ -141,6 +162,9 @@ class Tuning(Strict):
     gain: Literal["standard", "printed"] = Field(
         "standard", description="standard: P_xy/P_yy; printed: P_xy/(P_yy + R), which counts R twice"
     )
+    states: Dict[str, Tuple[float, float]] = Field(  # noqa: UP006
+        {}, description="of states that effects add: initial variance, and process variance a step"
+    )
 
 
 class Rig(Strict):
@@ -152,6 +176,7 @@ class Rig(Strict):
     name: str
     source: str = Field(description="where the numbers come from")
     sample_period: float = Field(ge=1e-4, le=0.02, description="T_stp [s]")
+    model: Form = Field(default_factory=lambda: Form(force="linear", friction="kikuuwe"))
     geometry: Geometry
     muscle_1: Muscle
     muscle_2: Muscle
@@ -164,7 +189,11 @@ class Rig(Strict):
     joint: Joint
     friction: Friction
     sensors: Sensors
+    effects: Dict[str, Dict[str, float]] = Field({}, description="what the paper's model lacks: docs/effects.md")  # noqa: UP006
     uncertainty: Dict[str, float]  # noqa: UP006
+    directions: Dict[str, Dict[str, float]] = Field(  # noqa: UP006
+        {}, description="parameters that are uncertain together: changes of one standard deviation each"
+    )
     priors: Dict[str, float] = Field({}, description="standard deviations before identification, by parameter")  # noqa: UP006
     tunings: Dict[str, Tuning]  # noqa: UP006
 
@@ -174,6 +203,10 @@ class Rig(Strict):
         Raises:
             KeyError: no such number.
         """
+        if name.startswith("effects."):
+            _, effect, item = name.split(".")
+            known = next(entry for entry in CATALOGUE[effect].parameters if entry.name == item)
+            return float(self.effects.get(effect, {}).get(item, known.neutral))
         node: Any = self
         for part in name.split("."):
             if not hasattr(node, part):
@@ -206,6 +239,11 @@ class Rig(Strict):
         for name, index in par.INDEX.items():
             p[index] = self.sample_period if name == "friction.time_step" else self.value(name)
         p[par.LOCKED] = float(joint == "locked")
+        p[par.PULLEY] = float(self.geometry.kind == "pulley")
+        p[par.FORCE_FORM] = float(par.FORCE_FORMS.index(self.model.force))
+        p[par.FRICTION_LAW] = float(par.FRICTION_LAWS.index(self.model.friction))
+        if self.valves.sealed:
+            p[par.VALVE : par.VALVE + 2 * par.VALVE_SIZE] = 0.0
         for number, valve in enumerate((self.valve_1, self.valve_2)):
             par.set_curve(p, number, np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
         return par.changed(p, changes or {})

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig.schema import Rig
 
 _COLUMN = 44
@@ -38,7 +39,23 @@ def _model(model: BaseModel, depth: int) -> list[str]:
     lines = []
     for name, field in fields.items():
         description = getattr(getattr(field, "field_info", field), "description", None) or ""
+        if name == "effects" and depth == 0:
+            lines += _effects(model.effects, description)  # type: ignore[attr-defined]
+            continue
         lines += _entry(name, getattr(model, name), description, depth)
+    return lines
+
+
+def _effects(effects: Mapping[str, Mapping[str, float]], description: str) -> list[str]:
+    """The effects of a rig, each number with its meaning and unit from the catalogue."""
+    if not effects:
+        return _entry("effects", effects, description, 0)
+    lines = ["", _line("effects:", f"# {description}")]
+    for name, values in effects.items():
+        lines.append(_line(f"  {name}:", f"# {CATALOGUE[name].meaning}"))
+        known = {item.name: item for item in CATALOGUE[name].parameters}
+        for key, value in values.items():
+            lines += _entry(key, value, f"{known[key].meaning} [{known[key].unit}]", 2)
     return lines
 
 
