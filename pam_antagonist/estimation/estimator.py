@@ -37,6 +37,7 @@ class EstimateRun:
 
     Attributes:
         rows: estimates (M,) of ``ESTIMATE_DTYPE``.
+        added: states that effects add (M,), by name, in their own units.
         stamp_ns: their stamps (M,) [ns].
         index: the sample of the recording that each belongs to (M,).
         started_ns: stamp at which the filter behind each was started (M,) [ns].
@@ -44,6 +45,7 @@ class EstimateRun:
     """
 
     rows: np.ndarray
+    added: dict[str, np.ndarray]
     stamp_ns: np.ndarray
     index: np.ndarray
     started_ns: np.ndarray
@@ -141,6 +143,7 @@ class Estimator:
             np.array(chosen.measurement) * (2.0 if chosen.gain == "printed" else 1.0),
             np.array([rig.sample_period, chosen.kappa, chosen.gate, lock_angle]),
         )
+        self._added = par.added_states(sets[0])
         self._clock = np.zeros(kernels.CLOCK_SIZE, dtype=np.int64)
         self._counts = np.zeros(len(COUNTERS), dtype=np.int64)
         self._memory = (
@@ -216,6 +219,7 @@ class Estimator:
         """
         samples = len(stamp_ns)
         rows = np.zeros((samples, ROW))
+        states = np.zeros((samples, len(self._memory[0])))
         index = np.zeros(samples, dtype=np.int64)
         started = np.zeros(samples, dtype=np.int64)
         stamps = np.ascontiguousarray(stamp_ns, dtype=np.int64)
@@ -227,11 +231,13 @@ class Estimator:
             self._settings,
             self._work,
             rows,
+            states,
             index,
             started,
         )
         return EstimateRun(
             rows=rows[:count].view(ESTIMATE_DTYPE)[:, 0],
+            added={name: states[:count, par.BASE_STATES + k] for k, name in enumerate(self._added)},
             stamp_ns=stamps[index[:count]],
             index=index[:count],
             started_ns=started[:count],
@@ -258,7 +264,7 @@ def simulate_model(
         pressure0: pressures (2,) [Pa] at the first sample.
         joint: ``free`` or ``locked``.
         lock_angle: angle [rad] of a locked joint.
-        angle0: angle [rad] of a free joint at the first sample; default: at rest under the pressures.
+        angle0: angle [rad] of a free joint at the first sample; default: that of a filter's start.
         substeps: Runge-Kutta steps a sample.
         external_torque: torque from outside (N,) [N m] where it is known.
 
@@ -276,7 +282,7 @@ def simulate_model(
     if joint == "locked":
         angle = lock_angle
     else:
-        angle = dynamics.rest_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
+        angle = dynamics.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
     start = dynamics.initial_state(angle, pressures[0], pressures[1], held[0], p)
     states, torques, sigma = dynamics.simulate(start, held, p, rig.sample_period, substeps)
     readings = np.column_stack([sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)])

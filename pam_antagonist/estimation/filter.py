@@ -66,7 +66,7 @@ _COVARIANCE, _PRESSURE, _FORCE, _STIFFNESS, _INNOVATION, _INNOVATION_COVARIANCE,
 )
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
-_rest_angle, _forces, _torque_slope = dynamics.rest_angle, dynamics.forces, dynamics.torque_slope
+_start_angle, _forces, _torque_slope = dynamics.start_angle, dynamics.forces, dynamics.torque_slope
 _subsystem, _initial_state, _pressure_behind = dynamics.subsystem, dynamics.initial_state, sensor.pressure_behind
 
 
@@ -95,7 +95,7 @@ def _start(stamp, y, u, memory, settings):
     n = x.shape[0]
     p = parameter_sets[0]
     pressure_1, pressure_2 = _pressure_behind(0, y[0], p), _pressure_behind(1, y[1], p)
-    angle = scalars[3] if p[LOCKED] != 0.0 else _rest_angle(pressure_1, pressure_2, p)
+    angle = scalars[3] if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
     x[:] = _initial_state(angle, pressure_1, pressure_2, u, p)
     covariance[:] = 0.0
     cross[:] = 0.0
@@ -280,7 +280,7 @@ def process(stamp, y, u, memory, settings, work, row):
 
 
 @kernel
-def process_all(stamps, pressures, voltages, memory, settings, work, rows, index, started):
+def process_all(stamps, pressures, voltages, memory, settings, work, rows, states, index, started):
     """:func:`process` for every sample of a recording.
 
     Args:
@@ -289,6 +289,7 @@ def process_all(stamps, pressures, voltages, memory, settings, work, rows, index
         voltages: (N, 2) [V].
         memory, settings, work: as for :func:`process`.
         rows: results (N, ROW).
+        states: result (N, n), the whole state behind each estimate.
         index: for each result the sample it belongs to (N,).
         started: for each result the stamp [ns] at which its filter was started (N,).
 
@@ -299,6 +300,7 @@ def process_all(stamps, pressures, voltages, memory, settings, work, rows, index
     clock = memory[4]
     for k in range(stamps.shape[0]):
         if process(stamps[k], pressures[k], voltages[k], memory, settings, work, rows[count]):
+            states[count] = memory[0]
             index[count] = k
             started[count] = clock[_STARTED]
             count += 1

@@ -14,7 +14,9 @@ from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model import flow, joint, muscle
 from pam_antagonist.model.parameters import (
     BASE_STATES,
+    CHARGE,
     LOCKED,
+    POLYTROPIC_VOLUME,
     SLOT_OF,
     STATELESS_EFFECTS,
     STATES,
@@ -106,12 +108,13 @@ def _stopped(angle, velocity, p):
 
 @inlined
 def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, p):
-    """Equations (3) to (5) of one muscle: Ṗ of the chamber, mass flow into it, mass flow out of the supply."""
+    """Equations (3) to (5) of one muscle: Ṗ of the chamber, mass flow through the valve, mass flow out of the supply."""
     volume, volume_slope = _volume(i, muscle_length, p)
-    net, drawn = _valve_flow(i, alpha, pressure, supply, p)
+    passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
+    net = passed
     if p[STATELESS_EFFECTS] != 0.0:
         net -= _leak_flow(i, chamber, p)
-    return _pressure_rate(chamber, volume, volume_slope * length_rate, net, p), net, drawn
+    return _pressure_rate(chamber, volume, volume_slope * length_rate, net, p), passed, drawn
 
 
 @inlined
@@ -162,7 +165,7 @@ def _rows(x, wanted, external, p, dx):
         sensed, chamber = x[PRESSURE_1 + i], _chamber_pressure(i, x, p)
         muscle_length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
         alpha = _added(_OPEN_RATE + i, x, p, wanted[i])
-        rate, net, drawn = _air(i, alpha, sensed, chamber, muscle_length, length_rate, supply, p)
+        rate, passed, drawn = _air(i, alpha, sensed, chamber, muscle_length, length_rate, supply, p)
         consumption += drawn
         at = int(p[_WARMTH + i])
         if at > 0:
@@ -172,7 +175,7 @@ def _rows(x, wanted, external, p, dx):
         at = int(p[_CHAMBER + i])
         if at > 0:
             dx[at] = rate
-            dx[PRESSURE_1 + i] = _line_rate(i, sensed, chamber, net, p)
+            dx[PRESSURE_1 + i] = _line_rate(i, sensed, chamber, passed, p)
         at = int(p[_OPEN_RATE + i])
         if at > 0:
             dx[at] = _valve_rate(i, alpha, wanted[i], p)
@@ -335,6 +338,37 @@ def rest_angle(pressure_1, pressure_2, p):
             low = x[ANGLE]
         else:
             high = x[ANGLE]
+    return 0.5 * (low + high)
+
+
+@inlined
+def closed_pressure(i, angle, p):
+    """Pressure [Pa] of sealed muscle i at an angle [rad]: equation (4) without flow keeps P V^k_2 as it was charged."""
+    travel, _, _ = _leverage(angle, p)
+    volume, _ = _volume(i, _length(i, travel, p), p)
+    charged, _ = _volume(i, _length(i, 0.0, p), p)
+    return p[CHARGE + i] * math.exp(p[POLYTROPIC_VOLUME] * math.log(charged / volume))
+
+
+@kernel
+def start_angle(pressure_1, pressure_2, p):
+    """Angle [rad] at which a filter starts.
+
+    Of sealed muscles whose charge is known, the angle at which the ratio of the pressures is that of the
+    closed chambers; otherwise the angle of rest.
+    """
+    if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
+        return rest_angle(pressure_1, pressure_2, p)
+    ratio = pressure_1 / pressure_2
+    high = min(p[STOP], math.pi / 3.0)
+    low = -high
+    # Muscle 1 gets shorter and wider as the angle grows, muscle 2 longer and narrower.
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if closed_pressure(0, middle, p) > ratio * closed_pressure(1, middle, p):
+            low = middle
+        else:
+            high = middle
     return 0.5 * (low + high)
 
 

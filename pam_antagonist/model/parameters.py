@@ -43,6 +43,8 @@ _NAMES = (
     "gas.polytropic_volume",
     "supply.pressure",
     "atmosphere.pressure",
+    "valves.charge_1",
+    "valves.charge_2",
     "joint.inertia",
     "joint.stiffness",
     "joint.viscous_friction",
@@ -76,6 +78,7 @@ POLYTROPIC_FLOW = INDEX["gas.polytropic_flow"]
 POLYTROPIC_VOLUME = INDEX["gas.polytropic_volume"]
 SUPPLY = INDEX["supply.pressure"]
 ATMOSPHERE = INDEX["atmosphere.pressure"]
+CHARGE = INDEX["valves.charge_1"]
 INERTIA = INDEX["joint.inertia"]
 STIFFNESS = INDEX["joint.stiffness"]
 VISCOUS = INDEX["joint.viscous_friction"]

@@ -5,7 +5,8 @@ them for figures. Keys of a report, one recording::
 
     samples, duration_s, realtime_factor
     ukf          {angle: {rmse_deg, max_deg, q, coverage95} | null, torque: {rmse_nm, max_nm, q, coverage95} | null,
-                  pressure: {rmse_pa: [p1, p2], max_pa: [p1, p2], q: [p1, p2]}}
+                  pressure: {rmse_pa: [p1, p2], max_pa: [p1, p2], q: [p1, p2]},
+                  external_torque: {rmse_nm, max_nm, q} | null: of a rig that estimates it, where it was recorded}
     model_alone  the same without coverage95
     innovation   {nis_mean, nis_in_95, whiteness_p, largest_correlation, samples}
     recording    {name, sha256, topics, first_stamp_ns, issues}
@@ -34,6 +35,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator, metrics, simulate_model
+from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
@@ -180,6 +182,7 @@ def _estimate(
             progress(high - low)
     return EstimateRun(
         rows=np.concatenate([part.rows for part in parts]) if parts else np.zeros(0, ESTIMATE_DTYPE),
+        added={name: np.concatenate([part.added[name] for part in parts]) for name in parts[0].added} if parts else {},
         stamp_ns=np.concatenate([part.stamp_ns for part in parts]),
         index=np.concatenate([part.index for part in parts]),
         started_ns=np.concatenate([part.started_ns for part in parts]),
@@ -198,8 +201,18 @@ def _model_alone(recording: Recording, rig: Rig, joint: JointCondition, run: Est
         step = np.rint((stamps - stamps[0]) / (rig.sample_period * 1e9)).astype(np.int64)
         voltage = np.full((int(step[-1]) + 1, 2), np.nan)
         voltage[step] = recording.voltage[run.index[first:end]]
-        pressure0 = recording.pressure[run.index[first]]
-        alone = simulate_model(rig, voltage, pressure0, joint=joint.condition, lock_angle=joint.lock_angle)
+        external = None
+        if recording.external_torque is not None:
+            external = np.zeros(len(voltage))
+            external[step] = recording.external_torque[run.index[first:end]]
+        alone = simulate_model(
+            rig,
+            voltage,
+            recording.pressure[run.index[first]],
+            joint=joint.condition,
+            lock_angle=joint.lock_angle,
+            external_torque=external,
+        )
         track.angle[first:end] = alone.angle[step]
         track.torque[first:end] = alone.torque[step]
         track.pressure[first:end] = alone.pressure[step]
@@ -225,7 +238,8 @@ def _judge(
         "ukf": {
             "angle": _angle(angle, rows["angle"], variance[:, 0, 0], sensors.angle_std),
             "torque": _torque(torque, rows["torque"], variance[:, 2, 2], sensors.torque_std),
-            "pressure": _pressure(pressure, rows["pressure"]),
+            "pressure": _pressure(pressure, _readings(rig, rows["pressure"])),
+            "external_torque": _external(recording, run),
         },
         "model_alone": {
             "angle": _angle(angle, model.angle),
@@ -259,10 +273,23 @@ def _judge(
     }
 
 
+def _readings(rig: Rig, pressure: FloatArray) -> FloatArray:
+    """What the rig's sensors show at pressures (M, 2) [Pa]."""
+    p = rig.parameters()
+    return np.column_stack([sensor.reading(muscle, pressure[:, muscle], p) for muscle in (0, 1)])
+
+
+def _external(recording: Recording, run: EstimateRun) -> dict[str, float] | None:
+    """The torque from outside: what a filter with that state makes of it, against what was applied."""
+    if recording.external_torque is None or "external_torque" not in run.added:
+        return None
+    return _torque(recording.external_torque[run.index], run.added["external_torque"])
+
+
 def _sealed(recording: Recording, rig: Rig) -> list[str]:
-    """What to say of a recording whose muscles were sealed: no rig of this version has such chambers."""
+    """What to say of a recording whose muscles were sealed where the rig's are not."""
     sealed = sealed_muscles(recording.path)
-    if not sealed:
+    if not sealed or rig.valves.sealed:
         return []
     which = f"muscle {sealed[0]} was" if len(sealed) == 1 else "both muscles were"
     return [f"{which} sealed, as the bag says, but rig {rig.name} lets air through its valves: expect large errors"]

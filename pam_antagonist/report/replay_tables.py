@@ -62,6 +62,11 @@ def errors_table(report: Report, caption: str = "") -> Table:
             add("  𝕄 over measured range, ℚ", *(channel.ratio(report, model) for model in MODELS), shown=percent)
             rows.append(("  in the 95 % interval", percent(channel.coverage(report)), MISSING))
             best.append(_NOTHING)
+    external = report["ukf"].get("external_torque")
+    if external:
+        group("Torque from outside")
+        rows.append(("  RMSE 𝕀 [N m]", number(external["rmse_nm"]), "given"))
+        best.append(_NOTHING)
     group("Pressure")
     for muscle in (0, 1):
         add(

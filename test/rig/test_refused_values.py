@@ -16,8 +16,14 @@ CASES = {
         ("radius: 0.0365", "radius: wide"),
         ["geometry.radius", "r, radius of the seesaw or pulley [m]"],
     ),
-    "nothing for a number": (("radius: 0.0365", "radius:"), ["geometry.radius", "r, radius of the seesaw or pulley [m]"]),
-    "list for a number": (("radius: 0.0365", "radius: [0.0365]"), ["geometry.radius", "r, radius of the seesaw or pulley [m]"]),
+    "nothing for a number": (
+        ("radius: 0.0365", "radius:"),
+        ["geometry.radius", "r, radius of the seesaw or pulley [m]"],
+    ),
+    "list for a number": (
+        ("radius: 0.0365", "radius: [0.0365]"),
+        ["geometry.radius", "r, radius of the seesaw or pulley [m]"],
+    ),
     "number for a section": (("gas:\n", "gas: 3\nother:\n"), ["other"]),
     "date for a name": (("name: shin2022\n", "name: 2022-01-01\n"), ["name: ", "str"]),
     "duplicate key": (("radius: 0.0365", "radius: 0.0365\n  radius: 0.0400"), ["'radius'", "twice", "line 11"]),

@@ -1,0 +1,164 @@
+"""Sealed joints: the geometry of a pulley, closed chambers, an unknown torque from outside, and the measured joint."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import simulate_model
+from pam_antagonist.identification import sealed
+from pam_antagonist.identification.stages import moved
+from pam_antagonist.model import dynamics, muscle
+from pam_antagonist.recording import Recording, read_bag, write_bag
+from pam_antagonist.recording.csv_import import notes, read_csv
+from pam_antagonist.recording.csv_map import load_map
+from pam_antagonist.recording.notes import write_notes
+from pam_antagonist.report.replay import replay
+from pam_antagonist.rig import Rig, load_rig
+
+FILE = Path(__file__).parents[3] / "shared" / "data" / "measured" / "sealed_joint" / "sealed_joint.csv"
+measured_only = pytest.mark.skipif(not FILE.exists(), reason="no ../shared/data/measured beside the project")
+
+
+@pytest.fixture(scope="module")
+def joint() -> Rig:
+    return load_rig("sealed_joint")
+
+
+def recording_of(joint: Rig, seconds: float = 25.0, seed: int = 1) -> Recording:
+    """The rig itself, driven by a known torque, behind sensors with noise: a simulator, not the measured joint."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(int(seconds * 1000)) * 1e-3
+    external = 1.2 * np.sin(2 * np.pi * 0.15 * time) + 0.4 * np.sin(2 * np.pi * 0.047 * time)
+    pressures = np.array([joint.valves.charge_1, joint.valves.charge_2])
+    run = simulate_model(joint, np.zeros((len(time), 2)), pressures, external_torque=external)
+    return Recording(
+        path=Path("simulated"),
+        topics={},
+        stamp_ns=np.arange(1, len(time) + 1) * 1_000_000,
+        pressure=run.pressure + rng.normal(0.0, 20.0, run.pressure.shape),
+        voltage=np.zeros((len(time), 2)),
+        angle=run.angle + rng.normal(0.0, 5e-4, len(time)),
+        torque=None,
+        external_torque=external,
+    )
+
+
+def test_a_pulley_winds_up_what_a_lever_lifts(joint):
+    p = joint.parameters()
+    assert muscle.leverage(0.3, p) == (0.3, 1.0, 0.0)
+    lever = joint.replaced(geometry=joint.geometry.replaced(kind="lever")).parameters()
+    assert muscle.leverage(0.3, lever) == pytest.approx((math.sin(0.3), math.cos(0.3), -math.sin(0.3)))
+    # Torque and joint stiffness follow from the energy: the arm is dl/dψ in both.
+    for q in (p, lever):
+        x = np.array([0.2, 0.0, 4.5e5, 4.8e5])
+        above, below = (dynamics.torque(x + [step, 0, 0, 0], q) for step in (1e-6, -1e-6))
+        assert dynamics.torque_slope(x, q) == pytest.approx((above - below) / 2e-6, rel=1e-6)
+
+
+def test_sealed_chambers_keep_their_air(joint):
+    time = np.arange(3000) * 1e-3
+    external = 1.5 * np.sin(2 * np.pi * 0.7 * time)
+    run = simulate_model(joint, np.full((3000, 2), 7.0), np.array([469540.0, 465690.0]), external_torque=external)
+    assert np.ptp(run.angle) > math.radians(5.0)
+    p = joint.parameters()
+    for i in (0, 1):
+        volume = np.array([muscle.volume(i, muscle.length(i, angle, p), p)[0] for angle in run.angle])
+        content = np.log(run.pressure[:, i]) + joint.gas.polytropic_volume * np.log(volume)
+        assert np.ptp(content) < 1e-6
+
+
+def test_a_filter_starts_at_the_angle_that_the_charge_tells(joint):
+    p = joint.parameters()
+    for angle in (-0.08, 0.0, 0.05):
+        pressures = [dynamics.closed_pressure(i, angle, p) for i in (0, 1)]
+        assert dynamics.start_angle(*pressures, p) == pytest.approx(angle, abs=1e-12)
+    # A common loss of air moves no angle.
+    assert dynamics.start_angle(*(0.99 * value for value in pressures), p) == pytest.approx(0.05, abs=1e-12)
+
+
+def test_the_truth_is_found_from_a_wrong_start(joint):
+    start = moved(
+        joint,
+        {
+            "muscle_1.volume.d2": 0.85 * joint.muscle_1.volume.d2,
+            "muscle_1.volume.d3": joint.muscle_1.volume.d3 + 0.15 * joint.muscle_1.volume.d2 * 0.2,
+            "joint.stiffness": 4.0,
+            "friction.shaft": 0.15,
+            "valves.charge_1": 460e3,
+        },
+    )
+    trials = [sealed.sealed_trial(recording_of(joint), "simulated")]
+    chamber = sealed.closed_chambers(trials, start, 0)
+    assert chamber.values["muscle_1.volume.d2"] == pytest.approx(joint.muscle_1.volume.d2, rel=0.01)
+    assert chamber.values["valves.charge_1"] == pytest.approx(joint.valves.charge_1, rel=2e-4)
+    balance = sealed.balance(trials, moved(start, chamber.values))
+    assert balance.values["joint.stiffness"] == pytest.approx(joint.joint.stiffness, rel=0.03)
+    assert balance.values["friction.shaft"] == pytest.approx(joint.friction.shaft, rel=0.05)
+
+
+def test_the_filter_finds_angle_and_torque_from_the_pressures_alone(joint, tmp_path):
+    write_bag(tmp_path / "bag", recording_of(joint))
+    recording = read_bag(tmp_path / "bag")
+    done = replay(recording, joint)
+    assert done.report["ukf"]["angle"]["rmse_deg"] < 0.1
+    external = done.report["ukf"]["external_torque"]
+    # Where the joint sticks, the torque may be anything within the friction's bound.
+    assert external["rmse_nm"] < 0.3 < np.std(recording.external_torque)
+    assert done.report["model_alone"]["angle"]["rmse_deg"] < 0.05, "the model alone is given the torque"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"angle": None}, "no measured angle"),
+        ({"angle": np.zeros(25000)}, "angle moves by 0.00 deg only"),
+    ],
+    ids=["no angle", "still"],
+)
+def test_a_recording_that_tells_nothing_is_refused(joint, change, words):
+    with pytest.raises(BadInput, match=words):
+        sealed.sealed_trial(dataclasses.replace(recording_of(joint), **change), "bag")
+
+
+def test_without_a_known_torque_there_is_no_balance(joint):
+    quiet = dataclasses.replace(recording_of(joint), external_torque=None)
+    with pytest.raises(BadInput, match="measured/external_torque"):
+        sealed.balance([sealed.sealed_trial(quiet, "bag")], joint)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    mapping = load_map("sealed_joint")
+    bag = tmp_path_factory.mktemp("sealed") / "bag"
+    write_bag(bag, read_csv(FILE, mapping))
+    write_notes(bag, notes(FILE, mapping))
+    return read_bag(bag)
+
+
+@measured_only
+def test_the_rig_file_is_what_its_first_two_thirds_give(joint, measured):
+    trials = [sealed.sealed_trial(measured, "measured", 2.0 / 3.0)]
+    for number in (1, 2):
+        stage = sealed.closed_chambers(trials, joint, number - 1)
+        for name, value in stage.values.items():
+            assert value == pytest.approx(joint.value(name), rel=2e-4), name
+    balance = sealed.balance(trials, joint)
+    for name in ("joint.stiffness", "friction.shaft", "muscle_1.force.w2", "muscle_2.force.w2"):
+        assert balance.values[name] == pytest.approx(joint.value(name), abs=0.1 * balance.std[name]), name
+
+
+@measured_only
+def test_the_angle_of_the_measured_joint_from_its_pressures(joint, measured):
+    done = replay(measured, joint)
+    assert measured.angle is not None
+    rest = np.flatnonzero(done.run.index >= len(measured.stamp_ns) * 2 // 3)
+    error = np.degrees((done.run.rows["angle"] - measured.angle[done.run.index])[rest])
+    assert math.sqrt(float(np.mean(error**2))) <= 0.20
+    assert np.abs(error).max() / np.degrees(np.ptp(measured.angle)) <= 0.08
+    assert not any("sealed" in issue for issue in done.report["recording"]["issues"])
