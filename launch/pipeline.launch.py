@@ -1,7 +1,8 @@
-"""Estimator and controller of one joint, and a simulated joint in place of the hardware.
+"""Estimator and controller of one joint, with a simulated joint or the bridge to a real one.
 
 ros2 launch pam_antagonist pipeline.launch.py
-ros2 launch pam_antagonist pipeline.launch.py namespace:=left/elbow parameters:=/path/to/parameters.yaml source:=none
+ros2 launch pam_antagonist pipeline.launch.py namespace:=left/elbow parameters:=/path/to/parameters.yaml \
+    source:=bridge bridge_package:=my_rig bridge_executable:=adc_bridge
 """
 
 from pathlib import Path
@@ -28,16 +29,31 @@ def require_parameters(context: LaunchContext) -> None:
         raise FileNotFoundError(f"parameters:={path}: no such file; expected a YAML file with parameters of the nodes")
 
 
+def require_bridge(context: LaunchContext) -> None:
+    """Refuse ``source:=bridge`` without one.
+
+    Raises:
+        ValueError: package or executable is not named.
+    """
+    if LaunchConfiguration("source").perform(context) != "bridge":
+        return
+    for name in ("bridge_package", "bridge_executable"):
+        if not LaunchConfiguration(name).perform(context):
+            raise ValueError(f"source:=bridge needs {name}:= as well; expected the node that talks to your hardware")
+
+
 def generate_launch_description() -> LaunchDescription:
     """The nodes and their arguments."""
     arguments = [
         DeclareLaunchArgument(
             "source",
             default_value="plant",
-            choices=["plant", "none"],
+            choices=["plant", "bridge", "none"],
             description="who publishes pressures and valve voltages and takes commands: plant, the simulated joint; "
-            "or none, where a driver of your own does. A bridge to hardware is not part of this version.",
+            "bridge, the node of bridge_package and bridge_executable; none, something that is started elsewhere",
         ),
+        DeclareLaunchArgument("bridge_package", default_value="", description="package of the bridge to your hardware"),
+        DeclareLaunchArgument("bridge_executable", default_value="", description="its executable"),
         DeclareLaunchArgument(
             "parameters",
             default_value=str(config_dir() / "pipeline.yaml"),
@@ -47,21 +63,28 @@ def generate_launch_description() -> LaunchDescription:
     ]
 
     def node(name: str, **options: object) -> Node:
-        return Node(
-            package=PACKAGE,
-            executable=name,
-            name=name,
-            namespace=LaunchConfiguration("namespace"),
-            parameters=[LaunchConfiguration("parameters")],
-            output="screen",
-            **options,
-        )
+        common: dict[str, object] = {
+            "package": PACKAGE,
+            "executable": name,
+            "name": name,
+            "namespace": LaunchConfiguration("namespace"),
+            "parameters": [LaunchConfiguration("parameters")],
+            "output": "screen",
+        }
+        return Node(**{**common, **options})
 
     return LaunchDescription(
         [
             *arguments,
             OpaqueFunction(function=require_parameters),
+            OpaqueFunction(function=require_bridge),
             node("plant", condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), "plant"))),
+            node(
+                "bridge",
+                package=LaunchConfiguration("bridge_package"),
+                executable=LaunchConfiguration("bridge_executable"),
+                condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), "bridge")),
+            ),
             node("estimator"),
             node("controller"),
         ]

@@ -176,21 +176,32 @@ def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
     nodes = [options for kind, options in entities if kind == "node"]
     arguments = {options["name"]: options for kind, options in entities if kind == "argument"}
 
-    assert [node["executable"] for node in nodes] == ["plant", "estimator", "controller"]
-    assert all(node["package"] == "pam_antagonist" and node["executable"] in COMMANDS for node in nodes)
+    plant, bridge, *always = nodes
+    assert [node["executable"] for node in (plant, *always)] == ["plant", "estimator", "controller"]
+    assert all(node["package"] == "pam_antagonist" and node["executable"] in COMMANDS for node in (plant, *always))
+    assert (bridge["package"], bridge["executable"]) == ("bridge_package", "bridge_executable")
     assert all(node["namespace"] == "namespace" and node["parameters"] == ["parameters"] for node in nodes)
-    assert [node.get("condition") for node in nodes] == [("source", "plant"), None, None]
-    assert set(arguments) == {"source", "parameters", "namespace"}
+    assert [node.get("condition") for node in nodes] == [("source", "plant"), ("source", "bridge"), None, None]
+    assert set(arguments) == {"source", "parameters", "namespace", "bridge_package", "bridge_executable"}
     assert arguments["namespace"]["default_value"] == "pam"
     assert arguments["source"]["default_value"] in arguments["source"]["choices"]
     assert Path(arguments["parameters"]["default_value"]) == config_dir() / "pipeline.yaml"
 
 
 def test_launch_file_refuses_parameters_that_are_not_there(launch_file: dict[str, Any], tmp_path: Path) -> None:
-    require = next(function for kind, function in launch_file["generate_launch_description"]() if kind == "function")
+    require = launch_file["require_parameters"]
     assert require({"parameters": str(config_dir() / "pipeline.yaml")}) is None
     with pytest.raises(FileNotFoundError, match="no such file"):
         require({"parameters": str(tmp_path / "absent.yaml")})
+
+
+def test_launch_file_wants_to_know_the_bridge(launch_file: dict[str, Any]) -> None:
+    require = launch_file["require_bridge"]
+    named = {"source": "bridge", "bridge_package": "my_rig", "bridge_executable": "adc"}
+    assert require(named) is None
+    assert require({"source": "plant", "bridge_package": "", "bridge_executable": ""}) is None
+    with pytest.raises(ValueError, match="bridge_executable"):
+        require({**named, "bridge_executable": ""})
 
 
 # ------------------------------------------------------------------------------------------------ colcon
