@@ -17,7 +17,8 @@ from pam_antagonist.rig.physical import is_positive
 _RELATIVE_PRIOR = 0.05
 _FIXED = ("geometry.", "joint.shaft_radius", "joint.mass", "joint.gravity", "joint.stop", "joint.stiffness",
           "friction.pressure_floor", "friction.time_step", "gas.heat_ratio", "gas.constant", "gas.temperature",
-          "atmosphere.pressure", "supply.pressure", "volume.")  # fmt: skip
+          "atmosphere.pressure", "supply.pressure", "volume.", "valves.", "effects.", "friction.lever_force",
+          "friction.static", "friction.kinetic", "friction.velocity")  # fmt: skip
 """What Proposition 1 calls directly measurable, and the volume, which a graduated cylinder gives."""
 
 
@@ -44,7 +45,8 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     """The parameters of a fit.
 
     By default all that cannot be measured directly (Proposition 1): the force maps, the orifice areas, the
-    polytropic indices, the friction. The prior of each is that of the rig file (``priors``), else 5 %.
+    polytropic indices, the friction. The prior of each is that of the rig file (``priors``), else 5 %; so are its
+    bounds (``bounds``), else a factor of five either way.
 
     Args:
         rig: start values and priors.
@@ -62,6 +64,7 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     chosen = []
     for name in par.INDEX:
         by_default = not any(part in name if part == "volume." else name.startswith(part) for part in _FIXED)
+        by_default = by_default and _in_form(name, rig)
         wanted = by_default or any(_matches(name, word) for word in free)
         if not wanted or any(_matches(name, word) for word in frozen):
             continue
@@ -71,11 +74,21 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
             raise BadInput(
                 f"{name} is {start:g} in rig {rig.name}: to free it, give its prior in the rig file (priors)"
             )
-        low, high = _bounds(name, start)
+        low, high = rig.bounds.get(name, _bounds(name, start))
         chosen.append(FreeParameter(name, start, std, low, high))
     if not chosen:
         raise BadInput("every parameter is frozen: nothing is left to identify")
     return chosen
+
+
+def _in_form(name: str, rig: Rig) -> bool:
+    """Whether the rig's form of the force map has this coefficient; true of what is none."""
+    _, found, coefficient = name.partition(".force.")
+    if not found:
+        return True
+    if rig.model.force == "linear":
+        return not coefficient.startswith("c")
+    return coefficient.startswith("c") and rig.value(name) != 0.0
 
 
 def _matches(name: str, word: str) -> bool:

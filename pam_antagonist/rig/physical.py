@@ -39,7 +39,7 @@ def unphysical(rig: Rig) -> str:
         complaint = _bad_curve(f"{name}.curve", np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
         if complaint:
             return complaint
-    complaint = _bad_effects(rig) or _bad_muscles(rig) or _bad_spreads(rig)
+    complaint = _bad_effects(rig) or _bad_muscles(rig) or _bad_spreads(rig) or _bad_bounds(rig)
     if complaint:
         return complaint
     for name, tuning in rig.tunings.items():
@@ -98,6 +98,17 @@ def _bad_effects(rig: Rig) -> str:
                     f"effects.{name}.{key}: {value:g}, expected {item.low:g} to {item.high:g} {item.unit} "
                     f"({item.meaning})"
                 )
+    return ""
+
+
+def _bad_bounds(rig: Rig) -> str:
+    for name, (low, high) in rig.bounds.items():
+        if name not in par.INDEX:
+            return _unknown("bounds", name, par.INDEX)
+        if not low <= rig.value(name) <= high or low == high:
+            return f"bounds of {name}: {low:g} to {high:g}, expected a range that holds its value, {rig.value(name):g}"
+        if is_positive(name) and low < 0.0:
+            return f"bounds of {name}: {low:g}, expected 0 or more, since it cannot be negative"
     return ""
 
 

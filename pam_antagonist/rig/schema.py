@@ -197,6 +197,9 @@ class Rig(Strict):
         {}, description="parameters that are uncertain together: changes of one standard deviation each"
     )
     priors: Dict[str, float] = Field({}, description="standard deviations before identification, by parameter")  # noqa: UP006
+    bounds: Dict[str, Tuple[float, float]] = Field(  # noqa: UP006
+        {}, description="least and largest value that identification may find, by parameter"
+    )
     tunings: Dict[str, Tuning]  # noqa: UP006
 
     def value(self, name: str) -> float:

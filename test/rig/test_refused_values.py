@@ -48,6 +48,18 @@ CASES = {
         ["uncertainty of friction.shaft", "cannot be negative"],
     ),
     "a gain that does not exist": (("gain: standard", "gain: optimal"), ["tunings.published.gain", "printed"]),
+    "bounds without the value": (
+        ("uncertainty:\n", "bounds: {friction.shaft: [0.3, 0.4]}\nuncertainty:\n"),
+        ["bounds of friction.shaft", "holds its value, 0.2"],
+    ),
+    "bounds of nothing": (
+        ("uncertainty:\n", "bounds: {friction.shft: [0.1, 0.4]}\nuncertainty:\n"),
+        ["bounds: unknown 'friction.shft'", "did you mean 'friction.shaft'?"],
+    ),
+    "negative bound of a positive number": (
+        ("uncertainty:\n", "bounds: {friction.shaft: [-0.1, 0.4]}\nuncertainty:\n"),
+        ["bounds of friction.shaft: -0.1"],
+    ),
     "negative friction": (("shaft: 0.2 ", "shaft: -0.2 "), ["friction.shaft", "μ_s"]),
     "open rate falls": (("0.33, 0.394", "0.394, 0.33"), ["valve_1.curve.open_rate", "do not decrease"]),
     "open rate above 1": (("0.80, 1.0]", "0.80, 100.0]"), ["valve_1.curve.open_rate", "0 to 1"]),
