@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model import parameters as par
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class PlantSample(NamedTuple):
         voltage: voltages (2,) that were on the valves over the step [V].
         angle: encoder [rad].
         torque: torque meter [N m].
-        truth: the state itself (4,), which no sensor shows.
+        truth: the state itself (n,), which no sensor shows.
     """
 
     pressure: np.ndarray
@@ -78,7 +78,7 @@ class Plant:
 
     It runs the model's physics at ``substeps`` a sample, friction included, with parameters scattered by
     ``mismatch`` and measured through noisy, quantised sensors, so that an estimator never meets its own
-    model. It is a simulator of this project: agreement with it says nothing about a real joint.
+    model. Effects that the rig declares are at work. It is a simulator of this project: agreement with it says nothing about a real joint.
 
     Args:
         rig: the rig as declared.
@@ -133,8 +133,8 @@ class Plant:
             angle = lock_angle
         else:
             angle = dynamics.rest_angle(*initial_pressure, p) if initial_angle is None else initial_angle
-        self._x = np.array([angle, 0.0, *initial_pressure])
-        self._u = np.zeros(2)
+        self._u = np.zeros(3)
+        self._x = dynamics.initial_state(angle, *initial_pressure, self._u, p)
 
     @property
     def parameters(self) -> np.ndarray:
@@ -147,29 +147,36 @@ class Plant:
         value += std * self._rng.standard_normal()
         return round(value / step) * step if step > 0.0 else value
 
-    def step(self, voltage: tuple[float, float] | np.ndarray) -> PlantSample:
+    def step(self, voltage: tuple[float, float] | np.ndarray, external_torque: float = 0.0) -> PlantSample:
         """Advance one sample period.
 
         Args:
             voltage: on the valves over the period (2,) [V].
+            external_torque: torque from outside over the period [N m].
 
         Returns:
             What the sensors show at its end.
 
         Raises:
-            BadInput: a voltage that is not finite.
+            BadInput: a voltage or torque that is not finite.
         """
-        self._u[:] = voltage
+        self._u[:2] = voltage
+        self._u[2] = external_torque
         if not np.all(np.isfinite(self._u)):
-            raise BadInput(f"plant: valve voltages {tuple(self._u)} V, expected finite ones")
+            raise BadInput(f"plant: valve voltages and torque {tuple(self._u)}, expected finite ones")
         for _ in range(self._substeps):
             dynamics.rk4_step(self._x, self._u, self._p, self._dt, self._x)
         sensors = self._sensors
         return PlantSample(
             pressure=np.array(
-                [self._measured(value, sensors.pressure_std, sensors.pressure_step) for value in self._x[2:4]]
+                [
+                    self._measured(
+                        sensor.reading(i, self._x[2 + i], self._p), sensors.pressure_std, sensors.pressure_step
+                    )
+                    for i in (0, 1)
+                ]
             ),
-            voltage=self._u.copy(),
+            voltage=self._u[:2].copy(),
             angle=self._measured(self._x[0], sensors.angle_std, sensors.angle_step),
             torque=self._measured(dynamics.torque(self._x, self._p), sensors.torque_std, sensors.torque_step),
             truth=self._x.copy(),
