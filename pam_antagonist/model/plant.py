@@ -76,9 +76,10 @@ def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndar
 class Plant:
     """Ground truth for trials without hardware.
 
-    It runs the model's physics at ``substeps`` a sample, friction included, with parameters scattered by
-    ``mismatch`` and measured through noisy, quantised sensors, so that an estimator never meets its own
-    model. Effects that the rig declares are at work. It is a simulator of this project: agreement with it says nothing about a real joint.
+    It runs the model's physics at ``substeps`` a sample, friction and the rig's effects included, with
+    parameters scattered by ``mismatch`` and measured through noisy, quantised sensors, so that an estimator
+    never meets its own model. It is a simulator of this project: agreement with it says nothing about a real
+    joint.
 
     Args:
         rig: the rig as declared.
@@ -167,14 +168,10 @@ class Plant:
         for _ in range(self._substeps):
             dynamics.rk4_step(self._x, self._u, self._p, self._dt, self._x)
         sensors = self._sensors
+        readings = [sensor.reading(i, self._x[2 + i], self._p) for i in (0, 1)]
         return PlantSample(
             pressure=np.array(
-                [
-                    self._measured(
-                        sensor.reading(i, self._x[2 + i], self._p), sensors.pressure_std, sensors.pressure_step
-                    )
-                    for i in (0, 1)
-                ]
+                [self._measured(shown, sensors.pressure_std, sensors.pressure_step) for shown in readings]
             ),
             voltage=self._u[:2].copy(),
             angle=self._measured(self._x[0], sensors.angle_std, sensors.angle_step),
