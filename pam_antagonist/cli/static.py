@@ -1,0 +1,181 @@
+"""``static``: volume and force map of a muscle from CSV tables, with error bars, as a rig file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.static_columns import QUANTITIES, Choice
+from pam_antagonist.identification.static_result import StaticResult, work_out
+from pam_antagonist.identification.static_rig import with_length
+from pam_antagonist.identification.static_table import read_force_map, read_volumes
+from pam_antagonist.model import parameters as par
+from pam_antagonist.report import static_page
+from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.write import write_rig
+
+_DESCRIPTION = """\
+Fit a muscle's volume and force map to static measurements.
+
+CYLINDER.csv holds length and volume, MAP.csv length, pressure and force. Units stand in the columns' names
+(length_mm, volume_cm3, pressure_kPa_gauge, force_N) or are given with --column; a pressure is gauge or absolute.
+A column force_std_N or volume_std_cm3 is the standard deviation of each value. A force of 0 means a slack muscle.
+
+Writes DIR/rig.yaml (the start with the fitted coefficients, their standard deviations as priors for identify),
+DIR/report.html and DIR/report.json. Status: 0 done, 2 bad input (one line says what and where).
+"""
+_EXAMPLES = """\
+examples:
+  static --volume cylinder.csv --force-map map.csv --rig my_rig.yaml --out result
+  static --force-map left.csv --muscle 1 --form sarosi --rig my_rig.yaml --out result
+  static --force-map map.csv --column length=L:mm --column pressure=p:bar:gauge --rig my_rig.yaml --out result
+  static --force-map other_muscle.csv --rig my_rig.yaml --out result --report-only
+"""
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("static", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("--volume", type=Path, metavar="FILE", help="CSV of length and volume")
+    out.add_argument("--force-map", type=Path, metavar="FILE", help="CSV of length, pressure and force")
+    out.add_argument(
+        "--muscle", choices=("1", "2", "both"), default="both", help="whose tables these are (default: both)"
+    )
+    common.add_rig(out)
+    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the results; a new one")
+    out.add_argument("--form", choices=par.FORCE_FORMS, help="form of the force map in rig.yaml (default: the rig's)")
+    out.add_argument(
+        "--column", action="append", default=[], type=_column, metavar="QUANTITY=NAME[:UNIT[:gauge|absolute]]",
+        help=f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not tell",
+    )  # fmt: skip
+    out.add_argument(
+        "--pressure", choices=("gauge", "absolute"), default="", help="where the column's name does not tell"
+    )
+    out.add_argument(
+        "--slack-below", type=_newton, default=0.0, metavar="N",
+        help="largest force that means a slack muscle, for sensors whose zero wanders [N] (default: 0)",
+    )  # fmt: skip
+    out.add_argument(
+        "--length",
+        type=float,
+        metavar="L_0",
+        help="muscle length at angle 0 [m], in place of the rig's geometry.length",
+    )
+    out.add_argument("--report-only", action="store_true", help="write no rig.yaml; then any muscle will do")
+    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
+    out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    return out
+
+
+def _column(text: str) -> tuple[str, Choice]:
+    quantity, equals, rest = text.partition("=")
+    known = (*QUANTITIES, "force_std", "volume_std")
+    if not (equals and rest) or quantity not in known:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected QUANTITY=NAME[:UNIT], the quantity one of {', '.join(known)}"
+        )
+    name, *more = rest.rsplit(":", 2) if rest.count(":") >= 2 else rest.split(":")
+    unit, reference = (*more, "", "")[:2]
+    if reference not in ("", "gauge", "absolute") or (reference and quantity != "pressure"):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: {reference!r} after the unit, expected gauge or absolute, of a pressure"
+        )
+    return quantity, Choice(name, unit, reference)
+
+
+def _newton(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1e4:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a force in N, 0 or more")
+    return value
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    common.check_output(arguments.out)
+    result = _worked_out(arguments)
+    with common.output_folder(arguments.out) as folder:
+        if result.fitted is not None:
+            write_rig(result.fitted, folder / "rig.yaml", _remarks(result))
+            load_rig(folder / "rig.yaml")
+        static_page.write_report(folder, result, with_figures=not arguments.no_figures)
+    print(_summary(result, arguments))
+    if arguments.open:
+        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    return common.DONE
+
+
+def _worked_out(arguments: argparse.Namespace) -> StaticResult:
+    if arguments.volume is None and arguments.force_map is None:
+        raise BadInput("nothing to fit: expected --volume FILE, --force-map FILE or both (see static --help)")
+    if arguments.form and arguments.force_map is None:
+        raise BadInput("--form: the form of a force map, but there is no --force-map")
+    columns = _columns(arguments)
+    rig = load_rig(arguments.rig)
+    if arguments.length is not None:
+        rig = with_length(rig, arguments.length)
+    volumes = force_map = None
+    if arguments.volume is not None:
+        volumes = read_volumes(arguments.volume, columns)
+    if arguments.force_map is not None:
+        force_map = read_force_map(
+            arguments.force_map, rig.atmosphere.pressure, columns, arguments.pressure, arguments.slack_below
+        )
+    muscles = (1, 2) if arguments.muscle == "both" else (int(arguments.muscle),)
+    return work_out(
+        rig, volumes, force_map, muscles, arguments.form or "", arguments.length is not None, arguments.report_only
+    )
+
+
+def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
+    """Columns by quantity.
+
+    Raises:
+        BadInput: one was given twice, or for a table that was not given.
+    """
+    chosen: dict[str, Choice] = {}
+    for quantity, choice in arguments.column:
+        if quantity in chosen:
+            raise BadInput(f"--column {quantity}: given twice, as {chosen[quantity].column!r} and {choice.column!r}")
+        needs = {"volume": "volume", "force": "force_map", "pressure": "force_map"}.get(quantity.removesuffix("_std"))
+        if needs and getattr(arguments, needs) is None:
+            raise BadInput(f"--column {quantity}: there is no --{needs.replace('_', '-')} whose column it could be")
+        chosen[quantity] = choice
+    return chosen
+
+
+def _remarks(result: StaticResult) -> list[str]:
+    tables = [table.name for table in (result.volumes, result.force_map) if table is not None]
+    whose = " and ".join(str(number) for number in result.muscles)
+    said = [
+        f"Rig {result.rig.name} with static fits of muscle {whose} from {' and '.join(tables)}; their errors: priors."
+    ]
+    return said + [f"! {text}" for text in result.warnings]
+
+
+def _summary(result: StaticResult, arguments: argparse.Namespace) -> str:
+    lines = [static_page.coefficients_table(result).text()]
+    if result.force_map is not None:
+        lines += ["", static_page.forms_table(result.forms, result.form).text()]
+    lines += ["", textwrap.fill(static_page.verdict(result), 100)]
+    lines += [textwrap.fill(text, 100, initial_indent="! ", subsequent_indent="  ") for text in result.warnings]
+    made = "report.html and report.json" if result.fitted is None else "rig.yaml, report.html and report.json"
+    return "\n".join([*lines, "", f"{arguments.out}: {made}"])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

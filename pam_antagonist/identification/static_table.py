@@ -1,0 +1,236 @@
+"""A muscle's static measurements in CSV files: which column is what, in which unit, and whether that can be.
+
+Nothing is guessed: a column without a unit, and a pressure that is not said to be gauge or absolute, are refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.static_columns import Choice, advised, candidates, column_of, opening
+from pam_antagonist.identification.static_regression import bands
+from pam_antagonist.recording.csv_table import Table, read_table
+from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.wrong_unit import Signal, check_pressures, pascal
+
+Floats = NDArray[np.float64]
+
+_PLAUSIBLE = {"length": (0.02, 2.0), "volume": (1e-7, 1e-2), "force": (1.0, 2e4)}
+"""In SI units: of a force the largest, of the others each; those that a rig may have."""
+_USUAL = {"length": 0.2, "volume": 5e-5, "force": 300.0}
+_FEWEST_ROWS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """What both kinds of table have.
+
+    Attributes:
+        name: of the file.
+        sha256: of its bytes.
+        issues: sentences about what was left out or is odd.
+        length: (N,) [m].
+        group: number of the length that each row belongs to (N,), from the shortest on.
+        spread: standard deviation of each value (N,) in its SI unit, ones where it was not given.
+        declared: whether it was given.
+    """
+
+    name: str
+    sha256: str
+    issues: tuple[str, ...]
+    length: Floats
+    group: NDArray[np.int64]
+    spread: Floats
+    declared: bool
+
+    def __len__(self) -> int:
+        return len(self.length)
+
+    @property
+    def lengths(self) -> int:
+        """How many different lengths there are."""
+        return int(self.group.max()) + 1 if len(self) else 0
+
+
+@dataclass(frozen=True, eq=False)
+class ForceMap(_Rows):
+    """Forces of a muscle held at a length and a pressure.
+
+    Attributes:
+        pressure: absolute (N,) [Pa].
+        force: (N,) [N].
+        limit: [N]; of a slack muscle nothing is known but that its map lies below.
+        slack: where the force is not above the limit (N,).
+    """
+
+    pressure: Floats
+    force: Floats
+    limit: float
+    slack: NDArray[np.bool_]
+
+    def part(self, keep: NDArray[np.bool_]) -> ForceMap:
+        """The rows of a mask (N,), lengths numbered anew."""
+        names = ("length", "group", "spread", "pressure", "force", "slack")
+        cut = replace(self, **{name: getattr(self, name)[keep] for name in names})
+        return replace(cut, group=np.unique(cut.group, return_inverse=True)[1].reshape(-1))
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeTable(_Rows):
+    """Volumes of a muscle held at a length.
+
+    Attributes:
+        volume: (N,) [m³].
+    """
+
+    volume: Floats
+
+
+def read_force_map(
+    path: Path,
+    atmosphere: float,
+    columns: Mapping[str, Choice] | None = None,
+    reference: str = "",
+    slack_below: float = 0.0,
+) -> ForceMap:
+    """Read a table of length, pressure and force.
+
+    Args:
+        path: the CSV file.
+        atmosphere: absolute pressure of the surroundings [Pa], which gauge pressures count from.
+        columns: by quantity, those that the user named; the others are found by their names.
+        reference: gauge or absolute, for a pressure whose column does not tell.
+        slack_below: largest force [N] that is taken for a slack muscle or for no measurement.
+
+    Raises:
+        BadInput: no such column, no unit, values that cannot be in their unit, or too little in the table.
+    """
+    values, labels, issues, declared = _read(path, ("length", "pressure", "force"), columns, reference, atmosphere)
+    length, pressure, force = values["length"], values["pressure"], values["force"]
+    for name, what in (("length", "lengths"), ("pressure", "pressures")):
+        if float(np.ptp(values[name])) == 0.0:
+            raise BadInput(
+                f"{path}: {labels[name]} is {values[name][0]:g} throughout, expected forces at several {what}"
+            )
+    if np.max(force) <= slack_below:
+        sign = "; does a pull count as negative?" if np.min(force) < -1.0 else ""
+        raise BadInput(f"{path}: {labels['force']} never exceeds {slack_below:g} N, expected a contraction force{sign}")
+    slack = force <= slack_below
+    if np.min(force) < 0.0:
+        issues.append(
+            f"{int(np.sum(force < 0.0))} forces are negative, down to {force.min():.3g} N: a muscle only pulls, so "
+            "they are taken as slack; if the sensor's zero wanders, give --slack-below"
+        )
+    group = bands(length)
+    return ForceMap(
+        path.name, _sha256(path), tuple(issues), length, group, values["spread"], declared,
+        pressure, force, slack_below, slack,
+    )  # fmt: skip
+
+
+def read_volumes(path: Path, columns: Mapping[str, Choice] | None = None) -> VolumeTable:
+    """Read a table of length and volume.
+
+    Args:
+        path: the CSV file.
+        columns: by quantity, those that the user named; the others are found by their names.
+
+    Raises:
+        BadInput: as :func:`read_force_map`.
+    """
+    values, labels, issues, declared = _read(path, ("length", "volume"), columns, "", 0.0)
+    group = bands(values["length"])
+    if group.max() < 2:
+        raise BadInput(
+            f"{path}: {labels['length']} has {int(group.max()) + 1} different values, expected at least 3, since the "
+            "volume is a parabola in the length (equation (3))"
+        )
+    if np.ptp(values["volume"]) == 0.0:
+        raise BadInput(
+            f"{path}: {labels['volume']} is the same throughout, expected volumes that change with the length"
+        )
+    return VolumeTable(
+        path.name, _sha256(path), tuple(issues), values["length"], group, values["spread"], declared, values["volume"]
+    )
+
+
+def _read(
+    path: Path, wanted: Sequence[str], columns: Mapping[str, Choice] | None, reference: str, atmosphere: float
+) -> tuple[dict[str, Floats], dict[str, str], list[str], bool]:
+    """Columns in SI units (the last one's standard deviation as ``spread``), labels, issues, whether it was given."""
+    with advised():
+        layout, header = opening(path)
+    chosen = {name: column_of(path, header, name, (columns or {}).get(name), reference) for name in wanted}
+    deviation = f"{wanted[-1]}_std"
+    if candidates(header, deviation) or deviation in (columns or {}):
+        chosen[deviation] = column_of(path, header, deviation, (columns or {}).get(deviation), "")
+    with advised():
+        table = read_table(path, layout, {name: choice.column for name, choice in chosen.items()})
+    issues = list(table.issues)
+    table = _complete(path, table, issues)
+    signals = {
+        name: Signal(table.labels[name], table.values[name], choice.unit, choice.reference)
+        for name, choice in chosen.items()
+    }
+    values: dict[str, Floats] = {}
+    for name, signal in signals.items():
+        if name == "pressure":
+            odd: list[str] = []
+            check_pressures(str(path), signal, signal, atmosphere, odd)
+            issues += dict.fromkeys(odd)
+            values[name] = pascal(signal.values, signal.unit, signal.reference, atmosphere)
+            continue
+        quantity = name.removesuffix("_std")
+        values[name] = signal.values * UNITS[quantity][signal.unit]
+        if name == quantity:
+            _check_range(path, signal, quantity)
+    spread = values.pop(deviation, None)
+    if spread is not None and not np.all(spread > 0.0):
+        raise BadInput(f"{path}: {table.labels[deviation]} goes down to {spread.min():g}, expected deviations above 0")
+    values["spread"] = np.ones(len(table)) if spread is None else spread
+    return values, dict(table.labels), issues, spread is not None
+
+
+def _complete(path: Path, table: Table, issues: list[str]) -> Table:
+    """The rows in which no value is missing."""
+    good = np.all([np.isfinite(cells) for cells in table.values.values()], axis=0)
+    missing = int(np.sum(~good))
+    if missing:
+        issues.append(
+            f"{missing} of {len(good)} rows lack a value (the first in line {table.line[~good][0]}): left out"
+        )
+    if int(good.sum()) < _FEWEST_ROWS:
+        raise BadInput(f"{path}: {int(good.sum())} complete rows, expected at least {_FEWEST_ROWS}")
+    return replace(table, values={name: cells[good] for name, cells in table.values.items()}, line=table.line[good])
+
+
+def _check_range(path: Path, signal: Signal, quantity: str) -> None:
+    """Refuse what no muscle has, with the unit that it looks like."""
+    low, high = _PLAUSIBLE[quantity]
+
+    def fits(unit: str) -> bool:
+        values = np.abs(signal.values) * UNITS[quantity][unit]
+        least = values.max() if quantity == "force" else values.min()
+        return bool(low <= least and values.max() <= high)
+
+    if fits(signal.unit) and (quantity == "force" or signal.values.min() > 0.0):
+        return
+    top = float(np.max(np.abs(signal.values)))
+    others = [unit for unit in UNITS[quantity] if unit != signal.unit and fits(unit)]
+    others.sort(key=lambda unit: abs(math.log(top * UNITS[quantity][unit] / _USUAL[quantity])))
+    hint = f"; {top:.3g} looks like {others[0]}" if others else ""
+    si = {"length": "m", "volume": "m3", "force": "N"}[quantity]
+    what = "a largest force of" if quantity == "force" else f"{quantity}s of a muscle,"
+    raise BadInput(f"{path}: {signal.label} goes from {signal.span}, expected {what} {low:g} to {high:g} {si}{hint}")
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

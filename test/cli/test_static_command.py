@@ -1,0 +1,230 @@
+"""``static`` from the command line: tables in, a rig file with error bars out, or one line that says why not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.__main__ import main as dispatch
+from pam_antagonist.cli import replay
+from pam_antagonist.cli.static import main
+from pam_antagonist.identification.freedom import free_parameters
+from pam_antagonist.identification.static_force import map_force
+from pam_antagonist.identification.static_volume import parabola
+from pam_antagonist.rig import load_rig
+
+MAP = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured" / "force_maps" / "dmsp_20_300.csv"
+VOLUME = np.array([-2.6e-2, 7.3e-3, -4.62e-4])
+FORCE = np.array([7.4e-3, -1.05e-3, -500.0, 60.0])
+
+
+@pytest.fixture
+def tables(tmp_path: Path) -> tuple[Path, Path]:
+    """Measurements of a muscle that differs from the rig's: cylinder and force map."""
+    rng = np.random.default_rng(8)
+    length = np.linspace(0.148, 0.182, 7)
+    volume = parabola(VOLUME, length)[0] + 1e-7 * rng.standard_normal(7)
+    cylinder = tmp_path / "cylinder.csv"
+    np.savetxt(
+        cylinder,
+        np.column_stack([length * 1e3, volume * 1e6]),
+        delimiter=",",
+        header="length_mm,volume_cm3",
+        comments="",
+    )
+    at, held = (grid.ravel() for grid in np.meshgrid(length, np.linspace(150e3, 720e3, 9)))
+    force = np.maximum(map_force("linear", FORCE, at, held, 0.165) + 0.3 * rng.standard_normal(len(at)), 0.0)
+    bench = tmp_path / "bench.csv"
+    rows = np.column_stack([at * 1e3, (held - 101.3e3) * 1e-3, force])
+    np.savetxt(bench, rows, delimiter=",", header="length_mm,pressure_kPa_gauge,force_N", comments="")
+    return cylinder, bench
+
+
+def arguments(tables: tuple[Path, Path], out: Path, *more: str) -> list[str]:
+    return ["--volume", str(tables[0]), "--force-map", str(tables[1]), "--rig", "shin2022", "--out", str(out), *more]
+
+
+def test_the_rig_file_holds_the_fits_and_their_errors(tables, tmp_path, capsys):
+    assert dispatch(["static", *arguments(tables, tmp_path / "out")]) == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.html", "report.json", "rig.yaml"]
+    before, after = load_rig("shin2022"), load_rig(tmp_path / "out" / "rig.yaml")
+    for number in (1, 2):
+        for names, truth in (
+            (("volume.d1", "volume.d2", "volume.d3"), VOLUME),
+            (("force.v1", "force.v2", "force.w1", "force.w2"), FORCE),
+        ):
+            for name, value in zip(names, truth, strict=True):
+                path = f"muscle_{number}.{name}"
+                assert abs(after.value(path) - value) < 4.0 * after.priors[path], path
+                assert 0.0 < after.priors[path] < abs(value), path
+    assert "bench.csv (SHA-256" in after.source and after.source.startswith(before.source.strip())
+    for name in ("geometry", "valve_1", "joint", "friction", "tunings", "uncertainty", "model"):
+        assert getattr(after, name) == getattr(before, name), name
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    linear = report["force"]["forms"]["linear"]
+    assert linear["coefficients"]["v1"]["std"] == pytest.approx(after.priors["muscle_1.force.v1"], rel=1e-9)
+    assert linear["left_out"]["rmse_n"] < 0.6 and len(linear["left_out"]["by_length"]) == 7
+    assert np.array(report["volume"]["covariance"]).shape == (3, 3)
+    said = capsys.readouterr().out
+    assert "form linear tells the force at a length it has not seen to 0." in " ".join(said.split())
+
+
+def test_an_identification_takes_the_errors_for_its_prior(tables, tmp_path):
+    assert main(arguments(tables, tmp_path / "out", "--no-figures")) == 0
+    rig = load_rig(tmp_path / "out" / "rig.yaml")
+    free = {item.name: item for item in free_parameters(rig)}
+    assert free["muscle_1.force.w1"].prior_std == rig.priors["muscle_1.force.w1"]
+
+
+def test_replay_reads_the_rig(tables, tmp_path, bag):
+    assert main(arguments(tables, tmp_path / "out", "--no-figures", "--form", "hildebrandt")) == 0
+    rig = tmp_path / "out" / "rig.yaml"
+    assert load_rig(rig).model.force == "hildebrandt"
+    # The offset's name depends on the form; what is uncertain about it does not.
+    assert load_rig(rig).uncertainty["muscle_1.force.c4"] == load_rig("shin2022").uncertainty["muscle_1.force.w2"]
+    assert replay.main([str(bag), "--rig", str(rig), "--out", str(tmp_path / "replay"), "--no-figures"]) == 0
+
+
+def test_one_muscle_alone(tables, tmp_path):
+    assert main(arguments(tables, tmp_path / "out", "--muscle", "2", "--no-figures")) == 0
+    before, after = load_rig("shin2022"), load_rig(tmp_path / "out" / "rig.yaml")
+    assert after.muscle_1 == before.muscle_1 and after.muscle_2 != before.muscle_2
+    assert not any(name.startswith("muscle_1") for name in after.priors)
+
+
+def test_bounds_of_what_was_measured_go(tables, tmp_path):
+    start = tmp_path / "start.yaml"
+    start.write_text("based_on: shin2022\nbounds: {muscle_1.force.v1: [7.0e-3, 7.1e-3], friction.shaft: [0.1, 0.3]}\n")
+    line = arguments(tables, tmp_path / "out", "--no-figures")
+    line[line.index("shin2022")] = str(start)
+    assert main(line) == 0
+    assert set(load_rig(tmp_path / "out" / "rig.yaml").bounds) == {"friction.shaft"}
+
+
+def test_what_the_joint_needs_and_the_table_lacks_is_said(tables, tmp_path, capsys):
+    lines = tables[1].read_text().splitlines()
+    short = [
+        line for line in lines[1:] if 150.0 < float(line.split(",")[0]) < 175.0 and float(line.split(",")[1]) < 400.0
+    ]
+    tables[1].write_text("\n".join([lines[0], *short]) + "\n")
+    assert main(arguments(tables, tmp_path / "out", "--no-figures")) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the joint takes its muscles to 149.6 to 180.4 mm; below 153.7 mm and above 170.7 mm the fit is" in said
+    assert "the supply of rig shin2022 has 710 kPa: above, the fit is extrapolated" in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert len(report["warnings"]) >= 2
+
+
+def test_a_volume_that_grows_with_length_is_doubted(tables, tmp_path, capsys):
+    length = np.linspace(148.0, 182.0, 7)
+    np.savetxt(
+        tables[0],
+        np.column_stack([length, 20.0 + 0.3 * length]),
+        delimiter=",",
+        header="length_mm,volume_cm3",
+        comments="",
+    )
+    assert main(arguments(tables, tmp_path / "out", "--no-figures")) == 0
+    assert "the volume grows with length at 100% of the joint's lengths" in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_report_shows_every_form_and_loads_nothing(tables, tmp_path):
+    assert main(arguments(tables, tmp_path / "out")) == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    for text in ("hildebrandt", "sarosi", "polynomial", "Force over pressure", "Volume over length", "95 % interval"):
+        assert text in page
+    assert page.count('class="plot"') == 3 and 'src="http' not in page
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (("--length", "0.26"), "--length 0.26 uses 244.6 to 275.4 mm: another muscle"),
+        (("--length", "165"), "--length 165 m: expected the muscle's length at angle 0, 0.02 to 2 m"),
+        (("--form", "sarosi", "--muscle", "1"), "has no coefficients of it for muscle 2"),
+        (("--form", "quadratic"), "invalid choice: 'quadratic'"),
+        (("--column", "lenght=x:mm"), "the quantity one of length, pressure, force, volume"),
+        (("--column", "force=F:N:gauge"), "'gauge' after the unit"),
+        (("--column", "force=load:N"), "force: there is no column 'load', expected one of length_mm"),
+        (("--column", "length=length_mm:kg"), "unknown unit 'kg' of length"),
+        (("--pressure", "absolute"), "is said to be gauge and absolute"),
+        (("--slack-below", "-1"), "expected a force in N, 0 or more"),
+    ],
+)
+def test_bad_input_is_one_line_and_no_output(tables, tmp_path, capsys, more, says):
+    assert main(arguments(tables, tmp_path / "out", *more)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and says in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("edit", "says"),
+    [
+        (lambda line: line[4:], "--rig"),
+        (
+            lambda line: [*line[4:6], "--out", line[-1]],
+            "nothing to fit: expected --volume FILE, --force-map FILE or both",
+        ),
+        (lambda line: [*line[:2], *line[4:], "--form", "sarosi"], "there is no --force-map"),
+        (
+            lambda line: [*line[:2], *line[4:], "--column", "force=F:N"],
+            "there is no --force-map whose column it could be",
+        ),
+        (lambda line: [*line, "--column", "force=a", "--column", "force=b"], "given twice, as 'a' and 'b'"),
+        (lambda line: [*line[:5], "no_such_rig", *line[6:]], "unknown rig 'no_such_rig'"),
+    ],
+)
+def test_bad_arguments(tables, tmp_path, capsys, edit: Callable[[list[str]], list[str]], says):
+    line = edit(arguments(tables, tmp_path / "out"))
+    if says == "--rig":
+        line = line[2:]
+    assert main(line) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_two_lengths_do_not_make_the_form_that_was_asked_for(tables, tmp_path, capsys):
+    lines = tables[1].read_text().splitlines()
+    two = [line for line in lines[1:] if float(line.split(",")[0]) < 154.0]
+    tables[1].write_text("\n".join([lines[0], *two]) + "\n")
+    assert main(arguments(tables, tmp_path / "out", "--form", "hildebrandt")) == 2
+    assert "does not determine a force map of form hildebrandt" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
+def test_the_measured_map_of_another_muscle(tables, tmp_path, capsys):
+    line = ["--force-map", str(MAP), "--rig", "shin2022", "--no-figures"]
+    assert main([*line, "--out", str(tmp_path / "a")]) == 2
+    error = capsys.readouterr().err
+    assert "measured at 222 to 296 mm, but rig shin2022 with L_0 = 0.165 m uses 149.6 to 180.4 mm" in error
+    assert "--length" in error and "--report-only" in error
+    # Its length makes it a joint, but not with the volume of the other muscle.
+    assert main([*line, "--out", str(tmp_path / "b"), "--length", "0.26"]) == 2
+    assert "give this muscle's --volume as well, or --report-only" in capsys.readouterr().err
+    assert main([*line, "--out", str(tmp_path / "c"), "--report-only"]) == 0
+    assert sorted(path.name for path in (tmp_path / "c").iterdir()) == ["report.html", "report.json"]
+    report = json.loads((tmp_path / "c" / "report.json").read_text())
+    assert report["force"]["forms"]["hildebrandt"]["left_out"]["rmse_n"] == pytest.approx(57.1, abs=0.1)
+    assert report["force"]["slack"] == 66 and not report["rig_written"]
+    assert "consider --form hildebrandt" in " ".join(capsys.readouterr().out.split())
+    length = np.linspace(240.0, 280.0, 6)
+    cylinder = tmp_path / "long.csv"
+    rows = np.column_stack([length, 90.0 - 0.8 * (length - 240.0) - 0.004 * (length - 240.0) ** 2])
+    np.savetxt(cylinder, rows, delimiter=",", header="length_mm,volume_cm3", comments="")
+    whole = [
+        *line,
+        "--volume",
+        str(cylinder),
+        "--length",
+        "0.26",
+        "--form",
+        "hildebrandt",
+        "--out",
+        str(tmp_path / "d"),
+    ]
+    assert main(whole) == 0
+    assert load_rig(tmp_path / "d" / "rig.yaml").geometry.length == 0.26

@@ -1,0 +1,197 @@
+"""Force maps from tables: the truth comes back with intervals that hold it, and slack points do not bend the map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.stats import norm
+
+from pam_antagonist.identification.static_force import COEFFICIENTS, compare_forms, fit_force, map_force
+from pam_antagonist.identification.static_regression import Observations, Undetermined, solve
+from pam_antagonist.identification.static_table import ForceMap, read_force_map
+from pam_antagonist.model import parameters as par
+
+MAP = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured" / "force_maps" / "dmsp_20_300.csv"
+REST = 0.165
+LENGTHS = np.linspace(0.147, 0.182, 7)
+PRESSURES = np.linspace(120e3, 700e3, 10)
+TRUTH = {
+    # Muscles that are slack at a third of the points.
+    "linear": (9.0e-3, -1.25e-3, 900.0, -190.0),
+    "hildebrandt": (22.0, -110.0, 60.0, -30.0, -60.0, 90.0, -300.0),
+    "sarosi": (12.0, 20.0, -9.0, -60.0, 5.0, -40.0),
+    "polynomial": (-25.0, -60.0, 18.0, 90.0, -90.0, 0.4),
+}
+NOISE = 0.8
+
+
+def table(form: str, seed: int, noise: float = NOISE, together: float = 0.0) -> ForceMap:
+    """A measured map: noise on each force, and an error that all forces at a length share."""
+    rng = np.random.default_rng(seed)
+    length, pressure = (grid.ravel() for grid in np.meshgrid(LENGTHS, PRESSURES))
+    group = np.tile(np.arange(len(LENGTHS)), len(PRESSURES))
+    force = map_force(form, np.array(TRUTH[form]), length, pressure, REST)
+    force = force + noise * rng.standard_normal(len(force)) + together * rng.standard_normal(len(LENGTHS))[group]
+    slack = force <= 0.0
+    ones = np.ones(len(force))
+    return ForceMap("t", "", (), length, group, ones, False, pressure, np.maximum(force, 0.0), 0.0, slack)
+
+
+def worst(fit, form: str) -> float:
+    """Largest error of the fitted map where the muscle really pulls [N]."""
+    length, pressure = (grid.ravel() for grid in np.meshgrid(np.linspace(0.147, 0.182, 15), PRESSURES))
+    true = map_force(form, np.array(TRUTH[form]), length, pressure, REST)
+    return float(np.max(np.abs(fit.force(length, pressure) - true)[true > 0.0]))
+
+
+def test_every_form_of_the_model_can_be_fitted():
+    assert tuple(COEFFICIENTS) == par.FORCE_FORMS
+
+
+@pytest.mark.parametrize("form", par.FORCE_FORMS)
+def test_coefficients_come_back_from_exact_forces(form):
+    measured = table(form, 0, noise=0.0)
+    assert 0.1 < np.mean(measured.slack) < 0.6
+    fit = fit_force(measured, form, REST)
+    assert fit.coefficients == pytest.approx(TRUTH[form], rel=2e-3, abs=1e-6)
+    assert fit.left_out_rmse < 0.02 and worst(fit, form) < 0.02
+
+
+@pytest.mark.parametrize("form", par.FORCE_FORMS)
+def test_intervals_hold_the_truth(form):
+    hits, widths = [], []
+    for seed in range(30):
+        fit = fit_force(table(form, seed), form, REST)
+        hits.append(np.abs(fit.coefficients - TRUTH[form]) <= fit.reach95 * fit.std)
+        widths.append(fit.force_std(np.array([REST]), np.array([500e3]))[0])
+    assert np.mean(hits) >= 0.90
+    # Wide intervals hold everything; dozens of forces tell more than one.
+    assert np.median(widths) < 0.6 * NOISE
+
+
+def test_errors_that_a_length_shares_widen_the_intervals():
+    alone, together = [], []
+    for seed in range(40):
+        measured = table("linear", seed, together=4.0)
+        fit = fit_force(measured, "linear", REST)
+        design = np.column_stack([map_force("linear", e, measured.length, measured.pressure, REST) for e in np.eye(4)])
+        plain = solve(design, Observations(measured.force, measured.slack, measured.spread, False))
+        assert plain.coefficients == pytest.approx(fit.coefficients, rel=1e-6)
+        error = np.abs(fit.coefficients - TRUTH["linear"])
+        together.append(error <= fit.reach95 * fit.std)
+        alone.append(error <= fit.reach95 * np.sqrt(np.diag(plain.covariance)))
+    assert np.mean(alone) < 0.85
+    assert np.mean(together) >= 0.9
+
+
+def test_a_fit_that_takes_slack_for_a_measured_zero_is_wrong():
+    measured = table("linear", 3)
+    right = fit_force(measured, "linear", REST)
+    taken = fit_force(replace(measured, slack=np.zeros(len(measured), dtype=bool)), "linear", REST)
+    assert worst(right, "linear") < 1.5 * NOISE
+    assert worst(taken, "linear") > 10.0
+
+
+def test_leaving_slack_points_out_is_biased_and_keeping_them_is_not():
+    """Where noise is large, forces that happen to come out below 0 are missing from those that are left."""
+    kept, dropped = [], []
+    for seed in range(60):
+        measured = table("linear", seed, noise=8.0)
+        at = np.array([0.15]), np.array([300e3])
+        true = map_force("linear", np.array(TRUTH["linear"]), *at, REST)[0]
+        kept.append(fit_force(measured, "linear", REST).force(*at)[0] - true)
+        dropped.append(fit_force(measured.part(~measured.slack), "linear", REST).force(*at)[0] - true)
+    assert abs(np.mean(dropped)) > 4.0 * np.std(dropped) / np.sqrt(len(dropped))
+    assert abs(np.mean(kept)) < 0.5 * abs(np.mean(dropped))
+
+
+def test_the_likelihood_is_that_of_the_textbook():
+    rng = np.random.default_rng(1)
+    design = np.column_stack([np.ones(60), rng.uniform(-2.0, 2.0, 60)])
+    value = design @ [0.5, 1.5] + 0.7 * rng.standard_normal(60)
+    censored = value < 0.2
+    seen = Observations(np.where(censored, 0.2, value), censored, np.ones(60), False)
+
+    def cost(x):
+        left = design @ x[:2]
+        scale = np.exp(x[2])
+        return -(
+            norm.logpdf(value[~censored], left[~censored], scale).sum()
+            + norm.logcdf((0.2 - left[censored]) / scale).sum()
+        )
+
+    best = minimize(
+        cost, [0.0, 1.0, 0.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 5000}
+    )
+    found = solve(design, seen)
+    assert found.coefficients == pytest.approx(best.x[:2], abs=1e-6)
+    count = int(np.sum(~censored))
+    assert found.scale == pytest.approx(np.exp(best.x[2]) * np.sqrt(count / (count - 2)), rel=1e-6)
+
+
+def test_without_slack_points_it_is_least_squares():
+    measured = table("linear", 5)
+    measured = replace(measured, force=measured.force + 500.0, slack=np.zeros(len(measured), dtype=bool))
+    length, pressure = measured.length, measured.pressure
+    design = np.column_stack([length * pressure, pressure, length, np.ones(len(length))])
+    inside = measured.group == 2
+    without = np.linalg.lstsq(design[~inside], measured.force[~inside], rcond=None)[0]
+    fit = fit_force(measured, "linear", REST)
+    errors = design[inside] @ without - measured.force[inside]
+    assert fit.left_out[2].errors == pytest.approx(errors, abs=1e-5)
+    assert fit.left_out[2].rmse == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-5)
+    whole, rss = np.linalg.lstsq(design, measured.force, rcond=None)[:2]
+    assert fit.coefficients == pytest.approx(whole, rel=1e-6)
+    assert fit.scale == pytest.approx(np.sqrt(rss[0] / (len(length) - 4)), rel=1e-6)
+
+
+def test_a_declared_deviation_weighs_and_is_not_shrunk():
+    measured = table("linear", 7, noise=0.01)
+    spoilt = measured.group == 1
+    force = np.where(spoilt & ~measured.slack, measured.force + 60.0, measured.force)
+    believed = fit_force(replace(measured, force=force), "linear", REST)
+    spread = np.where(spoilt, 1e4, 2.0)
+    weighed = fit_force(replace(measured, force=force, spread=spread, declared=True), "linear", REST)
+    assert worst(weighed, "linear") < 0.1 < worst(believed, "linear")
+    # 2 N were declared: that it agrees to 0.01 N is luck.
+    assert weighed.scale == 1.0
+    assert weighed.force_std(np.array([REST]), np.array([450e3]))[0] > 0.2
+
+
+def test_too_few_lengths_for_a_form_are_said():
+    measured = table("linear", 1).part(np.isin(table("linear", 1).group, (4, 5)))
+    found = compare_forms(measured, REST)
+    assert isinstance(found["hildebrandt"], Undetermined) and "cannot tell" in str(found["hildebrandt"])
+    linear = found["linear"]
+    assert not isinstance(linear, Undetermined)
+    assert np.isnan(linear.left_out_rmse)
+    assert any("too small" in note for note in linear.notes)
+
+
+def test_the_form_that_made_the_data_errs_least_where_it_was_not_fitted():
+    for form in ("linear", "sarosi"):
+        found = compare_forms(table(form, 2), REST)
+        errors = {name: fit.left_out_rmse for name, fit in found.items()}
+        assert errors[form] < 1.6 * NOISE
+        if form == "sarosi":
+            assert errors["linear"] > 3.0 * errors["sarosi"]
+
+
+@pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
+def test_the_measured_map():
+    measured = read_force_map(MAP, 101.3e3)
+    assert (len(measured), measured.lengths, int(measured.slack.sum())) == (126, 6, 66)
+    found = compare_forms(measured, 0.3)
+    errors = {name: fit.left_out_rmse for name, fit in found.items()}
+    assert errors == pytest.approx(
+        {"linear": 133.6, "hildebrandt": 57.1, "sarosi": 109.9, "polynomial": 119.4}, abs=0.1
+    )
+    # A fit says little about lengths that it has not seen.
+    assert found["hildebrandt"].fitted_rmse < 0.15 * errors["hildebrandt"]
+    # The contraction's zero is a convention: errors do not depend on it.
+    other = compare_forms(measured, 0.26)
+    assert {name: fit.left_out_rmse for name, fit in other.items()} == pytest.approx(errors, rel=1e-3)
