@@ -34,6 +34,7 @@ _SUPPLY, _EXTERNAL = SLOT_OF["supply"], SLOT_OF["external_torque"]
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
 _force, _force_length_slope, _loaded_force = muscle.force, muscle.force_length_slope, muscle.loaded_force
 _hysteresis_rate, _creep_rate = muscle.hysteresis_rate, muscle.creep_rate
+_relaxing_force = muscle.relaxing_force
 _valve_flow, _leak_flow, _pressure_rate = flow.valve_flow, flow.leak_flow, flow.pressure_rate
 _open_rate, _flow_regime = flow.open_rate, flow.flow_regime
 _warmth_rates, _droop_rate, _valve_rate, _line_rate = (
@@ -62,10 +63,12 @@ def _chamber_pressure(i, x, p):
 @inlined
 def _muscle_force(i, sine, x, p):
     """Contraction force of muscle i of a state, effects included."""
-    static = _force(i, _length(i, sine, p), _chamber_pressure(i, x, p), p)
+    muscle_length = _length(i, sine, p)
+    static = _force(i, muscle_length, _chamber_pressure(i, x, p), p)
     if x.shape[0] == BASE_STATES:
         return static
-    return _loaded_force(i, static, _added(_LOOP + i, x, p, 0.0), _added(_LATE + i, x, p, static), p)
+    relaxing = _relaxing_force(i, muscle_length, static, p)
+    return _loaded_force(i, static, _added(_LOOP + i, x, p, 0.0), relaxing, _added(_LATE + i, x, p, relaxing), p)
 
 
 @inlined
@@ -108,7 +111,7 @@ def _stopped(angle, velocity, p):
 
 @inlined
 def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, p):
-    """Equations (3) to (5) of one muscle: Ṗ of the chamber, mass flow through the valve, mass flow out of the supply."""
+    """Equations (3) to (5) of one muscle: Ṗ of the chamber, mass flow through the valve and out of the supply."""
     volume, volume_slope = _volume(i, muscle_length, p)
     passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
     net = passed
@@ -184,7 +187,8 @@ def _rows(x, wanted, external, p, dx):
             dx[at] = _hysteresis_rate(x[at], length_rate, p)
         at = int(p[_LATE + i])
         if at > 0:
-            dx[at] = _creep_rate(x[at], _force(i, muscle_length, chamber, p), p)
+            static = _force(i, muscle_length, chamber, p)
+            dx[at] = _creep_rate(x[at], _relaxing_force(i, muscle_length, static, p), p)
     at = int(p[_SUPPLY])
     if at > 0:
         dx[at] = _droop_rate(x[at], consumption, p)
@@ -395,7 +399,9 @@ def initial_state(angle, pressure_1, pressure_2, u, p):
         if p[_OPEN_RATE + i] > 0.0:
             x[int(p[_OPEN_RATE + i])] = _open_rate(i, u[i], p)
         if p[_LATE + i] > 0.0:
-            x[int(p[_LATE + i])] = _force(i, _length(i, sine, p), x[PRESSURE_1 + i], p)
+            muscle_length = _length(i, sine, p)
+            static = _force(i, muscle_length, x[PRESSURE_1 + i], p)
+            x[int(p[_LATE + i])] = _relaxing_force(i, muscle_length, static, p)
     return x
 
 

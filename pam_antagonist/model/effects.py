@@ -54,6 +54,7 @@ class AddedState:
         switch: the parameter (in this effect) whose value other than zero brings the state.
         initial_std: how well it is known when a filter starts.
         noise: process noise of a filter, standard deviation a square root of a second.
+        further: other parameters (in this effect) that bring the state likewise.
     """
 
     name: str
@@ -61,6 +62,7 @@ class AddedState:
     switch: str
     initial_std: float
     noise: float
+    further: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,8 +95,10 @@ def _both(name: str, unit: str, low: float, high: float, scale: float, meaning: 
     )
 
 
-def _pair(name: str, unit: str, switch: str, initial_std: float, noise: float) -> tuple[AddedState, ...]:
-    return tuple(AddedState(f"{name}_{i}", unit, f"{switch}_{i}", initial_std, noise) for i in (1, 2))
+def _pair(
+    name: str, unit: str, switch: str, initial_std: float, noise: float, *further: str
+) -> tuple[AddedState, ...]:
+    return tuple(AddedState(f"{name}_{i}", unit, f"{switch}_{i}", initial_std, noise, further) for i in (1, 2))
 
 
 _EFFECTS = (
@@ -123,7 +127,7 @@ _EFFECTS = (
         "The tank's pressure falls while air is drawn from it and recovers with time.",
         "P_tank gains s, ds/dt = −c (m_in,1 + m_in,2) − s/T",
         "isothermal tank behind a regulator, first order",
-        "Inflow of both muscles too low while either fills; steady pressures unchanged in the long run.",
+        "Inflow of both muscles too low while either fills; steady pressures low by what the valves go on drawing.",
         (
             EffectParameter("stiffness", "Pa/kg", 0.0, 0.0, 5e10, 2e8, "fall of the supply a kilogram drawn from it"),
             EffectParameter("time", "s", 0.5, 0.02, 20.0, 0.5, "time constant of its recovery"),
@@ -195,15 +199,18 @@ _EFFECTS = (
     ),
     Effect(
         "creep",
-        "The muscle gives way slowly after its load has changed: rubber relaxes.",
-        "F_i gains φ_i (c_i − F_i), dc_i/dt = (F_i − c_i)/T",
-        "standard linear solid (Zener)",
-        "Torque and rest angle drift for seconds after a step while the pressures stand.",
+        "The muscle gives way slowly after its load or its length has changed: rubber relaxes.",
+        "F_i gains c_i − y_i, dc_i/dt = (y_i − c_i)/T, with y_i = φ_i F_i − κ l_i",
+        "standard linear solid (Zener): a share φ of the whole force, and the stiffness κ of the tube, which does not "
+        "depend on the pressure; for muscles: Vo-Minh et al. (2011)",
+        "Torque and rest angle drift for seconds after a step while the pressures stand; with κ alone, of a moving "
+        "joint only.",
         (
             *_both("share", "-", -0.5, 0.5, 0.02, "share of a change of force that comes late"),
+            EffectParameter("stiffness", "N/m", 0.0, -2000.0, 2000.0, 50.0, "stiffness of a muscle that relaxes"),
             EffectParameter("time", "s", 4.0, 0.2, 60.0, 4.0, "time constant"),
         ),
-        _pair("creep", "N", "share", 3.0, 1e-2),
+        _pair("creep", "N", "share", 3.0, 1e-2, "stiffness"),
     ),
     Effect(
         "thermal",

@@ -11,6 +11,7 @@ from pam_antagonist._jit import inlined
 from pam_antagonist.model.parameters import (
     C1,
     CREEP_SHARE,
+    CREEP_STIFFNESS,
     CREEP_TIME,
     D1,
     D2,
@@ -140,17 +141,31 @@ def force_length_slope(muscle, muscle_length, pressure, p):
 
 
 @inlined
-def loaded_force(muscle, static, loop, late, p):
+def relaxing_force(muscle, muscle_length, static, p):
+    """y [N], what of the force relaxes: a share of it, and the tube's own stiffness.
+
+    Args:
+        muscle: 0 or 1.
+        muscle_length: l [m].
+        static: F of :func:`force` [N].
+        p: parameter vector.
+    """
+    return p[CREEP_SHARE + muscle] * static - p[CREEP_STIFFNESS] * muscle_length
+
+
+@inlined
+def loaded_force(muscle, static, loop, relaxing, late, p):
     """Contraction force [N] with what hysteresis and creep add to the static map.
 
     Args:
         muscle: 0 or 1.
         static: F of :func:`force` [N].
         loop: z [-], state of the hysteresis.
-        late: c [N], state of the creep; F itself where nothing creeps.
+        relaxing: y of :func:`relaxing_force` [N].
+        late: c [N], state of the creep; y itself where nothing creeps.
         p: parameter vector.
     """
-    return static + p[HYSTERESIS_AMPLITUDE + muscle] * loop + p[CREEP_SHARE + muscle] * (late - static)
+    return static + p[HYSTERESIS_AMPLITUDE + muscle] * loop + (late - relaxing)
 
 
 @inlined
@@ -166,6 +181,6 @@ def hysteresis_rate(loop, rate, p):
 
 
 @inlined
-def creep_rate(late, static, p):
-    """dc/dt [N/s] of the creep: the static force, late by its time constant."""
-    return (static - late) / p[CREEP_TIME]
+def creep_rate(late, relaxing, p):
+    """dc/dt [N/s] of the creep: what relaxes, late by its time constant."""
+    return (relaxing - late) / p[CREEP_TIME]

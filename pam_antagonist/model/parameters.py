@@ -113,6 +113,7 @@ EXTRA_COULOMB = INDEX["effects.friction.coulomb"]
 STRIBECK = INDEX["effects.friction.stribeck"]
 STRIBECK_VELOCITY = INDEX["effects.friction.velocity"]
 CREEP_SHARE = INDEX["effects.creep.share_1"]
+CREEP_STIFFNESS = INDEX["effects.creep.stiffness"]
 CREEP_TIME = INDEX["effects.creep.time"]
 THERMAL_SHARE = INDEX["effects.thermal.share_1"]
 THERMAL_TIME = INDEX["effects.thermal.time"]
@@ -138,7 +139,10 @@ SIZE = CURVE + 2 * CURVE_SIZE
 
 SLOT_OF: Mapping[str, int] = {state.name: SLOT + k for k, (_, state) in enumerate(ADDED_STATES)}
 """Where in the vector the index of an added state stands, by the state's name."""
-_SWITCHES = tuple(INDEX[parameter_path(effect, state.switch)] for effect, state in ADDED_STATES)
+_SWITCHES = tuple(
+    tuple(INDEX[parameter_path(effect, name)] for name in (state.switch, *state.further))
+    for effect, state in ADDED_STATES
+)
 _STATELESS = tuple(
     INDEX[parameter_path(effect.name, item.name)]
     for effect in CATALOGUE.values()
@@ -171,8 +175,8 @@ def refresh(p: np.ndarray) -> np.ndarray:
     p[FLOW_EXPONENT] = (k - 1.0) / k
     p[STATELESS_EFFECTS] = float(any(p[index] != 0.0 for index in _STATELESS))
     count = BASE_STATES
-    for slot, switch in enumerate(_SWITCHES):
-        present = p[switch] != 0.0
+    for slot, switches in enumerate(_SWITCHES):
+        present = any(p[switch] != 0.0 for switch in switches)
         p[SLOT + slot] = count if present else 0.0
         count += present
     p[STATES] = count

@@ -1,0 +1,212 @@
+"""The filter with states that effects add: definite, the same as another's, and fast enough."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
+from recordings import trial
+
+from pam_antagonist._jit import kernel
+from pam_antagonist.estimation import Estimator
+from pam_antagonist.estimation.estimator import considered, parameter_sets
+from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
+from pam_antagonist.rig import Rig, load_rig
+
+RIG = load_rig("shin2022")
+EIGHT = ("hysteresis", "supply_droop", "creep", "thermal", "external_torque")
+"""Effects with eight states in all."""
+
+
+def with_effects(*names: str) -> Rig:
+    """The rig with these effects at sizes that are seen."""
+    effects = {
+        name: {item.name: item.scale if item.is_size else item.neutral for item in CATALOGUE[name].parameters}
+        for name in names
+    }
+    return RIG.replaced(effects=effects)
+
+
+@pytest.mark.parametrize("joint", ["free", "locked"])
+@pytest.mark.parametrize("names", [*((name,) for name in CATALOGUE), EIGHT], ids="+".join)
+def test_stays_definite_over_a_recording(names: tuple[str, ...], joint: str) -> None:
+    recording = trial(10.0, seed=7, joint=joint)
+    estimator = Estimator(with_effects(*names), joint=joint)
+    run = estimator.run(recording.stamp_ns, recording.pressure, recording.voltage)
+    assert run.counts.processed == len(recording.stamp_ns)
+    assert run.counts.restarts == 0
+    # A locked joint's angle and velocity have no variance, which is no loss of definiteness.
+    free = slice(None) if joint == "free" else slice(2, None)
+    assert run.counts.repaired == 0
+    covariance = run.rows["covariance"][:, free, free]
+    scale = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    assert np.all(scale > 0.0)
+    correlation = covariance / (scale[:, :, None] * scale[:, None, :])
+    assert np.linalg.eigvalsh(correlation).min() > 0.0
+    states = [state for effect, state in ADDED_STATES if effect in names]
+    assert list(run.added) == [state.name for state in states]
+    for state in states:
+        assert np.isfinite(run.added[state.name]).all()
+    if joint == "free":
+        assert np.sqrt(np.mean((run.rows["angle"] - recording.truth[:, 0]) ** 2)) < math.radians(2.0)
+
+
+def _oracle(rig: Rig, recording, effects_of_states: list[tuple[str, str]]) -> np.ndarray:
+    chosen = rig.tuning("default")
+    p = rig.parameters()
+    n = 4 + len(effects_of_states)
+    by_name = {state.name: state for _, state in ADDED_STATES}
+
+    def advance(x: np.ndarray, _dt: float, u: np.ndarray) -> np.ndarray:
+        result = np.empty(n)
+        dynamics.rk4_step(x, u, p, rig.sample_period, result)
+        return result
+
+    ukf = UnscentedKalmanFilter(
+        dim_x=n,
+        dim_z=2,
+        dt=rig.sample_period,
+        fx=advance,
+        hx=lambda x: np.array([sensor.reading(i, x[2 + i], p) for i in (0, 1)]),
+        points=JulierSigmaPoints(n, kappa=chosen.kappa),
+    )
+    first = [sensor.pressure_behind(i, recording.pressure[0, i], p) for i in (0, 1)]
+    angle = dynamics.rest_angle(*first, p)
+    ukf.x = dynamics.initial_state(angle, *first, recording.voltage[0], p)
+    initial = [by_name[state].initial_std ** 2 for _, state in effects_of_states]
+    noise = [
+        rig.value("effects.external_torque.noise") if effect == "external_torque" else by_name[state].noise
+        for effect, state in effects_of_states
+    ]
+    ukf.P = np.diag([*chosen.initial, *initial])
+    ukf.Q = np.diag([*chosen.process, *(value**2 * rig.sample_period for value in noise)])
+    ukf.R = np.diag(chosen.measurement)
+    states = [ukf.x.copy()]
+    for y, u in zip(recording.pressure[1:], recording.voltage[1:], strict=True):
+        ukf.predict(u=u)
+        ukf.update(y)
+        states.append(ukf.x.copy())
+    return np.array(states)
+
+
+MUSCLE_AND_VALVE = {
+    "hysteresis": {"amplitude_1": 3.0, "amplitude_2": -2.0, "width": 2e-3},
+    "valve_lag": {"time_1": 0.01},
+    "pressure_sensor": {"offset_1": 3e3, "offset_2": -1e3, "gain_2": 0.0},
+    "creep": {"share_2": 0.05, "time": 1.0},
+    "thermal": {"share_1": 0.05, "time": 1.0},
+}
+
+
+@pytest.mark.parametrize(
+    ("effects", "order", "seconds"),
+    [
+        (
+            MUSCLE_AND_VALVE,
+            [
+                ("hysteresis", "hysteresis_1"),
+                ("hysteresis", "hysteresis_2"),
+                ("valve_lag", "open_rate_1"),
+                ("creep", "creep_2"),
+                ("thermal", "warmth_1"),
+            ],
+            6.0,
+        ),
+        # The pressures hardly tell an outer torque from the angle: rounding grows, a hundredfold in a second.
+        ({"external_torque": {"noise": 0.05}}, [("external_torque", "external_torque")], 2.0),
+    ],
+    ids=["muscle and valve", "external torque"],
+)
+def test_equals_filterpy_with_added_states(effects, order, seconds) -> None:
+    open_gate = RIG.tuning("default").replaced(consider=False, gate=1e9)
+    rig = RIG.replaced(effects=effects, tunings={"default": open_gate})
+    recording = trial(seconds, seed=8)
+    expected = _oracle(rig, recording, order)
+    run = Estimator(rig).run(recording.stamp_ns, recording.pressure, recording.voltage)
+    assert list(run.added) == [state for _, state in order]
+    rows = run.rows
+    ours = np.column_stack([rows["angle"], rows["velocity"], rows["pressure"], *run.added.values()])
+    scale = {"creep": 50.0, "warmth": 1e4}
+    scales = [0.1, 1.0, 1e5, 1e5, *(scale.get(state.rsplit("_", 1)[0], 1.0) for _, state in order)]
+    assert np.abs((ours - expected) / scales).max() < 1e-8
+    assert np.ptp(rows["angle"]) > 0.05
+    assert all(np.ptp(values) > 0.0 for values in run.added.values())
+
+
+def test_the_innovation_is_in_true_pressure() -> None:
+    """A sensor's offset that the rig declares is nothing to the filter: same estimates, same innovations."""
+    recording = trial(3.0, seed=9)
+    plain = Estimator(RIG).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+    rig = RIG.replaced(effects={"pressure_sensor": {"offset_1": 5e3, "offset_2": -2e3}})
+    shown = recording.pressure + np.array([5e3, -2e3])
+    rows = Estimator(rig).run(recording.stamp_ns, shown, recording.voltage).rows
+    for name in ("angle", "torque", "pressure", "innovation"):
+        np.testing.assert_allclose(rows[name], plain[name], rtol=1e-6, atol=1e-6)
+
+
+@kernel
+def _bare_steps(start, voltages, sets, count, dt):
+    """As many Runge-Kutta steps a sample as the filter has sigma points."""
+    x = start.copy()
+    for k in range(voltages.shape[0]):
+        for j in range(count):
+            x[:] = start
+            dynamics_rk4(x, voltages[k], sets[j if j < sets.shape[0] else 0], dt, x)
+    return x[0]
+
+
+dynamics_rk4 = dynamics.rk4_step
+
+
+def _best(call, rounds: int = 5) -> float:
+    times = []
+    for _ in range(rounds):
+        begin = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def test_eight_added_states_are_within_a_fifth_of_the_sample_period() -> None:
+    """The default tuning with its considered parameters. A ratio, since a busy machine slows both; and the time itself
+    with a margin that no machine in use eats up."""
+    rig = with_effects(*EIGHT)
+    p = rig.parameters()
+    assert int(p[par.STATES]) == 12
+    recording = trial(2.0, seed=10)
+    estimator = Estimator(rig)
+    sets = parameter_sets(rig, rig.tuning("default"))
+    count = 1 + 2 * (12 + len(considered(rig)))
+    start = dynamics.initial_state(0.0, 450e3, 450e3, recording.voltage[0], p)
+    _bare_steps(start, recording.voltage[:2], sets, count, 1e-3)
+
+    def sample() -> None:
+        estimator.reset()
+        estimator.run(recording.stamp_ns, recording.pressure, recording.voltage)
+
+    whole = _best(sample) / len(recording.stamp_ns)
+    bare = _best(lambda: _bare_steps(start, recording.voltage, sets, count, 1e-3)) / len(recording.stamp_ns)
+    print(f"{whole * 1e6:.0f} µs a sample, {bare * 1e6:.0f} µs of {count} bare Runge-Kutta steps")
+    assert whole < 2.0 * bare
+    assert whole < 0.2 * rig.sample_period
+
+
+def test_noise_of_the_outer_torque_is_the_rig_s() -> None:
+    """Its variance grows by σ² t: a filter that sees no pressure does nothing but that."""
+    sigma = 0.07
+    rig = RIG.replaced(effects={"external_torque": {"noise": sigma}})
+    path = parameter_path("external_torque", "noise")
+    assert rig.parameters()[par.INDEX[path]] == sigma
+    recording = trial(5.0, seed=11)
+    pressed = Estimator(rig).run(recording.stamp_ns, recording.pressure, recording.voltage)
+    still = Estimator(rig.replaced(effects={"external_torque": {"noise": 1e-6}}))
+    calm = still.run(recording.stamp_ns, recording.pressure, recording.voltage)
+    # Without noise the state keeps what its first variance let it take; with it, it follows the recording.
+    assert np.std(np.diff(pressed.added["external_torque"][2000:])) > 3.0 * np.std(
+        np.diff(calm.added["external_torque"][2000:])
+    )

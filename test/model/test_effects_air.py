@@ -1,0 +1,232 @@
+"""What each effect of the air does in the long run and in the short: balances, steady pressures, time constants."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import transcription as paper
+from scipy.integrate import trapezoid
+from scipy.optimize import brentq
+from states import ATMOSPHERE, TANK
+
+from pam_antagonist.estimation import simulate_model
+from pam_antagonist.model import dynamics, flow, sensor
+from pam_antagonist.model import parameters as par
+
+T = paper.CORRECTED
+SHUT = {f"valve_{i}.{way}_area": 0.0 for i in (1, 2) for way in ("inflow", "outflow")}
+VOLUME = paper.volume(T, T["L_0"])
+GAIN = T["k_1"] * T["R"] * T["T"] / VOLUME
+"""[Pa/kg] Pressure of a kilogram in a muscle that is held at 0°."""
+DT = 1e-3
+
+
+def locked(rig, changes=None, **effects):
+    return rig.replaced(effects=effects).parameters("locked", changes=changes)
+
+
+def held(p, u, seconds, pressures=(450e3, 450e3), before=None, dt=DT):
+    """States (N, n) of a joint held at 0°, voltages ``u`` from the first step on, ``before`` until then."""
+    voltage = np.tile(np.asarray(u, dtype=np.float64), (round(seconds / dt) + 1, 1))
+    start = dynamics.initial_state(0.0, *pressures, np.array(u if before is None else before, dtype=np.float64), p)
+    return dynamics.simulate(start, voltage, p, dt, 1)[0]
+
+
+def balance(alpha, supply=TANK, leak=0.0, area=T["A_12"]):
+    """Pressure at which a valve gives what a leak takes; without a leak the area does not matter."""
+
+    def net(pressure):
+        through = alpha * paper.nozzle(T, supply, pressure) - (1 - alpha) * paper.nozzle(T, pressure, ATMOSPHERE)
+        return area * through - leak * paper.nozzle(T, pressure, ATMOSPHERE)
+
+    return brentq(net, ATMOSPHERE, supply, xtol=1e-3)
+
+
+# Leak
+
+
+def test_a_leak_takes_the_air_that_is_missing(rig):
+    """Behind a shut valve, ∫ of the leak's flow is the mass that the pressure has lost, V (P_0 − P)/(k_1 R T)."""
+    area = 2e-9
+    states = held(locked(rig, SHUT, leak={"area_1": area}), (5.5, 5.5), 20.0)
+    pressure = states[:, 2]
+    lost = area * trapezoid([paper.nozzle(T, value, ATMOSPHERE) for value in pressure], dx=DT)
+    assert pressure[0] - pressure[-1] == pytest.approx(GAIN * lost, rel=1e-6)
+    assert pressure[0] - pressure[-1] > 50e3
+    assert np.all(states[:, 3] == 450e3), "muscle 2 does not leak"
+
+
+def test_a_leak_ends_at_the_atmosphere(rig):
+    states = held(locked(rig, SHUT, leak={"area_2": 5e-8}), (5.5, 5.5), 60.0, (200e3, 200e3))
+    assert states[-1, 3] == pytest.approx(ATMOSPHERE, abs=1.0)
+    assert np.all(np.diff(states[:, 3]) <= 0.0)
+
+
+def test_steady_pressure_with_a_leak(rig):
+    area = 3e-9
+    pressure = held(locked(rig, leak={"area_1": area}), (5.5, 5.5), 60.0)[-1, 2:]
+    # What comes through the valve makes up for the leak: it flows in.
+    expected = balance(0.394, leak=area, area=T["A_11"])
+    assert pressure[0] == pytest.approx(expected, abs=50.0)
+    assert pressure[1] == pytest.approx(balance(0.394), abs=50.0)
+    assert pressure[1] - pressure[0] > 5e3
+
+
+# Supply
+
+
+def test_supply_falls_by_what_is_drawn_and_recovers(rig):
+    stiffness, time = 2e8, 0.4
+    p = locked(rig, supply_droop={"stiffness": stiffness, "time": time})
+    # Wide open to the tank from 150 kPa: choked, so that the flow per Pa of supply is constant.
+    short = held(p, (10.0, 10.0), 0.01, (150e3, 150e3), dt=1e-4)[:, 4]
+    drawn = 2.0 * T["A_11"] * paper.nozzle(T, TANK, 150e3)
+    # ds/dt = −c m_0 (1 + s/P_tank) − s/T, a straight line in s.
+    rate = stiffness * drawn / TANK + 1.0 / time
+    expected = -stiffness * drawn / rate * (1.0 - np.exp(-rate * 1e-4 * np.arange(len(short))))
+    assert short == pytest.approx(expected, rel=1e-6)
+    # Valves open to the atmosphere only draw nothing: the supply comes back with its time constant.
+    x = np.array([0.0, 0.0, 450e3, 450e3, -30e3])
+    states, _, _ = dynamics.simulate(x, np.zeros((1001, 2)), p, DT, 1)
+    assert states[:, 4] == pytest.approx(-30e3 * np.exp(-DT * np.arange(1001) / time), rel=1e-8)
+
+
+def test_steady_pressure_under_a_drooping_supply(rig):
+    """In the steady state the valves go on drawing α A_0 q; the pressures are those of the supply less c T times it."""
+    stiffness, time = 4e8, 0.5
+    states = held(locked(rig, supply_droop={"stiffness": stiffness, "time": time}), (5.5, 5.5), 60.0)
+    pressure, droop = states[-1, 2], states[-1, 4]
+    assert -30e3 < droop < -1e3
+    assert pressure == pytest.approx(balance(0.394, TANK + droop), rel=1e-3)
+    drawn = {0.394 * area * paper.nozzle(T, TANK + droop, pressure) for area in (T["A_11"], T["A_12"])}
+    # Which of the areas it is depends on the last bit of a flow that is zero.
+    assert 0.99 * min(drawn) <= -droop / (2.0 * stiffness * time) <= 1.01 * max(drawn)
+
+
+# Valve
+
+
+def test_valve_follows_with_its_time_constant_and_settles_where_it_should(rig):
+    p = locked(rig, valve_lag={"time_1": 0.02, "time_2": 0.05})
+    states = held(p, (6.6, 4.6), 0.3, before=(5.0, 5.5), dt=1e-4)
+    time = 1e-4 * np.arange(len(states))
+    assert states[:, 4] == pytest.approx(0.56 + (0.33 - 0.56) * np.exp(-time / 0.02), abs=1e-8)
+    assert states[:, 5] == pytest.approx(0.26 + (0.394 - 0.26) * np.exp(-time / 0.05), abs=1e-8)
+    assert states[0, 4:].tolist() == [0.33, 0.394]
+
+
+def test_a_valve_without_lag_is_the_limit_of_a_quick_one(rig):
+    slow, quick = (held(locked(rig, valve_lag={"time_1": t}), (6.6, 5.5), 0.3, before=(5.0, 5.5)) for t in (2e-2, 2e-3))
+    none = held(locked(rig), (6.6, 5.5), 0.3, before=(5.0, 5.5))
+    error = [np.abs(states[:, 2] - none[:, 2]).max() for states in (slow, quick)]
+    assert error[1] == pytest.approx(0.1 * error[0], rel=0.1)
+    assert error[0] > 500.0
+
+
+def test_lag_leaves_the_steady_pressure(rig):
+    with_lag = held(locked(rig, valve_lag={"time_1": 0.1, "time_2": 0.1}), (6.0, 5.0), 60.0)
+    assert with_lag[-1, 2:4] == pytest.approx(held(locked(rig), (6.0, 5.0), 60.0)[-1, 2:], abs=1.0)
+
+
+def test_an_offset_is_a_curve_shifted_along_the_voltage(rig):
+    """With δ = 0.3 V the valve does at 5.8 V what it did at 5.5 V."""
+    shift = 0.3
+    p = locked(rig, valve_offset={"voltage_1": shift})
+    for voltage in np.linspace(-1.0, 11.0, 121):
+        assert flow.open_rate(0, voltage + shift, p) == pytest.approx(paper.kappa(T, voltage), abs=1e-12)
+        assert flow.open_rate(1, voltage, p) == pytest.approx(paper.kappa(T, voltage), abs=1e-15)
+    moved = [u + shift for u in rig.valve_1.curve.voltage]
+    drawn = rig.replaced(valve_1=rig.valve_1.replaced(curve=rig.valve_1.curve.replaced(voltage=tuple(moved))))
+    as_curve = held(drawn.parameters("locked"), (6.1, 5.2), 3.0)
+    assert held(p, (6.1, 5.2), 3.0) == pytest.approx(as_curve, rel=1e-12)
+
+
+# Line
+
+
+def test_behind_a_line_the_sensor_shows_more_while_the_muscle_fills(rig):
+    resistance = 2e8
+    p = locked(rig, line_resistance={"resistance_1": resistance, "time": 2e-3})
+    states = held(p, (7.5, 5.5), 0.5)
+    at = 100  # long after the line's lag, long before the muscle is full
+    through = paper.mass_flow(T, 7.5, states[at, 2])
+    assert through > 1e-5
+    # The lag of 2 ms is felt by what the pressures change in that time.
+    assert states[at, 2] - states[at, 4] == pytest.approx(resistance * through, rel=0.05)
+    emptied = held(p, (4.0, 5.5), 0.5)
+    assert emptied[at, 2] < emptied[at, 4]
+    assert np.array_equal(states[:, 3], held(locked(rig), (7.5, 5.5), 0.5)[:, 3]), "line 2 has no resistance"
+
+
+def test_a_line_holds_no_air_back(rig):
+    """The chamber holds what came through the valve at the pressure that stands there, and then nothing differs."""
+    p = locked(rig, line_resistance={"resistance_1": 2e8, "resistance_2": 2e8})
+    states = held(p, (7.5, 4.6), 5.0)
+    for muscle, u in ((1, 7.5), (2, 4.6)):
+        mass = trapezoid([paper.mass_flow(T, u, value) for value in states[:, 1 + muscle]], dx=DT)
+        gained = states[-1, 3 + muscle] - states[0, 3 + muscle]
+        assert gained == pytest.approx(GAIN * mass, rel=2e-4)
+        assert abs(gained) > 50e3
+    end = held(p, (7.5, 4.6), 90.0)[-1]
+    assert end[4:] == pytest.approx(end[2:4], rel=1e-5)
+    assert end[2:4] == pytest.approx(held(locked(rig), (7.5, 4.6), 90.0)[-1, 2:], rel=1e-4)
+
+
+# Sensor
+
+
+def test_a_sensor_reads_by_offset_and_gain_and_its_inverse_undoes_it(rig):
+    p = locked(rig, pressure_sensor={"offset_1": 4e3, "offset_2": -2e3, "gain_1": 0.02, "gain_2": -0.1})
+    for pressure in (90e3, 450e3, 710e3):
+        assert sensor.reading(0, pressure, p) == pytest.approx(1.02 * pressure + 4e3, rel=1e-15)
+        assert sensor.reading(1, pressure, p) == pytest.approx(0.9 * pressure - 2e3, rel=1e-15)
+        for muscle in (0, 1):
+            assert sensor.pressure_behind(muscle, sensor.reading(muscle, pressure, p), p) == pytest.approx(pressure)
+
+
+def test_a_wrong_sensor_changes_what_is_read_and_not_what_is(rig):
+    wrong = rig.replaced(effects={"pressure_sensor": {"offset_1": 4e3, "gain_2": -0.05}})
+    voltage = np.tile([6.0, 5.0], (3000, 1))
+    true = simulate_model(rig, voltage, np.array([450e3, 450e3]), angle0=0.0)
+    read = simulate_model(wrong, voltage, np.array([454e3, 0.95 * 450e3]), angle0=0.0)
+    assert read.pressure[:, 0] == pytest.approx(true.pressure[:, 0] + 4e3, rel=1e-12)
+    assert read.pressure[:, 1] == pytest.approx(0.95 * true.pressure[:, 1], rel=1e-12)
+    assert read.torque == pytest.approx(true.torque, rel=1e-6, abs=1e-6)
+
+
+# Thermal
+
+
+def test_warm_gas_cools_with_its_time_constant(rig):
+    """A closed muscle whose gas is warmer by q loses just q of its pressure."""
+    p = locked(rig, SHUT, thermal={"share_1": 0.2, "share_2": 0.2, "time": 0.8})
+    x = np.array([0.0, 0.0, 450e3, 450e3, 12e3, -5e3])
+    states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5], (8001, 1)), p, DT, 1)
+    fade = np.exp(-DT * np.arange(8001) / 0.8)
+    for muscle, warmth in ((0, 12e3), (1, -5e3)):
+        assert states[:, 4 + muscle] == pytest.approx(warmth * fade, abs=1e-3)
+        assert states[:, 2 + muscle] == pytest.approx(450e3 - warmth * (1.0 - fade), abs=1e-2)
+
+
+def test_a_filling_leaves_its_share_as_warmth(rig):
+    """Filled fast against the heat exchange, share χ of the rise is warmth, and it is lost afterwards."""
+    share, time = 0.15, 20.0
+    p = locked(rig, thermal={"share_1": share, "time": time})
+    states = held(p, (10.0, 5.5), 0.15, (200e3, 450e3))
+    risen = states[-1, 2] - 200e3
+    assert risen > 30e3
+    assert states[-1, 4] == pytest.approx(share * risen, rel=0.01)
+    # Then the valve is shut (areas of zero), and all of it goes.
+    shut = par.changed(p, SHUT)
+    after, _, _ = dynamics.simulate(states[-1], np.tile([5.5, 5.5], (200_001, 1)), shut, DT, 1)
+    assert states[-1, 2] - after[-1, 2] == pytest.approx(states[-1, 4], rel=1e-3)
+
+
+def test_no_warmth_at_rest(rig):
+    p = locked(rig, thermal={"share_1": 0.3, "share_2": 0.3, "time": 1.0})
+    end = held(p, (6.0, 5.0), 60.0)[-1]
+    assert end[4:] == pytest.approx([0.0, 0.0], abs=5.0)
+    assert end[2:4] == pytest.approx(held(locked(rig), (6.0, 5.0), 60.0)[-1, 2:], abs=100.0)
+    assert math.isfinite(end.sum())

@@ -1,0 +1,146 @@
+"""Every effect against a second version of it in plain Python: rates at a point, and trajectories by scipy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import transcription as paper
+import transcription_effects as laws
+from scipy.integrate import solve_ivp
+from states import random_states
+
+from pam_antagonist.model import dynamics
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
+
+T = paper.CORRECTED
+SINGLE = {
+    "hysteresis": {"amplitude_1": 4.0, "amplitude_2": -2.5, "width": 3e-3},
+    "leak": {"area_1": 2e-9, "area_2": 5e-10},
+    "supply_droop": {"stiffness": 8e9, "time": 0.3},
+    "valve_lag": {"time_1": 0.012, "time_2": 0.03},
+    "valve_offset": {"voltage_1": 0.23, "voltage_2": -0.4},
+    "line_resistance": {"resistance_1": 2e8, "resistance_2": 5e7, "time": 4e-3},
+    "pressure_sensor": {"offset_1": 4e3, "offset_2": -1e3, "gain_1": 0.02, "gain_2": -0.01},
+    "load_torque": {"constant": -0.04, "sine": 0.3},
+    "friction": {"coulomb": 0.03, "stribeck": 0.05, "velocity": 0.4},
+    "creep": {"share_1": 0.05, "share_2": 0.11, "stiffness": 80.0, "time": 0.7},
+    "thermal": {"share_1": 0.2, "share_2": -0.1, "time": 0.4},
+    "external_torque": {"noise": 0.1},
+}
+"""Sizes that are seen, different for the two muscles, so that a mix-up shows."""
+ONE_MUSCLE = {
+    "hysteresis": {"amplitude_2": 3.0, "width": 1.5e-3},
+    "leak": {"area_2": 1e-9},
+    "valve_lag": {"time_2": 0.02},
+    "valve_offset": {"voltage_2": 0.1},
+    "line_resistance": {"resistance_2": 1e8, "time": 3e-3},
+    "pressure_sensor": {"offset_2": 2e3},
+    "creep": {"share_2": 0.1, "time": 0.5},
+    "thermal": {"share_2": 0.1, "time": 0.5},
+}
+CASES = {
+    **{name: {name: values} for name, values in SINGLE.items()},
+    **{f"{name} of muscle 2": {name: values} for name, values in ONE_MUSCLE.items()},
+    "creep of the tubes": {"creep": {"stiffness": -120.0, "time": 0.3}},
+    "all at once": SINGLE,
+}
+
+
+def flat(effects):
+    return {f"{effect}.{key}": value for effect, values in effects.items() for key, value in values.items()}
+
+
+def vector(rig, effects, joint="free"):
+    changes = {parameter_path(*name.split(".")): value for name, value in flat(effects).items()}
+    return rig.parameters(joint, changes={"joint.stop": math.inf, **changes})
+
+
+def draw(names, rng):
+    """Values of added states that may occur."""
+    spread = {"hysteresis": 0.9, "supply": 2e4, "open_rate": 0.4, "chamber": 1e5, "creep": 5.0, "warmth": 1e4}
+    middle = {"open_rate": 0.5, "chamber": 4e5}
+    kinds = [name.removesuffix("_1").removesuffix("_2") for name in names]
+    return [middle.get(kind, 0.0) + spread.get(kind, 0.3) * rng.uniform(-1.0, 1.0) for kind in kinds]
+
+
+def test_every_effect_has_a_case():
+    assert set(SINGLE) == set(CATALOGUE)
+    assert all(set(values) <= {item.name for item in CATALOGUE[name].parameters} for name, values in SINGLE.items())
+    several = {n for n, e in CATALOGUE.items() if any(item.muscle for item in e.parameters)}
+    assert set(ONE_MUSCLE) == several
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("joint", ["free", "locked"])
+def test_rates(rig, case, joint):
+    effects = flat(CASES[case])
+    p = vector(rig, CASES[case], joint)
+    names = laws.states(effects)
+    assert par.added_states(p) == names
+    rng = np.random.default_rng(31)
+    dx = np.empty(4 + len(names))
+    # What counts as nothing: a rate that is the difference of large ones.
+    nothing = np.array([1e-12, 1e-8, 1e-2, 1e-2] + [1e-2 if "chamber" in n or n == "supply" else 1e-6 for n in names])
+    slid = set()
+    for base, u in random_states(60, seed=30):
+        x = base + draw(names, rng)
+        outside = float(rng.uniform(-0.3, 0.3))
+        if base[1] == 0.0:
+            outside -= laws.moves(T, effects, x)[0]  # near balance, so that the joint sticks in some
+        dynamics.derivative(np.array(x), np.array([*u, outside]), p, dx)
+        expected = laws.derivative(T, effects, x, u, outside, joint == "locked")
+        error = np.abs(dx - expected) - 1e-8 * np.abs(expected)
+        assert np.all(error <= nothing), (case, dict(zip(names, dx[4:], strict=True)), error)
+        tau, forces = laws.torque_on_muscles(T, effects, x)
+        assert dynamics.torque(np.array(x), p) == pytest.approx(tau, rel=1e-11, abs=1e-12)
+        assert dynamics.forces(np.array(x), p) == pytest.approx(forces, rel=1e-11, abs=1e-10)
+        if "external_torque.noise" not in effects:
+            still = laws.moves(T, effects, x)[2][1]
+            assert (dynamics.subsystem(np.array(x), p) - 1) % 2 == (still and joint == "free")
+        slid.add(laws.moves(T, effects, x, outside)[2][1])
+    assert slid == {True, False}
+
+
+def integrated(effects, x, u, duration, locked, outside):
+    solution = solve_ivp(
+        lambda _, state: laws.derivative(T, effects, state.tolist(), u, outside, locked),
+        (0.0, duration),
+        x,
+        method="DOP853",
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    assert solution.success
+    return solution.y[:, -1]
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    ("locked", "base", "u", "duration"),
+    [(False, [-0.2, 8.0, 580e3, 480e3], (6.0, 5.0), 0.012), (True, [0.1, 0.0, 380e3, 640e3], (6.0, 5.2), 0.4)],
+)
+def test_trajectory(rig, case, locked, base, u, duration):
+    """A swing that slides one way, and filling and emptying of a locked joint, with fine Runge-Kutta steps."""
+    effects = flat(CASES[case])
+    p = vector(rig, CASES[case], "locked" if locked else "free")
+    inputs = np.array([*u, 0.05])
+    before = np.array([5.5, 5.5])
+    x = dynamics.initial_state(base[0], base[2], base[3], before, p)
+    x[1] = base[1]
+    steps = 8 * round(duration * 1e3)
+    start = x.copy()
+    for _ in range(steps):
+        dynamics.rk4_step(x, inputs, p, duration / steps, x)
+    expected = integrated(effects, start, u, duration, locked, 0.05)
+    scale = np.maximum(np.abs(expected - start), 1e-4 * np.abs(start)) + 1e-9
+    # What the supply gives jumps where A_0 does, at the turn of the flow: a step that spans it is of first order.
+    bound = [1e-3 if name == "supply" else 1e-5 for name in (*("",) * 4, *laws.states(effects))]
+    assert np.all(np.abs(x - expected) < bound * scale), (x - expected) / scale
+    without = integrated({}, start[:4], u, duration, locked, 0.05)
+    moved = np.abs(expected[:4] - without) / np.array([0.1, 10.0, 1e5, 1e5])
+    acts = not (locked and case.split()[0] in ("hysteresis", "creep", "load_torque", "friction"))
+    acts &= not case.startswith(("pressure_sensor", "external_torque"))
+    assert (moved.max() > 1e-5) == acts, f"{case} moves the states by {moved}"

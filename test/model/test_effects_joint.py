@@ -1,0 +1,241 @@
+"""What each effect of muscle and joint does: loops, drifts, loads, stick bands, pushes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import transcription as paper
+from scipy.integrate import trapezoid
+from states import held, sealed
+
+from pam_antagonist.model import dynamics, muscle
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import parameter_path
+
+T = paper.CORRECTED
+SHUT = {f"valve_{i}.{way}_area": 0.0 for i in (1, 2) for way in ("inflow", "outflow")}
+DT = 1e-3
+
+
+def with_effects(p, **effects):
+    changes = {parameter_path(name, key): value for name, values in effects.items() for key, value in values.items()}
+    return par.changed(p, changes)
+
+
+# Hysteresis
+
+
+def loop_of(p, rate_scale, amplitude=5e-3, cycles=3, points=4000):
+    """z along a length that goes ±amplitude as a sine, stepped evenly in the angle of the sine."""
+    phase = np.linspace(0.0, 2.0 * math.pi * cycles, cycles * points + 1)
+    length = amplitude * np.sin(phase)
+    z = np.zeros(len(phase))
+    for k in range(1, len(phase)):
+        duration = 1.0 / rate_scale
+        rate = (length[k] - length[k - 1]) / duration
+        first = muscle.hysteresis_rate(z[k - 1], rate, p)
+        z[k] = z[k - 1] + duration * muscle.hysteresis_rate(z[k - 1] + 0.5 * duration * first, rate, p)
+    return length[-points - 1 :], z[-points - 1 :]
+
+
+@pytest.fixture
+def p_loop(rig):
+    return with_effects(rig.parameters(), hysteresis={"amplitude_1": 4.0, "width": 2e-3})
+
+
+def test_the_loop_is_closed_and_bounded(p_loop):
+    length, z = loop_of(p_loop, 1.0)
+    assert z[0] == pytest.approx(z[-1], abs=1e-6)
+    assert np.abs(z).max() <= 1.0
+    assert np.abs(z).max() > 0.98, "a stroke of five widths nearly reaches the bound"
+    assert trapezoid(z, length) > 0.5 * 4.0 * 5e-3, "a loop of this height and length takes energy"
+
+
+def test_the_loop_does_not_depend_on_the_speed(p_loop):
+    slow, fast = loop_of(p_loop, 1.0)[1], loop_of(p_loop, 1024.0)[1]
+    assert np.array_equal(slow, fast)
+
+
+def test_an_idle_muscle_keeps_its_loop(p_loop):
+    assert muscle.hysteresis_rate(0.7, 0.0, p_loop) == 0.0
+    for z in (-1.0, 1.0):
+        assert muscle.hysteresis_rate(z, z * 0.1, p_loop) == 0.0, "saturated: it cannot grow on"
+        assert muscle.hysteresis_rate(z, -z * 0.1, p_loop) * z < 0.0
+
+
+def test_a_muscle_pulls_harder_while_it_is_lengthened(p_loop):
+    """z goes to +1 with growing length: the force opposes the motion both ways, by the amplitude."""
+    length, z = loop_of(p_loop, 1.0)
+    middle = np.abs(length) < 1e-4
+    up = np.gradient(length) > 0.0
+    # From its bound it comes to zero over one width, and goes on as an exponential of the rest of half a stroke.
+    expected = 1.0 - math.exp(-(5e-3 / 2e-3 - np.abs(z).max()))
+    assert z[middle & up].mean() == pytest.approx(expected, abs=0.01)
+    assert z[middle & ~up].mean() == pytest.approx(-expected, abs=0.01)
+    assert muscle.loaded_force(0, 40.0, 1.0, 0.0, 0.0, p_loop) == 44.0
+    assert muscle.loaded_force(1, 40.0, 1.0, 0.0, 0.0, p_loop) == 40.0, "muscle 2 has no loop here"
+
+
+def pushed(p, peak, period=4.0):
+    """Angles while an outer torque goes up and down between ±peak, slowly; the last of two cycles."""
+    time = np.arange(round(2 * period / DT)) * DT
+    push = peak * np.sin(2.0 * math.pi * time / period)
+    voltage = np.column_stack([np.full((len(time), 2), 5.5), push])
+    states, _, _ = dynamics.simulate(dynamics.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 2)
+    half = len(time) // 2
+    return states[half:, 0], push[half:]
+
+
+def test_a_joint_with_hysteresis_takes_more_work_in_a_cycle(rig):
+    base = held(rig)
+    rough = with_effects(base, hysteresis={"amplitude_1": 4.0, "amplitude_2": 4.0, "width": 1e-3})
+    work = []
+    for p in (base, rough):
+        angle, push = pushed(p, 1.0)
+        work.append(trapezoid(push, angle))
+    # Two muscles, each ∮ F dl = 2 a per length and way, 4 a r per radian there and back; less where z turns round.
+    angle, _ = pushed(rough, 1.0)
+    most = 2 * 2 * 4.0 * T["r"] * (np.sin(angle.max()) - np.sin(angle.min()))
+    assert 0.4 * most < work[1] - work[0] < most
+
+
+# Creep
+
+
+def test_creep_is_a_share_of_a_step_that_comes_late(rig):
+    share, time = 0.1, 2.0
+    p = with_effects(rig.parameters("locked", changes=SHUT), creep={"share_1": share, "share_2": 0.2, "time": time})
+    x = dynamics.initial_state(0.0, 450e3, 450e3, np.array([5.5, 5.5]), p)
+    before = dynamics.forces(x, p)[0]
+    x[2] = 600e3  # the pressure jumps
+    states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5], (10_001, 1)), p, DT, 1)
+    force = np.array([dynamics.forces(state, p)[0] for state in states])
+    full = paper.force(T, 1, T["L_0"], 600e3)
+    assert before == pytest.approx(paper.force(T, 1, T["L_0"], 450e3), rel=1e-9)
+    assert force[0] == pytest.approx(before + (1 - share) * (full - before), rel=1e-9)
+    expected = full - share * (full - before) * np.exp(-DT * np.arange(10_001) / time)
+    assert force == pytest.approx(expected, rel=1e-9)
+    other = [dynamics.forces(state, p)[1] for state in states[::1000]]
+    assert other == pytest.approx([paper.force(T, 2, T["L_0"], 450e3)] * 11, rel=1e-9)
+
+
+def test_creep_of_the_tube_is_of_its_length_and_not_of_the_pressure(rig):
+    """A stiffness that relaxes: a locked joint's force follows its pressure at once, a moved one's comes back late."""
+    stiffness, time = 150.0, 2.0
+    p = with_effects(rig.parameters("locked", changes=SHUT), creep={"stiffness": stiffness, "time": time})
+    u = np.array([5.5, 5.5])
+    x = dynamics.initial_state(0.0, 450e3, 450e3, u, p)
+    x[2] = 600e3
+    assert dynamics.forces(x, p)[0] == pytest.approx(paper.force(T, 1, T["L_0"], 600e3), rel=1e-12)
+    # The same joint held elsewhere: muscle 1 is shorter and pulls less by κ Δl, until the tube has given way.
+    x = dynamics.initial_state(0.0, 450e3, 450e3, u, p)
+    x[0] = 0.2
+    states, _, _ = dynamics.simulate(x, np.tile(u, (6001, 1)), p, DT, 1)
+    for i in (1, 2):
+        l_i = paper.length(T, i, 0.2)
+        full = paper.force(T, i, l_i, 450e3)
+        force = np.array([dynamics.forces(state, p)[i - 1] for state in states])
+        expected = full + stiffness * (l_i - T["L_0"]) * np.exp(-DT * np.arange(6001) / time)
+        assert force == pytest.approx(expected, rel=1e-9)
+
+
+# Load
+
+
+@pytest.mark.parametrize(("constant", "sine"), [(0.2, 0.0), (-0.3, 0.0), (0.0, 1.5), (0.1, -0.8)])
+def test_a_load_moves_the_angle_of_rest(rig, constant, sine):
+    p = with_effects(sealed(rig), load_torque={"constant": constant, "sine": sine})
+    for pressures in ((450e3, 450e3), (600e3, 350e3), (300e3, 450e3)):
+        angle = dynamics.rest_angle(*pressures, p)
+        tau = paper.torque(T, angle, *pressures)
+        assert tau + constant + sine * math.sin(angle) - T["k_s"] * angle == pytest.approx(0.0, abs=1e-9)
+    positive = dynamics.rest_angle(450e3, 450e3, p) - dynamics.rest_angle(450e3, 450e3, sealed(rig))
+    if sine == 0.0:
+        assert math.copysign(1.0, positive) == math.copysign(1.0, constant)
+
+
+def test_a_torque_meter_on_the_muscles_does_not_see_the_load(rig):
+    p = with_effects(rig.parameters("locked"), load_torque={"constant": 0.5, "sine": 1.0})
+    x = np.array([0.2, 0.0, 500e3, 400e3])
+    assert dynamics.torque(x, p) == dynamics.torque(x, rig.parameters("locked"))
+
+
+# Friction
+
+
+def stands(p, push):
+    """Whether a joint at its angle of rest stays there under a push."""
+    x = np.array([dynamics.rest_angle(450e3, 450e3, p), 0.0, 450e3, 450e3])
+    states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5, push], (20, 1)), p, DT, 1)
+    return abs(states[-1, 0] - states[0, 0]) < 1e-6
+
+
+@pytest.mark.parametrize(("coulomb", "stribeck"), [(0.05, 0.0), (0.0, 0.04), (0.03, 0.02), (-0.04, 0.0)])
+def test_the_stick_band_is_wider_by_what_is_added_at_rest(rig, coulomb, stribeck):
+    p = with_effects(held(rig), friction={"coulomb": coulomb, "stribeck": stribeck, "velocity": 0.3})
+    angle = dynamics.rest_angle(450e3, 450e3, p)
+    _, band, _ = paper.balance(T, [angle, 0.0, 450e3, 450e3])
+    band += coulomb + stribeck
+    for way in (1.0, -1.0):
+        assert stands(p, way * 0.999 * band)
+        assert not stands(p, way * 1.02 * band)
+
+
+def test_stribeck_fades_with_the_velocity(rig):
+    """Sliding, the joint decelerates by c + d exp(−|ψ̇|/v) over the inertia more."""
+    velocity, base = 0.3, held(rig)
+    p = with_effects(base, friction={"coulomb": 0.02, "stribeck": 0.06, "velocity": velocity})
+    dx, without = np.empty(4), np.empty(4)
+    z = T["T_stp"] / T["J"]
+    for speed in (3.0, -3.0, 0.5, -8.0):
+        x = np.array([0.0, speed, 450e3, 450e3])
+        dynamics.derivative(x, np.array([5.5, 5.5]), p, dx)
+        dynamics.derivative(x, np.array([5.5, 5.5]), base, without)
+        added = 0.02 + 0.06 * math.exp(-abs(speed) / velocity)
+        lost = math.copysign(added, speed) / (T["J"] * (1.0 + z * T["c_s"]))
+        assert dx[1] - without[1] == pytest.approx(-lost, rel=1e-9)
+
+
+def test_friction_below_none_is_none(rig):
+    p = with_effects(held(rig), friction={"coulomb": -0.5})
+    assert not stands(p, 1e-3)
+
+
+# External torque
+
+
+def test_a_known_push_and_an_estimated_one_move_alike(rig):
+    base = rig.parameters()
+    p = with_effects(base, external_torque={"noise": 0.1})
+    time = np.arange(2000)
+    pushes = np.where((time > 300) & (time < 900), 0.4, 0.0)
+    voltage = np.tile([5.8, 5.2], (2000, 1))
+    known, _, _ = dynamics.simulate(np.array([0.0, 0.0, 450e3, 450e3]), np.column_stack([voltage, pushes]), base, DT, 1)
+    x = np.array([0.0, 0.0, 450e3, 450e3, 0.0])
+    for k in range(1, 2000):
+        x[4] = pushes[k]
+        dynamics.rk4_step(x, voltage[k], p, DT, x)
+        assert np.array_equal(x[:4], known[k])
+    quiet, torque, _ = dynamics.simulate(np.array([0.0, 0.0, 450e3, 450e3]), voltage, base, DT, 1)
+    assert known[800, 0] > quiet[800, 0] + math.radians(1.0), "a push about +z turns the joint that way"
+    # The muscles' torque is what pulls back: the meter reads less.
+    assert dynamics.torque(known[800], base) < torque[800] - 0.2
+
+
+def test_the_state_stays_what_it_is_without_a_measurement(rig):
+    p = with_effects(rig.parameters(), external_torque={"noise": 0.1})
+    states, _, _ = dynamics.simulate(np.array([0.0, 0.0, 450e3, 450e3, 0.2]), np.tile([5.5, 5.5], (500, 1)), p, DT, 1)
+    assert np.all(states[:, 4] == 0.2)
+
+
+def test_a_locked_joint_does_not_feel_a_push(rig):
+    p = rig.parameters("locked")
+    voltage = np.tile([5.8, 5.2], (500, 1))
+    pushed_on = np.column_stack([voltage, np.full(500, 0.7)])
+    x = np.array([0.0, 0.0, 450e3, 450e3])
+    for one, other in zip(
+        dynamics.simulate(x, voltage, p, DT, 1), dynamics.simulate(x, pushed_on, p, DT, 1), strict=True
+    ):
+        assert np.array_equal(one, other)

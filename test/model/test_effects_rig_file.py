@@ -1,0 +1,116 @@
+"""Effects in a rig file: read, refused with a hint, written and read again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import Estimator
+from pam_antagonist.model import dynamics, profiles
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.write import write_rig
+
+
+def rig_file(folder: Path, body: str) -> Path:
+    path = folder / "rig.yaml"
+    path.write_text(f"based_on: shin2022\nname: trial\n{body}", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("effects: {hysterese: {width: 1.0e-3}}", ["effects", "'hysterese'", "did you mean 'hysteresis'", "creep"]),
+        ("effects: {leak: {aera_1: 1.0e-9}}", ["effects.leak", "'aera_1'", "did you mean 'area_1'", "area_2"]),
+        ("effects: {leak: {area: 1.0e-9}}", ["effects.leak", "'area'", "expected one of area_1, area_2"]),
+        ("effects: {leak: {area_1: -1.0e-9}}", ["effects.leak.area_1", "-1e-09", "0 to 5e-08 m2", "leak of muscle 1"]),
+        ("effects: {valve_lag: {time_2: 12.0}}", ["effects.valve_lag.time_2", "12", "0 to 0.2 s"]),
+        (
+            "effects: {valve_lag: {time_1: 1.0e-4}}",
+            ["effects.valve_lag.time_1", "0.0005 s, or 0 for none", "integration"],
+        ),
+        (
+            "sample_period: 0.01\neffects: {line_resistance: {resistance_1: 1.0e+8}}",  # the neutral time is 2 ms
+            ["effects.line_resistance.time", "at least 0.5 sample periods, 0.005 s:"],
+        ),
+        ("effects: {creep: {time: 0.0}}", ["effects.creep.time", "0.2 to 60 s", "time constant"]),
+        ("effects: {creep: {share_1: .nan}}", ["effects.creep.share_1"]),
+        ("effects: {leak: 3.0}", ["effects.leak"]),
+        ("effects: {leak: {area_1: large}}", ["effects.leak.area_1"]),
+        ("effects: {leak: {area_1: yes}}", ["effects.leak.area_1", "expected a number"]),
+        ("uncertainty: {effects.leak.area_3: 1.0e-9}", ["effects.leak.area_3", "did you mean"]),
+        ("directions: {one: {effects.leak.aera_1: 1.0e-9}}", ["directions.one", "did you mean 'effects.leak.area_1'"]),
+    ],
+)
+def test_refused(tmp_path, body, words):
+    path = rig_file(tmp_path, body)
+    with pytest.raises(BadInput) as error:
+        load_rig(path)
+    message = str(error.value)
+    assert message.startswith(f"{path}: ") and "\n" not in message
+    assert all(word in message for word in words), message
+
+
+def test_the_quickest_time_that_is_allowed_does_not_diverge(tmp_path):
+    body = "effects: {valve_lag: {time_1: 5.0e-4}, line_resistance: {resistance_2: 1.0e+8, time: 1.0e-3}}"
+    p = load_rig(rig_file(tmp_path, body)).parameters()
+    voltage = profiles.profile("steps", 5.0, 1e-3, seed=1)
+    start = dynamics.initial_state(0.0, 450e3, 450e3, voltage[0], p)
+    states, torques, _ = dynamics.simulate(start, voltage, p, 1e-3, 1)
+    assert np.all(np.isfinite(states)) and np.all(np.isfinite(torques))
+    assert 0.0 <= states[:, 4].min() and states[:, 4].max() <= 1.0
+
+
+def test_values_reach_the_physics_and_the_others_are_neutral(tmp_path):
+    rig = load_rig(rig_file(tmp_path, "effects: {creep: {share_2: 0.1}, leak: {area_1: 2.0e-9}}"))
+    p = rig.parameters()
+    assert par.added_states(p) == ["creep_2"]
+    named = {parameter_path("creep", "share_2"): 0.1, parameter_path("leak", "area_1"): 2e-9}
+    for effect in CATALOGUE.values():
+        for item in effect.parameters:
+            path = parameter_path(effect.name, item.name)
+            assert rig.value(path) == p[par.INDEX[path]] == named.get(path, item.neutral)
+    assert np.array_equal(load_rig("shin2022").parameters(changes=named), p)
+
+
+def test_bounds_themselves_are_allowed(tmp_path):
+    for bound in ("low", "high"):
+        lines = ["effects:"]
+        for effect in CATALOGUE.values():
+            lines.append(f"  {effect.name}:")
+            lines += [f"    {item.name}: {getattr(item, bound):.6e}" for item in effect.parameters]
+        rig = load_rig(rig_file(tmp_path, "\n".join(lines)))
+        assert np.all(np.isfinite(rig.parameters()[: par.LOCKED]) | np.isinf(rig.parameters()[: par.LOCKED]))
+
+
+def test_what_is_written_is_what_was_there(tmp_path):
+    effects = {
+        effect.name: {item.name: item.scale if item.is_size else item.neutral for item in effect.parameters}
+        for effect in CATALOGUE.values()
+    }
+    rig = load_rig("shin2022")
+    whole = rig.replaced(
+        effects=effects,
+        uncertainty={**rig.uncertainty, "effects.hysteresis.amplitude_1": 0.3},
+        directions={
+            "first": {"effects.creep.share_1": -0.01, "friction.shaft": 0.004},
+            "second": {"gas.constant": 1.5},
+        },
+        tunings={"default": rig.tuning("default").replaced(states={"creep_1": (9.0, 1e-7)})},
+    )
+    write_rig(whole, tmp_path / "written.yaml", ["Made by a test."])
+    again = load_rig(tmp_path / "written.yaml")
+    assert again == whole
+    assert np.array_equal(again.parameters(), whole.parameters())
+    text = (tmp_path / "written.yaml").read_text(encoding="utf-8")
+    for effect in CATALOGUE.values():
+        assert effect.meaning in text
+        assert all(f"{item.meaning} [{item.unit}]" in text for item in effect.parameters)
+    # The estimator takes it as it is.
+    row = Estimator(again).step(1, 450e3, 450e3, 5.5, 5.5)
+    assert row is not None and np.isfinite(row["torque"])

@@ -1,0 +1,123 @@
+"""The twelve effects once more, in plain Python, written from the words and laws of docs/effects.md.
+
+Like :mod:`transcription` it imports nothing of the package. ``e`` holds the effects' numbers under
+``"effect.parameter"``; what is not in it is not there. Added states follow P_2 in the order of ``ORDER``.
+"""
+
+import math
+
+import transcription as paper
+
+ORDER = (
+    ("hysteresis_1", "hysteresis.amplitude_1"),
+    ("hysteresis_2", "hysteresis.amplitude_2"),
+    ("supply", "supply_droop.stiffness"),
+    ("open_rate_1", "valve_lag.time_1"),
+    ("open_rate_2", "valve_lag.time_2"),
+    ("chamber_1", "line_resistance.resistance_1"),
+    ("chamber_2", "line_resistance.resistance_2"),
+    ("creep_1", "creep.share_1", "creep.stiffness"),
+    ("creep_2", "creep.share_2", "creep.stiffness"),
+    ("warmth_1", "thermal.share_1"),
+    ("warmth_2", "thermal.share_2"),
+    ("external_torque", "external_torque.noise"),
+)
+"""Added states, and the numbers that bring each."""
+
+
+def states(e):
+    """Names of the states that are there."""
+    return [name for name, *switches in ORDER if any(e.get(switch, 0.0) != 0.0 for switch in switches)]
+
+
+def exchange(t, alpha, at_valve, supply):
+    """Mass flow through a valve into the muscle, and what of it comes out of the supply."""
+    inflow = alpha * paper.nozzle_either_way(t, supply, at_valve)
+    per_area = inflow - (1 - alpha) * paper.nozzle_either_way(t, at_valve, t["P_out"])
+    area = t["A_11"] if per_area > 0 else t["A_12"]
+    return area * per_area, area * inflow
+
+
+def relaxes(t, e, i, psi, chamber):
+    """What of a muscle's force is borne by parts that give way: a share of it, and a spring of the tube's own."""
+    l_i = paper.length(t, i, psi)
+    return e.get(f"creep.share_{i}", 0.0) * paper.force(t, i, l_i, chamber) - e.get("creep.stiffness", 0.0) * l_i
+
+
+def contraction_force(t, e, i, psi, chamber, loop, late):
+    static = paper.force(t, i, paper.length(t, i, psi), chamber)
+    return static - relaxes(t, e, i, psi, chamber) + late + e.get(f"hysteresis.amplitude_{i}", 0.0) * loop
+
+
+def torque_on_muscles(t, e, x):
+    """What a torque meter between muscles and joint shows."""
+    added = dict(zip(states(e), x[4:], strict=True))
+    forces = []
+    for i in (1, 2):
+        chamber = added.get(f"chamber_{i}", x[1 + i])
+        loop = added.get(f"hysteresis_{i}", 0.0)
+        late = added.get(f"creep_{i}", relaxes(t, e, i, x[0], chamber))
+        forces.append(contraction_force(t, e, i, x[0], chamber, loop, late))
+    return t["r"] * math.cos(x[0]) * (forces[0] - forces[1]), forces
+
+
+def moves(t, e, x, outside=0.0):
+    """T_0, the Coulomb torque, and friction with whether the joint slides."""
+    added = dict(zip(states(e), x[4:], strict=True))
+    psi, psi_dot = x[0], x[1]
+    tau, (f_1, f_2) = torque_on_muscles(t, e, x)
+    c_1, c_2 = (added.get(f"chamber_{i}", x[1 + i]) for i in (1, 2))
+    load = e.get("load_torque.constant", 0.0) + e.get("load_torque.sine", 0.0) * math.sin(psi)
+    t_0 = tau + load + outside + added.get("external_torque", 0.0) - t["k_s"] * psi
+    coulomb = paper.shaft_friction(t, f_1, f_2) + paper.muscle_friction(t, c_1, c_2)
+    coulomb += e.get("friction.coulomb", 0.0)
+    coulomb += e.get("friction.stribeck", 0.0) * math.exp(-abs(psi_dot) / e.get("friction.velocity", 0.3))
+    coulomb = max(coulomb, 0.0)
+    return t_0, coulomb, paper.friction(t, psi_dot, t_0, coulomb)
+
+
+def derivative(t, e, x, u, outside=0.0, locked=False):
+    """ẋ as a list in the order of the state."""
+    names = states(e)
+    added = dict(zip(names, x[4:], strict=True))
+    psi, psi_dot = x[0], x[1]
+    rates = dict.fromkeys(names, 0.0)
+    supply = t["P_tank"] + added.get("supply", 0.0)
+    drawn_in_all = 0.0
+    shown = []
+    for i in (1, 2):
+        wanted = paper.kappa(t, u[i - 1] - e.get(f"valve_offset.voltage_{i}", 0.0))
+        alpha = added.get(f"open_rate_{i}", wanted)
+        if f"open_rate_{i}" in added:
+            rates[f"open_rate_{i}"] = (wanted - alpha) / e[f"valve_lag.time_{i}"]
+        chamber = added.get(f"chamber_{i}", x[1 + i])
+        through_valve, drawn = exchange(t, alpha, x[1 + i], supply)
+        drawn_in_all += drawn
+        lost = e.get(f"leak.area_{i}", 0.0) * paper.nozzle_either_way(t, chamber, t["P_out"])
+        l_i = paper.length(t, i, psi)
+        l_dot = paper.length_rate(t, i, psi, psi_dot)
+        volume = paper.volume(t, l_i)
+        rate = t["k_1"] * t["R"] * t["T"] / volume * (through_valve - lost)
+        rate -= t["k_2"] * paper.volume_rate(t, l_i, l_dot) / volume * chamber
+        if f"warmth_{i}" in added:
+            cooling = added[f"warmth_{i}"] / e["thermal.time"]
+            rates[f"warmth_{i}"] = e[f"thermal.share_{i}"] * rate - cooling
+            rate -= cooling
+        if f"chamber_{i}" in added:
+            rates[f"chamber_{i}"] = rate
+            # The line carries what comes through the valve; a leak is in the muscle.
+            across = e[f"line_resistance.resistance_{i}"] * through_valve
+            rate = (chamber + across - x[1 + i]) / e["line_resistance.time"]
+        shown.append(rate)
+        if f"hysteresis_{i}" in added:
+            z = added[f"hysteresis_{i}"]
+            rates[f"hysteresis_{i}"] = (l_dot - 0.5 * (abs(l_dot) * z + l_dot * abs(z))) / e["hysteresis.width"]
+        if f"creep_{i}" in added:
+            rates[f"creep_{i}"] = (relaxes(t, e, i, psi, chamber) - added[f"creep_{i}"]) / e["creep.time"]
+    if "supply" in added:
+        rates["supply"] = -e["supply_droop.stiffness"] * drawn_in_all - added["supply"] / e["supply_droop.time"]
+    rest = [rates[name] for name in names]
+    if locked:
+        return [0.0, 0.0, *shown, *rest]
+    t_0, _, (t_f, _) = moves(t, e, x, outside)
+    return [psi_dot, (t_0 - t_f) / t["J"], *shown, *rest]
