@@ -11,15 +11,26 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import is_positive
 
-_RELATIVE_PRIOR = 0.05
-_FIXED = ("geometry.", "joint.shaft_radius", "joint.mass", "joint.gravity", "joint.stop", "joint.stiffness",
-          "friction.pressure_floor", "friction.time_step", "gas.heat_ratio", "gas.constant", "gas.temperature",
-          "atmosphere.pressure", "supply.pressure", "volume.", "valves.", "effects.", "friction.lever_force",
-          "friction.static", "friction.kinetic", "friction.velocity")  # fmt: skip
-"""What Proposition 1 calls directly measurable, and the volume, which a graduated cylinder gives."""
+RELATIVE_PRIOR = 0.05
+"""Standard deviation before identification of a parameter for which the rig file gives none."""
+
+_FLOW = (
+    "valve_1.inflow_area", "valve_1.outflow_area", "valve_2.inflow_area", "valve_2.outflow_area",
+    "gas.polytropic_flow", "gas.polytropic_volume",
+)  # fmt: skip
+_MOTION = ("joint.inertia", "joint.viscous_friction")
+_FORCE = {"linear": ("v1", "v2", "w1", "w2")}
+_FRICTION = {
+    "kikuuwe": ("shaft", "muscle"),
+    "simple": ("lever_force",),
+    "tondu": ("static", "kinetic"),
+    "none": (),
+}
+_EFFECTS = {parameter_path(effect.name, item.name): item for effect in CATALOGUE.values() for item in effect.parameters}
 
 
 @dataclass(frozen=True)
@@ -45,8 +56,8 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     """The parameters of a fit.
 
     By default all that cannot be measured directly (Proposition 1): the force maps, the orifice areas, the
-    polytropic indices, the friction. The prior of each is that of the rig file (``priors``), else 5 %; so are its
-    bounds (``bounds``), else a factor of five either way.
+    polytropic indices, the friction, and the sizes of the effects that the rig has. The prior of each is that of the
+    rig file (``priors``), else 5 % of the value; so are its bounds (``bounds``), else a factor of five either way.
 
     Args:
         rig: start values and priors.
@@ -61,42 +72,48 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
             close = difflib.get_close_matches(name, par.INDEX, 1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
             raise BadInput(f"no parameter is called {name!r}: expected a dotted path such as friction.shaft{hint}")
+    usual = _by_default(rig)
     chosen = []
     for name in par.INDEX:
-        by_default = not any(part in name if part == "volume." else name.startswith(part) for part in _FIXED)
-        by_default = by_default and _in_form(name, rig)
-        wanted = by_default or any(_matches(name, word) for word in free)
-        if not wanted or any(_matches(name, word) for word in frozen):
+        wanted = name in usual or any(_matches(name, word) for word in free)
+        if not wanted or name == "friction.time_step" or any(_matches(name, word) for word in frozen):
             continue
         start = rig.value(name)
-        std = rig.priors.get(name, _RELATIVE_PRIOR * abs(start))
+        std = rig.priors.get(name, _prior(name, start))
         if not (math.isfinite(start) and std > 0.0):
             raise BadInput(
                 f"{name} is {start:g} in rig {rig.name}: to free it, give its prior in the rig file (priors)"
             )
-        low, high = rig.bounds.get(name, _bounds(name, start))
+        low, high = rig.bounds.get(name, _bounds(name, start, std))
         chosen.append(FreeParameter(name, start, std, low, high))
     if not chosen:
         raise BadInput("every parameter is frozen: nothing is left to identify")
     return chosen
 
 
-def _in_form(name: str, rig: Rig) -> bool:
-    """Whether the rig's form of the force map has this coefficient; true of what is none."""
-    _, found, coefficient = name.partition(".force.")
-    if not found:
-        return True
-    if rig.model.force == "linear":
-        return not coefficient.startswith("c")
-    return coefficient.startswith("c") and rig.value(name) != 0.0
+def _by_default(rig: Rig) -> set[str]:
+    coefficients = _FORCE.get(rig.model.force, tuple(f"c{k}" for k in range(1, par.COEFFICIENTS + 1)))
+    names = {f"muscle_{i}.force.{c}" for i in (1, 2) for c in coefficients if rig.value(f"muscle_{i}.force.{c}")}
+    names |= {f"friction.{name}" for name in _FRICTION[rig.model.friction]}
+    names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
+    present = {name for name, item in _EFFECTS.items() if item.is_size and rig.value(name)}
+    return {name for name in names if rig.value(name)} | present
+
+
+def _prior(name: str, start: float) -> float:
+    if start == 0.0 and name in _EFFECTS:
+        return _EFFECTS[name].scale
+    return RELATIVE_PRIOR * abs(start)
 
 
 def _matches(name: str, word: str) -> bool:
     return name == word or name.startswith(word if word.endswith(".") else word + ".")
 
 
-def _bounds(name: str, start: float) -> tuple[float, float]:
+def _bounds(name: str, start: float, std: float) -> tuple[float, float]:
+    if name in _EFFECTS:
+        return min(_EFFECTS[name].low, start - std), max(_EFFECTS[name].high, start + std)
     if is_positive(name):
-        return start / 5.0, start * 5.0
+        return (start / 5.0, start * 5.0) if start > 0.0 else (0.0, 10.0 * std)
     width = 5.0 * abs(start) if start else np.inf
     return start - width, start + width

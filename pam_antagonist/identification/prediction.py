@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.freedom import FreeParameter
+from pam_antagonist.identification.slopes import STEP, step_directions
 from pam_antagonist.identification.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -19,9 +22,9 @@ Floats = NDArray[np.float64]
 
 BLOCK = 20
 """Samples that are averaged to one residual: errors of a simulation are slow, and noise averages out."""
+STARTS = 3
+"""Values of a trial's start that are fitted with the parameters: angle and both pressures."""
 _START_SAMPLES = 20
-_STEP = 0.02
-"""Step of the central differences in standard deviations of the prior."""
 _START_ANGLE_STD = 1.7e-3
 """[rad] How well a measured start angle is known, stiction and encoder step together."""
 
@@ -30,20 +33,22 @@ def simulate(trial: Trial, p: Floats, start: Floats) -> Floats:
     """Predict all channels of a trial by the model alone.
 
     Args:
-        trial: its voltages are used.
+        trial: its voltages are used, and its external torque.
         p: parameter vector.
-        start: angle [rad] and pressures [Pa] at the first sample (3,).
+        start: angle [rad] and pressure readings [Pa] at the first sample (3,).
 
     Returns:
         (N, 4) in the order of ``CHANNELS``.
     """
-    x0 = np.array([start[0], 0.0, start[1], start[2]])
-    states, torque, _ = dynamics.simulate(x0, trial.voltage, p, trial.dt, 1)
-    return np.column_stack([states[:, 0], torque, states[:, 2], states[:, 3]])
+    behind = [sensor.pressure_behind(i, start[1 + i], p) for i in (0, 1)]
+    x0 = dynamics.initial_state(start[0], behind[0], behind[1], trial.given[0], p)
+    states, torque, _ = dynamics.simulate(x0, trial.given, p, trial.dt, 1)
+    shown = [sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)]
+    return np.column_stack([states[:, 0], torque, *shown])
 
 
 def first_state(trial: Trial, p: Floats) -> Floats:
-    """Angle [rad] and pressures [Pa] (3,) at the start, from the first samples."""
+    """Angle [rad] and pressure readings [Pa] (3,) at the start, from the first samples."""
     first = trial.measured[:_START_SAMPLES]
     pressure = np.nanmean(first[:, PRESSURE_1:], axis=0)
     if trial.joint == "locked":
@@ -69,8 +74,9 @@ def blocks(values: Floats, size: int = BLOCK) -> Floats:
 class Problem:
     """A fit: trials, free parameters, and the channels that count.
 
-    The vector that is fitted is in units of the prior: first the free parameters, then for each trial the
-    deviations of its start from the measured one (pressures, and the angle of a free joint).
+    The vector that is fitted holds standard normal values: the free parameters in units of their priors, then for each
+    trial its deviations from them (:mod:`pam_antagonist.identification.between`) and those of its start from the
+    measured one (pressures, and the angle of a free joint).
 
     Attributes:
         rig: start values.
@@ -78,6 +84,8 @@ class Problem:
         free: parameters that may move.
         channels: indices of ``CHANNELS`` that are compared.
         jobs: threads for the Jacobian.
+        between: what a trial's deviations of 1 do to the free parameters (F, G), in units of their priors; without
+            columns, all trials share all parameters.
     """
 
     rig: Rig
@@ -85,31 +93,64 @@ class Problem:
     free: Sequence[FreeParameter]
     channels: Sequence[int] = tuple(range(len(CHANNELS)))
     jobs: int = 1
+    between: Floats | None = None
 
     @property
     def size(self) -> int:
         """Length of the fitted vector."""
-        return len(self.free) + 3 * len(self.trials)
+        return len(self.free) + len(self.trials) * self._own
+
+    @property
+    def _own(self) -> int:
+        """Values that each trial has for itself."""
+        return STARTS + (0 if self.between is None else self.between.shape[1])
+
+    @cached_property
+    def _parameters(self) -> list[Floats]:
+        return [self.rig.parameters(trial.joint, trial.lock_angle) for trial in self.trials]
+
+    @cached_property
+    def _steps(self) -> Floats:
+        return step_directions(self.rig, self.free)
+
+    def with_between(self, between: Floats | None) -> Problem:
+        """The same with other deviations of the trials."""
+        return dataclasses.replace(self, between=between)
+
+    def map(self, index: int) -> Floats:
+        """What of the fitted vector a trial sees: (F + 3, size), its own parameters and its start."""
+        count = len(self.free)
+        out = np.zeros((count + STARTS, self.size))
+        out[:count, :count] = np.eye(count)
+        first = count + index * self._own
+        if self.between is not None:
+            out[:count, first : first + self.between.shape[1]] = self.between
+        last = first + self._own
+        out[count:, last - STARTS : last] = np.eye(STARTS)
+        return out
 
     def values(self, theta: Floats) -> dict[str, float]:
-        """Parameter values at a fitted vector."""
+        """Parameter values at a fitted vector, or at what a trial sees of it."""
         return {item.name: item.start + item.prior_std * float(t) for item, t in zip(self.free, theta, strict=False)}
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Lowest and highest fitted vector."""
         low = [(item.low - item.start) / item.prior_std for item in self.free]
         high = [(item.high - item.start) / item.prior_std for item in self.free]
-        rest = [8.0] * (3 * len(self.trials))
+        rest = [8.0] * (self.size - len(self.free))
         return np.array(low + [-value for value in rest]), np.array(high + rest)
+
+    def predict_local(self, local: Floats, index: int) -> Floats:
+        """Prediction of one trial (N, 4) at what it sees of a fitted vector (F + 3,)."""
+        trial = self.trials[index]
+        p = par.changed(self._parameters[index], self.values(local))
+        pressure_std = self.rig.sensors.pressure_std / np.sqrt(_START_SAMPLES)
+        scale = np.array([0.0 if trial.joint == "locked" else _START_ANGLE_STD, pressure_std, pressure_std])
+        return simulate(trial, p, first_state(trial, p) + scale * local[len(self.free) :])
 
     def predict(self, theta: Floats, index: int) -> Floats:
         """Prediction of one trial (N, 4) at a fitted vector."""
-        trial = self.trials[index]
-        p = par.changed(self.rig.parameters(trial.joint, trial.lock_angle), self.values(theta))
-        offset = len(self.free) + 3 * index
-        pressure_std = self.rig.sensors.pressure_std / np.sqrt(_START_SAMPLES)
-        scale = np.array([0.0 if trial.joint == "locked" else _START_ANGLE_STD, pressure_std, pressure_std])
-        return simulate(trial, p, first_state(trial, p) + scale * theta[offset : offset + 3])
+        return self.predict_local(self.map(index) @ theta, index)
 
     def counted(self, trial: Trial) -> list[int]:
         """Channels of a trial that are compared."""
@@ -117,33 +158,38 @@ class Problem:
 
     def residuals(self, theta: Floats) -> list[Floats]:
         """Prediction minus measurement in blocks, one array (B, counted channels) a trial."""
-        result = []
-        for index, trial in enumerate(self.trials):
-            counted = self.counted(trial)
-            result.append(blocks(self.predict(theta, index)[:, counted] - trial.measured[:, counted]))
-        return result
+        predicted = Parallel(n_jobs=self.jobs, prefer="threads")(
+            delayed(self.predict)(theta, index) for index in range(len(self.trials))
+        )
+        return [
+            blocks((values - trial.measured)[:, self.counted(trial)])
+            for trial, values in zip(self.trials, predicted, strict=True)
+        ]
+
+    def local_jacobians(self, theta: Floats) -> list[Floats]:
+        """Derivatives of :meth:`residuals` by what each trial sees, one array (B, counted channels, F + 3) a trial."""
+        seen = [self.map(index) @ theta for index in range(len(self.trials))]
+
+        width = len(self.free) + STARTS
+        steps = STEP * np.eye(width)
+        steps[: len(self.free), : len(self.free)] = self._steps
+        back = np.linalg.inv(steps)
+
+        def column(index: int, k: int) -> Floats:
+            counted = self.counted(self.trials[index])
+            up, down = (self.predict_local(seen[index] + sign * steps[:, k], index) for sign in (1.0, -1.0))
+            return blocks((up - down)[:, counted]) / 2.0
+
+        # The compiled simulation runs without the interpreter's lock: threads do.
+        tasks = [(index, k) for index in range(len(self.trials)) for k in range(width)]
+        columns = Parallel(n_jobs=self.jobs, prefer="threads")(delayed(column)(*task) for task in tasks)
+        return [
+            np.stack(columns[index * width : (index + 1) * width], axis=2) @ back for index in range(len(self.trials))
+        ]
 
     def jacobian(self, theta: Floats) -> list[Floats]:
         """Derivatives of :meth:`residuals`, one array (B, counted channels, size) a trial."""
-
-        def column(k: int) -> list[Floats]:
-            up, down = theta.copy(), theta.copy()
-            up[k] += _STEP
-            down[k] -= _STEP
-            trial = (k - len(self.free)) // 3 if k >= len(self.free) else None
-            parts = []
-            for index, item in enumerate(self.trials):
-                counted = self.counted(item)
-                if trial is not None and trial != index:
-                    parts.append(np.zeros((len(item) // BLOCK, len(counted))))
-                    continue
-                difference = self.predict(up, index)[:, counted] - self.predict(down, index)[:, counted]
-                parts.append(blocks(difference) / (2.0 * _STEP))
-            return parts
-
-        # The compiled simulation runs without the interpreter's lock: threads do.
-        columns = Parallel(n_jobs=self.jobs, prefer="threads")(delayed(column)(k) for k in range(self.size))
-        return [np.stack([part[index] for part in columns], axis=2) for index in range(len(self.trials))]
+        return [part @ self.map(index) for index, part in enumerate(self.local_jacobians(theta))]
 
 
 def stacked(parts: Sequence[Floats], weights: Sequence[Floats]) -> Floats:

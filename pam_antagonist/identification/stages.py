@@ -1,67 +1,102 @@
 """The order in which a rig is identified: that of Proposition 1, then everything together.
 
-Steady-state characteristics do not depend on orifice areas and polytropic indices, and friction decides where
-the joint stops (Proposition 1). So the force map comes first, from torques and measured pressures alone; then
-the valve curve, where the recordings hold steady pressures; then friction, from the angles at which the joint
-came to rest; then areas and indices, from the way pressures move; at last all of it by prediction error, which
-the single steps only have to bring near.
+Steady-state characteristics do not depend on orifice areas and polytropic indices, and friction decides where the joint
+stops (Proposition 1). So the force map comes first, from torques at measured pressures; then the valve curve, where
+the recordings hold steady pressures; then friction, from the balance of the joint while it slides; then areas and
+indices, from the way pressures move; at last all of it by prediction error, which the single steps only have to bring
+near.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.identification.balance import Balance, fit_force_map, fit_friction
+from pam_antagonist.identification.between import Variation, deviations
+from pam_antagonist.identification.change import moved
+from pam_antagonist.identification.curve_stage import CurveFinding, identify_curves
 from pam_antagonist.identification.fit import Fit, fit
 from pam_antagonist.identification.freedom import FreeParameter
-from pam_antagonist.identification.prediction import Problem
-from pam_antagonist.identification.trial import ANGLE, CHANNELS, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.identification.prediction import BLOCK, Problem
+from pam_antagonist.identification.trial import CHANNELS, PRESSURE_1, Trial
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
 _PRESSURES = (PRESSURE_1, PRESSURE_1 + 1)
+MEASURED = (
+    "geometry.radius", "geometry.length", "joint.shaft_radius", "joint.mass", "joint.gravity", "joint.stop",
+    "joint.stiffness", "supply.pressure", "atmosphere.pressure", "gas.temperature", "gas.constant", "gas.heat_ratio",
+    "muscle_1.volume.d1", "muscle_1.volume.d2", "muscle_1.volume.d3",
+    "muscle_2.volume.d1", "muscle_2.volume.d2", "muscle_2.volume.d3",
+)  # fmt: skip
+"""What Proposition 1 takes for measured directly, and the volume, which a graduated cylinder gives."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stage:
     """One step of the identification.
 
     Attributes:
         name: what it identifies.
         source: what it takes it from.
-        parameters: names of the parameters that it moved; empty where it was skipped.
-        before: RMS residual by channel before it [rad, N m, Pa, Pa], None where a channel says nothing.
+        values: parameters that it moved: value before and after; empty where it was skipped.
+        before: RMS residual of the simulated model by channel before it [rad, N m, Pa, Pa], None where a channel
+            says nothing.
         after: the same after it.
         note: why it was skipped, or what is to be known about it.
+        balance: torques of a step that works on measured pressures.
+        curves: what steady pressures say about the valves.
+        traces: block residuals of the simulated model before and after, one pair of (B, 4) a trial.
     """
 
     name: str
     source: str
-    parameters: tuple[str, ...]
+    values: dict[str, tuple[float, float]]
     before: tuple[float | None, ...]
     after: tuple[float | None, ...]
     note: str = ""
+    balance: Balance | None = None
+    curves: tuple[CurveFinding, ...] = ()
+    traces: tuple[tuple[Floats, Floats], ...] = field(default=(), repr=False)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that it moved."""
+        return tuple(self.values)
 
 
-@dataclass(frozen=True)
-class _Plan:
-    name: str
-    source: str
-    groups: tuple[str, ...]
-    channels: tuple[int, ...]
-    joints: tuple[str, ...]
+@dataclass
+class _Progress:
+    """Where the identification stands."""
 
+    whole: Problem
+    theta: Floats
+    stages: list[Stage] = field(default_factory=list)
 
-_PLANS = (
-    _Plan("flow", "pressures in motion", ("valve_", "gas."), _PRESSURES, ("free", "locked")),
-    _Plan("force map", "torque at measured pressures", ("force.",), (TORQUE,), ("locked",)),
-    _Plan("friction", "where the joint comes to rest", ("friction.",), (ANGLE,), ("free",)),
-)
+    @property
+    def rig(self) -> Rig:
+        return moved(self.whole.rig, self.whole.values(self.theta))
+
+    def chosen(self, *groups: str) -> list[int]:
+        return [k for k, item in enumerate(self.whole.free) if any(group in item.name for group in groups)]
+
+    def put(self, values: dict[str, float]) -> dict[str, tuple[float, float]]:
+        """Take new values; what they were before and are now."""
+        old = self.whole.values(self.theta)
+        for k, item in enumerate(self.whole.free):
+            if item.name in values:
+                self.theta[k] = (values[item.name] - item.start) / item.prior_std
+        return {name: (old[name], value) for name, value in values.items()}
+
+    def end(self, name: str, source: str, earlier: list[Floats], values: dict, note: str = "", **more) -> None:  # type: ignore[no-untyped-def,type-arg]
+        later = padded(self.whole, self.theta) if values or more.get("curves") else earlier
+        traces = tuple(zip(earlier, later, strict=True))
+        self.stages.append(Stage(name, source, values, rms(earlier), rms(later), note, traces=traces, **more))
 
 
 def run_stages(
@@ -69,6 +104,7 @@ def run_stages(
     trials: Sequence[Trial],
     free: Sequence[FreeParameter],
     jobs: int = 1,
+    ways: Sequence[Variation] = (),
     progress: Callable[[str], None] | None = None,
 ) -> tuple[list[Stage], Fit]:
     """Identify step by step, then by one joint refinement.
@@ -78,88 +114,125 @@ def run_stages(
         trials: recordings.
         free: parameters that may move.
         jobs: threads.
+        ways: in which trials may deviate from each other.
         progress: told what is being done.
 
     Returns:
-        The steps, the joint refinement last, and its fit.
+        The steps, the joint refinement last, and its fit; its problem holds the rig with the curves that were found.
     """
+    tell = progress or (lambda text: None)
     whole = Problem(rig, trials, free, jobs=jobs)
-    theta = np.zeros(whole.size)
-    stages = []
-    for plan in _PLANS:
-        if progress:
-            progress(plan.name)
-        stage, theta = _run(plan, whole, theta)
-        stages.append(stage)
-    if progress:
-        progress("joint refinement")
-    before = _rms(whole, theta)
-    final = fit(whole, theta, progress=progress)
-    names = tuple(item.name for item in free)
-    stages.append(Stage("joint refinement", "all channels of all recordings", names, before, _rms(whole, final.theta)))
-    return stages, final
+    state = _Progress(whole, np.zeros(whole.size))
+    tell("force map")
+    _force_map(state, ways)
+    tell("valve curve")
+    _curves(state)
+    tell("friction")
+    _friction(state)
+    tell("flow")
+    _flow(state, ways)
+    earlier = padded(state.whole, state.theta)
+    before = state.whole.values(state.theta)
+    own = deviations(ways, state.whole.free)
+    final = fit(state.whole, state.theta, deviations=own, progress=lambda text: tell(f"joint refinement, {text}"))
+    later = padded(final.problem, final.theta)
+    values = {name: (before[name], value) for name, value in final.values.items()}
+    traces = tuple(zip(earlier, later, strict=True))
+    source = "all channels of all recordings, by prediction error"
+    note = ""
+    if final.spread is not None:
+        note = "each recording may deviate from the common values; residuals are those with its own"
+    state.stages.append(Stage("joint refinement", source, values, rms(earlier), rms(later), note, traces=traces))
+    return state.stages, final
 
 
-def _run(plan: _Plan, whole: Problem, theta: Floats) -> tuple[Stage, Floats]:
-    """One step: a fit of some parameters to some channels, the others kept where they are."""
-    chosen = [k for k, item in enumerate(whole.free) if any(group in item.name for group in plan.groups)]
-    fitting = [trial.joint in plan.joints and any(map(trial.has, plan.channels)) for trial in whole.trials]
-    used = [k for k, fits in enumerate(fitting) if fits]
-    before = _rms(whole, theta)
-    if not chosen or not used:
-        why = (
-            "no parameter of it is free" if not chosen else f"no recording of a {' or '.join(plan.joints)} joint has it"
-        )
-        return Stage(plan.name, plan.source, (), before, before, f"skipped: {why}"), theta
-    count = len(whole.free)
-    rig_now = moved(whole.rig, whole.values(theta))
-    part = Problem(
-        rig_now,
-        [whole.trials[k] for k in used],
-        [_from_here(whole.free[k], whole.values(theta)) for k in chosen],
-        plan.channels,
-        whole.jobs,
+def _force_map(state: _Progress, ways: Sequence[Variation]) -> None:
+    source = "torque at measured pressures and angles"
+    earlier = padded(state.whole, state.theta)
+    chosen = state.chosen(".force.")
+    if not chosen:
+        return state.end("force map", source, earlier, {}, "skipped: no parameter of it is free")
+    std = state.whole.rig.sensors.torque_std
+    of_force = [way for way in ways if all(".force." in name for name in way.changes)]
+    found = fit_force_map(
+        state.whole.trials, state.rig.parameters(), [state.whole.free[k] for k in chosen], std, of_force
     )
-    found = fit(part, rounds=2)
-    result = theta.copy()
-    for k, item in zip(chosen, part.free, strict=True):
-        result[k] = (found.values[item.name] - whole.free[k].start) / whole.free[k].prior_std
-    for place, k in enumerate(used):
-        source = len(chosen) + 3 * place
-        result[count + 3 * k : count + 3 * k + 3] = found.theta[source : source + 3]
-    names = tuple(whole.free[k].name for k in chosen)
-    return Stage(plan.name, plan.source, names, before, _rms(whole, result)), result
+    if found is None:
+        return state.end("force map", source, earlier, {}, "skipped: no recording has torque and angle to go by")
+    note = "volumes are taken as measured"
+    if not any(trial.joint == "free" for trial in state.whole.trials):
+        note += "; with locked recordings alone only the force at the lock angle shows"
+    return state.end("force map", source, earlier, state.put(found[0]), note, balance=found[1])
+
+
+def _curves(state: _Progress) -> None:
+    source = "steady pressures: open rate → pressure, voltage → pressure, the two combined"
+    earlier = padded(state.whole, state.theta)
+    rig = state.whole.rig
+    if rig.valves.sealed:
+        return state.end("valve curve", source, earlier, {}, "skipped: the chambers are sealed")
+    changed, findings = identify_curves(rig, state.whole.trials)
+    if any(finding.replaced for finding in findings):
+        whole = Problem(changed, state.whole.trials, state.whole.free, jobs=state.whole.jobs)
+        state.whole = whole
+    note = "; ".join(finding.note for finding in findings)
+    return state.end("valve curve", source, earlier, {}, note, curves=tuple(findings))
+
+
+def _friction(state: _Progress) -> None:
+    source = "what the balance of torques leaves while the joint slides"
+    earlier = padded(state.whole, state.theta)
+    chosen = state.chosen("friction.", "joint.viscous_friction")
+    if not chosen:
+        return state.end("friction", source, earlier, {}, "skipped: no parameter of it is free")
+    if state.whole.rig.model.friction != "kikuuwe":
+        return state.end("friction", source, earlier, {}, "skipped: left to the joint refinement for this law")
+    std = state.whole.rig.sensors.torque_std
+    found = fit_friction(state.whole.trials, state.rig.parameters(), [state.whole.free[k] for k in chosen], std)
+    if found is None:
+        return state.end("friction", source, earlier, {}, "skipped: no recording of a free joint that slides has it")
+    return state.end("friction", source, earlier, state.put(found[0]), "", balance=found[1])
+
+
+def _flow(state: _Progress, ways: Sequence[Variation]) -> None:
+    source = "pressures in motion"
+    earlier = padded(state.whole, state.theta)
+    chosen = state.chosen("valve_", "gas.")
+    if not chosen:
+        return state.end("flow", source, earlier, {}, "skipped: no parameter of it is free")
+    now = state.whole.values(state.theta)
+    part = Problem(
+        state.rig,
+        state.whole.trials,
+        [_from_here(state.whole.free[k], now) for k in chosen],
+        _PRESSURES,
+        state.whole.jobs,
+    )
+    names = {item.name for item in part.free}
+    own = deviations([way for way in ways if names.issuperset(way.changes)], part.free)
+    return state.end("flow", source, earlier, state.put(fit(part, rounds=2, deviations=own).values))
 
 
 def _from_here(item: FreeParameter, values: dict[str, float]) -> FreeParameter:
     return FreeParameter(item.name, values[item.name], item.prior_std, item.low, item.high)
 
 
-def _rms(problem: Problem, theta: Floats) -> tuple[float | None, ...]:
-    """RMS of the block residuals of each channel over all trials."""
-    total, number = np.zeros(len(CHANNELS)), np.zeros(len(CHANNELS))
+def padded(problem: Problem, theta: Floats) -> list[Floats]:
+    """Block residuals of all four channels, one (B, 4) a trial; NaN where a channel says nothing."""
+    out = []
     for trial, part in zip(problem.trials, problem.residuals(theta), strict=True):
-        for column, channel in enumerate(problem.counted(trial)):
-            good = np.isfinite(part[:, column])
-            total[channel] += float(np.sum(part[good, column] ** 2))
-            number[channel] += int(good.sum())
-    return tuple(float(np.sqrt(t / n)) if n else None for t, n in zip(total, number, strict=True))
+        full = np.full((len(trial) // BLOCK, len(CHANNELS)), np.nan)
+        full[:, problem.counted(trial)] = part
+        out.append(full)
+    return out
 
 
-def moved(rig: Rig, values: dict[str, float]) -> Rig:
-    """A rig with other values.
-
-    Args:
-        rig: the rig.
-        values: by dotted path.
-    """
-    result = rig
-    for name, value in values.items():
-        result = _put(result, name.split("."), value)
-    return result
-
-
-def _put(model: Any, path: list[str], value: float) -> Any:
-    if len(path) == 1:
-        return model.replaced(**{path[0]: value})
-    return model.replaced(**{path[0]: _put(getattr(model, path[0]), path[1:], value)})
+def rms(parts: Sequence[Floats]) -> tuple[float | None, ...]:
+    """RMS of the block residuals of each channel over all trials, None where there are none."""
+    joined = np.concatenate(parts)
+    known = np.isfinite(joined)
+    power = np.where(known, joined, 0.0) ** 2
+    return tuple(
+        float(np.sqrt(power[:, c].sum() / known[:, c].sum())) if known[:, c].any() else None
+        for c in range(len(CHANNELS))
+    )

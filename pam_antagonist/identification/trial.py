@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ class Trial:
         dt: sample period [s].
         voltage: (N, 2) [V]; row k is held over the step that ends at sample k.
         measured: (N, 4) in the order of ``CHANNELS``; NaN where there is no measurement.
+        external: torque from outside (N,) [N m], None where nothing was applied.
     """
 
     name: str
@@ -43,6 +45,13 @@ class Trial:
     dt: float
     voltage: Floats
     measured: Floats
+    external: Floats | None = None
+
+    @cached_property
+    def given(self) -> Floats:
+        """The model's input (N, 3): voltages [V] and external torque [N m]."""
+        outside = np.zeros(len(self)) if self.external is None else np.nan_to_num(self.external)
+        return np.column_stack([self.voltage, outside])
 
     def __len__(self) -> int:
         return len(self.voltage)
@@ -62,12 +71,18 @@ class Trial:
         """The part between two times [s] of the trial."""
         first, last = round(begin_s / self.dt), round(end_s / self.dt)
         return Trial(
-            self.name, self.joint, self.lock_angle, self.dt, self.voltage[first:last], self.measured[first:last]
+            self.name,
+            self.joint,
+            self.lock_angle,
+            self.dt,
+            self.voltage[first:last],
+            self.measured[first:last],
+            None if self.external is None else self.external[first:last],
         )
 
 
 def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, name: str) -> Trial:
-    """Put a recording on an even grid and check that there is something to learn from it.
+    """Put a recording on an even grid; :func:`check` tells whether there is something to learn from it.
 
     Args:
         recording: the recording.
@@ -77,8 +92,7 @@ def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, na
         name: for reports and messages.
 
     Raises:
-        BadInput: too short, too many samples missing, valves that never moved, pressures that never moved, or a
-            saturated sensor.
+        BadInput: no finite voltages.
     """
     dt = rig.sample_period
     step = np.rint((recording.stamp_ns - recording.stamp_ns[0]) / (dt * 1e9)).astype(np.int64)
@@ -92,9 +106,11 @@ def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, na
     measured[step, PRESSURE_1:] = recording.pressure[keep]
     voltage = np.full((samples, 2), np.nan)
     voltage[step] = recording.voltage[keep]
-    trial = Trial(name, joint, lock_angle, dt, _held(voltage, name), measured)
-    _check(trial)
-    return trial
+    external = None
+    if recording.external_torque is not None:
+        external = np.full(samples, np.nan)
+        external[step] = recording.external_torque[keep]
+    return Trial(name, joint, lock_angle, dt, _held(voltage, name), measured, external)
 
 
 def _held(voltage: Floats, name: str) -> Floats:
@@ -107,7 +123,17 @@ def _held(voltage: Floats, name: str) -> Floats:
     return voltage[source]
 
 
-def _check(trial: Trial) -> None:
+def check(trial: Trial, sealed: bool = False) -> None:
+    """Refuse a trial that tells nothing.
+
+    Args:
+        trial: the part that is to be fitted.
+        sealed: the chambers were sealed, so that valves have nothing to say.
+
+    Raises:
+        BadInput: too short, too many samples missing, valves that never moved, pressures that never moved, or a
+            saturated sensor.
+    """
     duration = len(trial) * trial.dt
     if duration < _SHORTEST:
         raise BadInput(
@@ -118,23 +144,32 @@ def _check(trial: Trial) -> None:
     if missing > _LARGEST_MISSING_SHARE:
         raise BadInput(f"{trial.name}: {100 * missing:.0f} % of the pressures are missing; expected at most "
                        f"{100 * _LARGEST_MISSING_SHARE:.0f} %")  # fmt: skip
-    if np.ptp(trial.voltage, axis=0).max() < _LEAST_VOLTAGE_SWING:
+    if not sealed and np.ptp(trial.voltage, axis=0).max() < _LEAST_VOLTAGE_SWING:
         raise BadInput(
             f"{trial.name}: the valves never moved (by {np.ptp(trial.voltage, axis=0).max():.2f} V); record steps of "
             "both valves over their working range"
         )
     swing = np.nanpercentile(pressure, 99.5, axis=0) - np.nanpercentile(pressure, 0.5, axis=0)
     for muscle in (0, 1):
+        _stands(trial, pressure[:, muscle], f"pressure_{muscle + 1}", 1e-3, "kPa")
         if swing[muscle] < _LEAST_SWING:
             raise BadInput(
                 f"{trial.name}: pressure_{muscle + 1} moves by {swing[muscle] / 1e3:.0f} kPa only; expected at least "
                 f"{_LEAST_SWING / 1e3:.0f} kPa, so that flow and force can be told from noise"
             )
-        values = pressure[:, muscle][np.isfinite(pressure[:, muscle])]
-        for bound, word in ((values.max(), "upper"), (values.min(), "lower")):
-            share = float(np.mean(values == bound))
-            if share > _SATURATED_SHARE and share * len(values) * trial.dt > 0.5:
-                raise BadInput(
-                    f"{trial.name}: pressure_{muscle + 1} stands at its {word} end, {bound / 1e3:.1f} kPa, in "
-                    f"{100 * share:.0f} % of the samples: the sensor is saturated; use a sensor with a larger range"
-                )
+    if trial.has(TORQUE):
+        _stands(trial, trial.measured[:, TORQUE], "torque", 1.0, "N m")
+
+
+def _stands(trial: Trial, series: Floats, name: str, scale: float, unit: str) -> None:
+    """Refuse a channel that stands at one end of its range: its sensor can show no more."""
+    values = series[np.isfinite(series)]
+    if np.ptp(values) == 0.0:
+        return
+    for bound, word in ((values.max(), "upper"), (values.min(), "lower")):
+        share = float(np.mean(values == bound))
+        if share > _SATURATED_SHARE and share * len(values) * trial.dt > 0.5:
+            raise BadInput(
+                f"{trial.name}: {name} stands at its {word} end, {bound * scale:.4g} {unit}, in "
+                f"{100 * share:.0f} % of the samples: the sensor is saturated; use a sensor with a larger range"
+            )

@@ -159,6 +159,30 @@ def replay_recording(recording: Recording, rig: Rig, tuning: str = "default", jo
     return replay(recording, rig, tuning, joint).report
 
 
+def after(whole: Replay, begin_s: float) -> Replay:
+    """The part of a replay from a time on, judged by itself; filter and model still run from the recording's start.
+
+    Args:
+        whole: a replay.
+        begin_s: time from its first sample on [s].
+
+    Raises:
+        BadInput: there is no estimate from then on.
+    """
+    recording, run, model = whole.recording, whole.run, whole.model
+    kept = run.stamp_ns >= int(recording.stamp_ns[0]) + round(begin_s * 1e9)
+    if not kept.any():
+        raise BadInput(f"{recording.path}: no estimate from {begin_s:g} s on")
+    arrays = {name: getattr(run, name)[kept] for name in ("rows", "stamp_ns", "index", "started_ns")}
+    part = dataclasses.replace(run, added={name: values[kept] for name, values in run.added.items()}, **arrays)
+    track = ModelTrack(model.angle[kept], model.torque[kept], model.pressure[kept])
+    report = {**whole.report, **_judge(recording, whole.rig, whole.joint, part, track)}
+    report["samples"] = int(kept.sum())
+    report["duration_s"] = float(part.stamp_ns[-1] - part.stamp_ns[0]) * 1e-9 + whole.rig.sample_period
+    report["realtime_factor"] = whole.report["realtime_factor"]
+    return Replay(recording, whole.rig, whole.tuning, whole.joint, part, track, report)
+
+
 def _estimate(
     recording: Recording, given: LiveInput, estimator: Estimator, progress: Callable[[int], None]
 ) -> EstimateRun:

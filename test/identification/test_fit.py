@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.balance import fit_force_map
 from pam_antagonist.identification.fit import fit
 from pam_antagonist.identification.freedom import free_parameters
-from pam_antagonist.identification.prediction import Problem, blocks
+from pam_antagonist.identification.prediction import Problem, blocks, first_state, simulate
+from pam_antagonist.identification.slopes import step_directions
 from pam_antagonist.identification.stages import moved, run_stages
-from pam_antagonist.identification.trial import PRESSURE_1, TORQUE, Trial, make_trial
+from pam_antagonist.identification.trial import PRESSURE_1, TORQUE, Trial, check, make_trial
+from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.plant import Plant
 from pam_antagonist.model.profiles import profile
@@ -89,7 +92,7 @@ def test_the_jacobian_is_the_slope_of_the_residuals() -> None:
 def test_stages_bring_the_model_near_and_the_refinement_to_the_noise() -> None:
     free = free_parameters(RIG, frozen=["joint", "gas", "muscle_1"])
     stages, found = run_stages(RIG, trials(2), free)
-    assert [stage.name for stage in stages] == ["flow", "force map", "friction", "joint refinement"]
+    assert [stage.name for stage in stages] == ["force map", "valve curve", "friction", "flow", "joint refinement"]
     first, last = stages[0].before, stages[-1].after
     noise = RIG.sensors.pressure_std / np.sqrt(20)
     assert first[PRESSURE_1] is not None and last[PRESSURE_1] is not None and last[TORQUE] is not None
@@ -103,7 +106,8 @@ def test_a_stage_without_its_recording_is_skipped_and_says_so() -> None:
     stages, _ = run_stages(RIG, locked, free_parameters(RIG, frozen=["muscle_1", "muscle_2", "joint"]))
     notes = {stage.name: stage.note for stage in stages}
     assert notes["force map"] == "skipped: no parameter of it is free"
-    assert notes["friction"] == "skipped: no recording of a free joint has it"
+    assert notes["friction"] == "skipped: no recording of a free joint that slides has it"
+    assert "declared curve kept" in notes["valve curve"] and "record a staircase" in notes["valve curve"]
     assert notes["flow"] == ""
 
 
@@ -134,8 +138,45 @@ def test_freeing_and_freezing_by_name() -> None:
 )
 def test_recordings_that_tell_nothing_are_refused_with_the_reason(spoil, complaint: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(BadInput, match=complaint) as refusal:
-        make_trial(spoil(record("locked", 1)), RIG, "locked", 0.0, "bag")
+        check(make_trial(spoil(record("locked", 1)), RIG, "locked", 0.0, "bag"))
     assert str(refusal.value).startswith("bag: ") and "\n" not in str(refusal.value)
+
+
+def test_a_torque_meter_at_its_end_is_refused() -> None:
+    recording = _changed(record("locked", 1), torque=np.minimum(record("locked", 1).torque, 0.1))  # type: ignore[type-var]
+    with pytest.raises(BadInput, match=r"bag: torque stands at its upper end, 0.1 N m"):
+        check(make_trial(recording, RIG, "locked", 0.0, "bag"))
+
+
+def test_a_torque_from_outside_reaches_the_model() -> None:
+    quiet = make_trial(record("free", 1), RIG, "free", 0.0, "bag")
+    external = 0.5 * np.sin(np.arange(len(quiet)) * 1e-3)
+    pushed = make_trial(_changed(record("free", 1), external_torque=external), RIG, "free", 0.0, "bag")
+    p = RIG.parameters()
+    angles = [simulate(trial, p, first_state(trial, p))[:, 0] for trial in (quiet, pushed)]
+    assert np.abs(angles[1] - angles[0]).max() > np.radians(1.0)
+
+
+def test_the_force_map_comes_from_measured_pressures_alone() -> None:
+    free = [item for item in free_parameters(RIG) if item.name == "muscle_2.force.w2"]
+    values, balance = fit_force_map(trials(1), RIG.parameters(), free, RIG.sensors.torque_std)  # type: ignore[misc]
+    assert values["muscle_2.force.w2"] == pytest.approx(TRUE["muscle_2.force.w2"], abs=0.1)
+    assert balance.rms("after") < 1.2 * RIG.sensors.torque_std / np.sqrt(20) < 0.5 * balance.rms("before")
+
+
+def test_slopes_of_a_force_map_are_taken_where_they_can_be_told_apart() -> None:
+    free = free_parameters(RIG)
+    steps = step_directions(RIG, free)
+    assert np.linalg.matrix_rank(steps) == len(free)
+    own = [k for k, item in enumerate(free) if item.name.startswith("muscle_1.force.")]
+    p = RIG.parameters()
+    state = np.array([0.1, 0.0, 400e3, 400e3])
+    base = dynamics.forces(state, p)[0]
+    for k in own:
+        step = {item.name: item.start + item.prior_std * steps[j, k] for j, item in enumerate(free)}
+        assert abs(dynamics.forces(state, par.changed(p, step))[0] - base) < 5e-3 * base
+    one = {"muscle_1.force.v1": free[own[0]].start + 0.02 * free[own[0]].prior_std}
+    assert abs(dynamics.forces(state, par.changed(p, one))[0] - base) > 5e-3 * base
 
 
 def _changed(recording: Recording, **arrays: np.ndarray) -> Recording:

@@ -1,0 +1,186 @@
+"""``identify``: a rig's parameters, noise and tuning from its recordings."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import sys
+import textwrap
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.session import Identified, Options, identify, steps
+from pam_antagonist.recording import Recording, bag_hash, read_bag
+from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.report import identify as numbers
+from pam_antagonist.report import identify_tables, identify_words
+from pam_antagonist.report.identify_page import write_report
+from pam_antagonist.report.software import bag_name
+from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.write import write_rig
+
+_DESCRIPTION = """\
+Identify a rig from its recordings: parameters with error bars, sensor noise, filter tuning.
+
+Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured
+where you can. The end of each is not fitted but kept to judge the result by.
+
+Writes DIR/rig.yaml, which every command and node takes, DIR/report.html and DIR/report.json; of several
+recordings also DIR/rig_1.yaml, rig_2.yaml ..., each with one recording's own values.
+Status: 0 done, 2 bad input (one line says what and where).
+"""
+_EXAMPLES = """\
+examples:
+  identify free_bag locked_bag --rig shin2022 --out identified
+  identify my_bag --rig my_rig.yaml --out identified --freeze muscle_1.force --freeze muscle_2.force
+  identify my_bag --rig my_rig.yaml --out identified --free supply.pressure --starts 4 --seed 7
+  replay another_bag --rig identified/rig.yaml --out check
+"""
+_Given = tuple[Recording, JointCondition, str]
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("identify", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
+    common.add_rig(out)
+    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the result; a new one")
+    common.add_joint(
+        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, told from the measured angle)"
+    )
+    out.add_argument(
+        "--free", action="append", default=[], metavar="NAME",
+        help="a parameter (supply.pressure), or the beginning of its name, that may move as well; may be repeated",
+    )  # fmt: skip
+    out.add_argument(
+        "--freeze", action="append", default=[], metavar="NAME",
+        help="a parameter, or the beginning of its name, that stays as configured; may be repeated",
+    )  # fmt: skip
+    out.add_argument(
+        "--holdout", type=_share, default=1.0 / 3.0, metavar="SHARE",
+        help="share at the end of each recording that is kept to judge the result (default: a third)",
+    )  # fmt: skip
+    out.add_argument("--starts", type=_count, default=1, metavar="N", help="starts of the refinement (default: 1)")
+    out.add_argument("--seed", type=int, default=0, help="of further starts (default: 0)")
+    out.add_argument("--jobs", type=_count, default=2, metavar="N", help="threads (default: 2)")
+    common.add_topics(out)
+    out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
+    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
+    out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    return out
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.05 <= value <= 0.8:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a share from 0.05 to 0.8")
+    return value
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 64:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 64")
+    return int(text)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    common.check_output(arguments.out)
+    rig = load_rig(arguments.rig)
+    common.lock_angle(arguments)
+    if arguments.seed < 0:
+        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
+    recordings = _read(arguments)
+    options = Options(
+        tuple(arguments.free),
+        tuple(arguments.freeze),
+        arguments.holdout,
+        arguments.starts,
+        arguments.seed,
+        arguments.jobs,
+    )
+    with common.progress(steps(options) + 2 * len(recordings), "identify", "steps") as bar:
+
+        def tell(text: str) -> None:
+            bar.set_description(f"identify: {text}")
+            bar.update(1)
+
+        found = identify(recordings, rig, options, tell)
+        judged = numbers.judge(recordings, found, tell)
+    document = numbers.document(recordings, found, judged)
+    with common.output_folder(arguments.out) as folder:
+        _write_rigs(folder, found, recordings)
+        write_report(folder, document, found, judged, with_figures=not arguments.no_figures)
+    print(_summary(document))
+    print(f"\nrig: {arguments.out / 'rig.yaml'}\nreport: {arguments.out / 'report.html'} and report.json")
+    if arguments.open:
+        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    return common.DONE
+
+
+def _read(arguments: argparse.Namespace) -> list[_Given]:
+    out: list[_Given] = []
+    names = common.topics(arguments)
+    for bag in arguments.bags:
+        recording = read_bag(bag, topics=names, namespace=arguments.namespace, joint_name=arguments.joint_name)
+        state = joint_condition(recording, arguments.joint, arguments.lock_angle)
+        out.append((recording, state, bag_name(bag)))
+    hashes = [bag_hash(recording.path) for recording, _, _ in out]
+    for k, value in enumerate(hashes):
+        if value in hashes[:k]:
+            raise BadInput(f"{arguments.bags[k]}: the same recording as {arguments.bags[hashes.index(value)]}")
+    return out
+
+
+def _write_rigs(folder: Path, found: Identified, recordings: Sequence[_Given]) -> None:
+    when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    hashes = [bag_hash(recording.path) for recording, _, _ in recordings]
+    about = [
+        f"Identified on {when} by pam_antagonist identify, from rig {found.start.name}, seed {found.options.seed}.",
+        "Recordings (the part that was fitted, joint, SHA-256):",
+        *(
+            f"  {name}: first {until:.1f} s, {state.condition}, {value}"
+            for (_, state, name), until, value in zip(recordings, found.held_from, hashes, strict=True)
+        ),
+        "Standard errors stand in report.json; the directions below are what of them moves the estimate.",
+    ]
+    source = (
+        f"identified from {', '.join(name for _, _, name in recordings)}; started from: {found.start.source.strip()}"
+    )
+    write_rig(_named(found.tuned.rig, found.start.name, source), folder / "rig.yaml", about)
+    if len(recordings) > 1:
+        for index, (_, _, name) in enumerate(recordings):
+            own = _named(found.own[index], found.start.name, f"{source}; with the values of {name} alone")
+            remark = f"The values of {name} alone, which deviate a little from the common ones in rig.yaml."
+            write_rig(own, folder / f"rig_{index + 1}.yaml", [*about, remark])
+
+
+def _named(rig: Rig, name: str, source: str) -> Rig:
+    plain = name.removesuffix("_identified")
+    return rig.replaced(name=f"{plain}_identified", source=" ".join(source.split()))
+
+
+def _summary(document: dict) -> str:  # type: ignore[type-arg]
+    mark = {"good": "  ", "note": "  ", "warn": "! "}
+    said = "\n".join(
+        textwrap.fill(item.text, 100, initial_indent=mark[item.status], subsequent_indent="  ")
+        for item in identify_words.findings(document)
+    )
+    tables = "\n\n".join(identify_tables.held_out(item).text() for item in document["held_out"])
+    return f"{identify_tables.parameters(document).text()}\n\n{tables}\n\n{said}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,226 @@
+"""From recordings and a start to an identified rig: everything that ``identify`` computes, without its report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.agreement import Difference, check_same_rig, differences
+from pam_antagonist.identification.between import Variation, deviations, variations
+from pam_antagonist.identification.change import moved
+from pam_antagonist.identification.fit import Fit, fit
+from pam_antagonist.identification.freedom import FreeParameter, free_parameters
+from pam_antagonist.identification.profile import Profile, profiles
+from pam_antagonist.identification.stages import Stage, run_stages
+from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial, check, make_trial
+from pam_antagonist.identification.tuning import Tuned, own_tuning, tune
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import JointCondition
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+_SHORTEST_HOLDOUT = 1.0
+_PRESSURES_TELL = ("valve_1", "valve_2", "gas.polytropic_flow", "gas.polytropic_volume")
+_START_STD = 0.5
+"""Standard deviations of the prior by which further starts lie about the first."""
+_MOST_PROFILES = 6
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is asked.
+
+    Attributes:
+        free: names, or beginnings of names, that may move beside the usual ones.
+        frozen: names, or beginnings of names, that may not.
+        holdout: share at the end of each recording that is not fitted.
+        starts: how many places the joint refinement begins from.
+        seed: of the further starts.
+        jobs: threads.
+    """
+
+    free: tuple[str, ...] = ()
+    frozen: tuple[str, ...] = ()
+    holdout: float = 1.0 / 3.0
+    starts: int = 1
+    seed: int = 0
+    jobs: int = 1
+
+
+@dataclass(frozen=True)
+class Start:
+    """One place that the joint refinement began from: where, its final cost, and whether it was the best."""
+
+    name: str
+    cost: float
+    best: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """An identified rig and how it was found.
+
+    Attributes:
+        start: the rig as it was configured.
+        fitted: with the fitted values, before noise and tuning.
+        tuned: with everything.
+        own: of several recordings, the rig with each one's own values in place of the common ones.
+        trials: the recordings in full.
+        held_from: for each, the time from which on it was held out [s].
+        free: the parameters that could move.
+        stages: steps of the identification.
+        fit: the joint refinement.
+        ways: in which recordings may deviate from each other.
+        differences: how they do.
+        profiles: of the parameters that matter.
+        starts: of the joint refinement.
+        warnings: what the user should know.
+        options: what was asked.
+    """
+
+    start: Rig
+    fitted: Rig
+    tuned: Tuned
+    own: tuple[Rig, ...]
+    trials: tuple[Trial, ...]
+    held_from: tuple[float, ...]
+    free: tuple[FreeParameter, ...]
+    stages: tuple[Stage, ...]
+    fit: Fit
+    ways: tuple[Variation, ...]
+    differences: tuple[Difference, ...]
+    profiles: tuple[Profile, ...]
+    starts: tuple[Start, ...]
+    warnings: tuple[str, ...]
+    options: Options
+
+
+def steps(options: Options) -> int:
+    """How often :func:`identify` tells about its progress, about."""
+    return 12 + 5 * (options.starts - 1) + _MOST_PROFILES
+
+
+def identify(
+    recordings: Sequence[tuple[Recording, JointCondition, str]],
+    rig: Rig,
+    options: Options,
+    progress: Callable[[str], None] | None = None,
+) -> Identified:
+    """Identify a rig.
+
+    Args:
+        recordings: each with its joint's condition and a name for reports.
+        rig: start values, priors and bounds.
+        options: what is asked.
+        progress: told what is being done.
+
+    Raises:
+        BadInput: recordings that tell nothing, or that are not of one rig.
+    """
+    tell = progress or (lambda text: None)
+    trials = [
+        make_trial(recording, rig, state.condition, state.lock_angle, name) for recording, state, name in recordings
+    ]
+    held_from, fitted = [], []
+    for trial in trials:
+        split = round((1.0 - options.holdout) * len(trial)) * trial.dt
+        if len(trial) * trial.dt - split < _SHORTEST_HOLDOUT:
+            raise BadInput(
+                f"{trial.name}: {len(trial) * trial.dt - split:.1f} s would be held out; expected at least "
+                f"{_SHORTEST_HOLDOUT:g} s, to judge the result by"
+            )
+        part = trial.part(0.0, split)
+        check(part, rig.valves.sealed)
+        held_from.append(split)
+        fitted.append(part)
+    free, warnings = _freedom(rig, fitted, options)
+    ways = variations(rig, free)
+    stages, found = run_stages(rig, fitted, free, options.jobs, ways, tell)
+    found, starts = _further_starts(found, ways, options, tell)
+    check_same_rig(found, ways)
+    chosen = _worth_a_profile(found)
+    drawn = profiles(found, chosen, options.jobs, tell)
+    result = moved(found.problem.rig, found.values)
+    tuned = tune(result, fitted, found, options.jobs, tell)
+    own = []
+    for index, part in enumerate(fitted if len(fitted) > 1 else []):
+        tell(f"own values of {part.name}")
+        own.append(own_tuning(tuned.rig, part, found, index, options.jobs))
+    return Identified(
+        rig,
+        result,
+        tuned,
+        tuple(own),
+        tuple(trials),
+        tuple(held_from),
+        tuple(free),
+        tuple(stages),
+        found,
+        ways,
+        tuple(differences(found, ways)),
+        tuple(drawn),
+        tuple(starts),
+        tuple(warnings),
+        options,
+    )
+
+
+def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[FreeParameter], list[str]]:
+    free = free_parameters(rig, options.free, options.frozen)
+    if any(trial.has(channel) for trial in trials for channel in (ANGLE, TORQUE)):
+        return free, []
+    asked = {item.name for item in free_parameters(rig, options.free, options.frozen)} if options.free else set()
+    kept = [
+        item
+        for item in free
+        if item.name.startswith(_PRESSURES_TELL) or any(item.name.startswith(word) for word in options.free)
+    ]
+    if not kept:
+        raise BadInput(
+            "no recording has a measured angle or torque, and pressures alone tell nothing of the free parameters: "
+            f"{', '.join(sorted(asked or {item.name for item in free}))}"
+        )
+    told = ", ".join(item.name for item in kept)
+    return kept, [
+        f"No recording has a measured angle or torque: pressures alone tell {told}; all others stay as configured. "
+        "Record the angle of a free joint and the torque of a locked one for the rest."
+    ]
+
+
+def _further_starts(
+    found: Fit, ways: tuple[Variation, ...], options: Options, tell: Callable[[str], None]
+) -> tuple[Fit, list[Start]]:
+    """The joint refinement again from scattered places; the best is kept."""
+    rng = np.random.default_rng(options.seed)
+    fits = [("from the steps", found)]
+    plain = found.problem.with_between(None)
+    own = deviations(ways, found.problem.free)
+    for number in range(1, options.starts):
+        begin = found.theta[: len(plain.free)] + _START_STD * rng.standard_normal(len(plain.free))
+        name = f"scattered start {number}"
+        fits.append((name, fit(plain, begin, deviations=own, progress=lambda text, name=name: tell(f"{name}, {text}"))))  # type: ignore[misc]
+    best = min(range(len(fits)), key=lambda k: fits[k][1].cost)
+    starts = [Start(name, item.cost, k == best) for k, (name, item) in enumerate(fits)]
+    return fits[best][1], starts
+
+
+def _worth_a_profile(found: Fit) -> list[str]:
+    """The worst and the best determined parameters, and those that move furthest: a handful."""
+    deviations_ = np.sqrt(np.diag(found.covariance))
+    order = np.argsort(deviations_)
+    names = [item.name for item in found.problem.free]
+    # Friction and force offsets decide about angle and torque whatever else is free.
+    first = [name for name in ("friction.shaft", "muscle_1.force.w2", "gas.polytropic_volume") if name in names]
+    worst = [names[k] for k in order[::-1] if names[k] not in first]
+    return [*first, *worst][:_MOST_PROFILES]
+
+
+def relative(value: float, reference: float) -> float:
+    """Relative difference of two values; NaN where the reference is zero."""
+    return (value - reference) / abs(reference) if reference else math.nan

@@ -1,0 +1,82 @@
+"""``report.json`` of ``close_loop``.
+
+Keys that others read::
+
+    verdict         "effect", "none" or "unexplained"
+    effects         [{name, muscle: 1 | 2 | null, parameters: {p: {value, std, unit}}, delta_bic, holdout_gain, ...}]
+    ambiguous_with  names of effects that the recordings cannot tell from these
+    errors          {as_configured, recalibrated, extended}, each with angle, torque, pressure, on held-out data
+
+`holdout_gain` is the share of the held-out squared residual beyond sensor noise that goes with the effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from pam_antagonist.diagnosis import rules
+from pam_antagonist.diagnosis.result import Diagnosis
+from pam_antagonist.diagnosis.select import STRONG
+from pam_antagonist.report.software import versions
+from pam_antagonist.rig import Rig
+
+
+def document(found: Diagnosis, rig: Rig, hashes: Sequence[str], seed: int, holdout: float) -> dict[str, Any]:
+    """What goes into ``report.json``.
+
+    Args:
+        found: the diagnosis.
+        rig: as configured.
+        hashes: SHA-256 of each bag.
+        seed: as asked.
+        holdout: share of each recording that was held out.
+    """
+    return {
+        "verdict": found.verdict,
+        "sentence": found.sentence,
+        "effects": [
+            {
+                "name": effect.name,
+                "muscle": effect.muscle,
+                "parameters": {
+                    name: {"value": value, "std": std, "unit": unit}
+                    for name, (value, std, unit) in effect.parameters.items()
+                },
+                "delta_bic": effect.delta_bic,
+                "holdout_gain": effect.holdout_gain,
+                "recordings": list(effect.recordings),
+            }
+            for effect in found.effects
+        ],
+        "ambiguous_with": list(found.ambiguous_with),
+        "experiments": dict(found.experiment),
+        "share_explained": found.share,
+        "errors": dict(found.errors),
+        "recordings": [
+            {**part, "sha256": value} for part, value in zip(found.by_recording, hashes, strict=True)
+        ],
+        "ranking": [
+            {
+                "name": item.name, "round": item.round, "score": item.score, "delta_bic": item.delta_bic,
+                "holdout_gain": item.holdout_gain, "taken": item.taken,
+            }
+            for item in found.ranking
+        ],
+        "profiles": [dict(item) for item in found.profiles],
+        "remaining": list(found.remaining),
+        "unseen": list(found.unseen),
+        "warnings": list(found.warnings),
+        "settings": {
+            "rig": rig.name,
+            "rig_source": " ".join(rig.source.split()),
+            "seed": seed,
+            "holdout": holdout,
+            "strong_evidence": STRONG,
+            "first_share": rules.FIRST_SHARE,
+            "further_share": rules.FURTHER_SHARE,
+            "explained_share": rules.EXPLAINED,
+        },
+        "timing": dict(found.seconds),
+        "software": versions(),
+    }  # fmt: skip

@@ -1,0 +1,64 @@
+"""Figures of ``close_loop``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pam_antagonist.diagnosis.experiment import Experiment
+from pam_antagonist.diagnosis.result import Diagnosis
+from pam_antagonist.diagnosis.simulation import BLOCK
+from pam_antagonist.report import figures
+from pam_antagonist.report.curves import Curve, chart
+from pam_antagonist.report.figures import Clock, Level, Line, Panel
+from pam_antagonist.report.html import Figure
+from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET
+
+_AXES = (("Angle [°]", float(np.degrees(1.0))), ("Torque [N m]", 1.0), ("Pressure 1 [kPa]", 1e-3), ("Pressure 2 [kPa]", 1e-3))
+
+
+def residuals(found: Diagnosis) -> tuple[Figure, ...]:
+    """Residual of every channel of every recording, recalibrated and extended."""
+    same = found.recalibrated.fits == found.extended.fits
+    out = []
+    for r, experiment in enumerate(found.experiments):
+        points = [("recalibrated", found.recalibrated.fits[r].point, MODEL)]
+        if not same:
+            points.append(("extended", found.extended.fits[r].point, ESTIMATE))
+        curves = [(name, experiment.residual(point, whole=True), color) for name, point, color in points]
+        panels = []
+        for k, channel in enumerate(experiment.channels):
+            title, scale = _AXES[channel]
+            lines = [Line(name, values[:, k] * scale, color, quiet=k > 0) for name, values, color in curves]
+            noise = experiment.noise[k] * scale
+            levels = [Level(sign * 2.0 * noise, "", QUIET) for sign in (-1.0, 1.0)]
+            panels.append(Panel(title, [*lines, *levels], 170))
+        about = (
+            f"Measurement minus model, means over {BLOCK} samples. Dashed: within these lines 95 % of the values lie "
+            f"that the sensor's noise alone gives. From {found.held_from[r]:.0f} s on nothing was fitted."
+        )
+        plot = figures.stack(panels, _clock(experiment, len(curves[0][1])))
+        out.append(Figure(f"{experiment.trial.name} (joint {experiment.trial.joint})", about, plot, experiment.trial.name))
+    return tuple(out)
+
+
+def _clock(experiment: Experiment, count: int) -> Clock:
+    step = BLOCK * experiment.trial.dt
+    return Clock((np.arange(count) + 0.5) * step, np.zeros(count, dtype=np.int64))
+
+
+def profiles(document: dict[str, Any]) -> tuple[Figure, ...]:
+    """Profile likelihood of each size."""
+    out = []
+    for item in document["profiles"]:
+        values, rise = np.array(item["values"]), np.minimum(np.array(item["rise"]), 100.0)
+        shown = [Curve("profile", values, rise, MODEL), Curve("tried", values, rise, MODEL, points=True, quiet=True)]
+        bound = Curve("95 %", values[[0, -1]], np.array([3.84, 3.84]), QUIET, dash="dash")
+        plot = chart([(f"{item['parameter']} [{item['unit']}]", "Rise of −2 log posterior [-]", [*shown, bound])], 260)
+        about = (
+            "Everything else at its best while this number is held; below the dashed line it is as good as the best. "
+            "Values above 100 are cut."
+        )
+        out.append(Figure(f"Profile likelihood of {item['parameter']} ({item['recording']})", about, plot, ""))
+    return tuple(out)

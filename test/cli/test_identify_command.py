@@ -1,0 +1,190 @@
+"""The command as users meet it."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pam_antagonist.cli import identify as command
+from pam_antagonist.cli import simulate
+from pam_antagonist.cli.identify import main
+from pam_antagonist.estimation import Estimator
+from pam_antagonist.recording import Recording, read_bag, write_bag
+from pam_antagonist.rig import load_rig
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "data" / "rig_a" / "nominal"
+# Everything is kept but what two short recordings tell in a second.
+FEW = ["--freeze", "muscle_1", "--freeze", "muscle_2", "--freeze", "gas", "--freeze", "joint", "--freeze", "friction"]
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Nine seconds of a free and of a locked joint, both of one plant that is not quite the declared one."""
+    folder = tmp_path_factory.mktemp("bags")
+    for joint in ("free", "locked"):
+        arguments = ["--rig", "shin2022", "--out", str(folder / joint), "--duration", "9", "--profile", "steps"]
+        assert simulate.main([*arguments, "--seed", "3", "--mismatch", "0.02", "--joint", joint]) == 0
+    return folder / "free", folder / "locked"
+
+
+def changed(bag: Path, out: Path, **arrays: Any) -> Path:
+    recording = read_bag(bag)
+    kept = {name: getattr(recording, name) for name in ("stamp_ns", "pressure", "voltage", "angle", "torque")}
+    write_bag(out, Recording(path=out, **{**kept, **arrays}))
+    return out
+
+
+def report(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "report.json").read_text(), parse_constant=pytest.fail)
+
+
+@pytest.fixture(scope="module")
+def result(bags: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("identify") / "out"
+    assert main([*map(str, bags), "--rig", "shin2022", "--out", str(out), *FEW, "--seed", "7"]) == 0
+    return out
+
+
+@pytest.mark.slow
+def test_two_bags_give_a_rig_that_everything_loads(result: Path, bags: tuple[Path, Path]) -> None:
+    assert {path.name for path in result.iterdir()} == {
+        "rig.yaml", "rig_1.yaml", "rig_2.yaml", "report.html", "report.json"
+    }  # fmt: skip
+    start = load_rig("shin2022")
+    for name in ("rig.yaml", "rig_1.yaml"):
+        rig = load_rig(result / name)
+        assert rig.name == "shin2022_identified"
+        assert rig.valve_1.outflow_area != start.valve_1.outflow_area
+        assert rig.muscle_1 == start.muscle_1 and rig.tunings["published"] == start.tunings["published"]
+        # What was not fitted stays as uncertain as it was declared.
+        assert rig.directions and rig.uncertainty == start.uncertainty
+        Estimator(rig)
+    text = (result / "rig.yaml").read_text()
+    assert text.startswith("# Identified on ") and "seed 7" in text
+    for item in report(result)["recordings"]:
+        assert item["sha256"] in text and item["name"] in text
+
+
+@pytest.mark.slow
+def test_the_report_judges_only_what_was_held_out(result: Path) -> None:
+    found = report(result)
+    for entry in found["held_out"]:
+        assert entry["from_s"] == pytest.approx(6.0)
+        for rig in ("as_configured", "identified", "own"):
+            assert entry[rig]["duration_s"] == pytest.approx(3.0)
+        before, now = (
+            np.array(entry[rig]["model_alone"]["pressure"]["rmse_pa"]) for rig in ("as_configured", "identified")
+        )
+        assert np.all(now < before)
+        assert 1.7 < entry["identified"]["innovation"]["nis_mean"] < 2.3
+    assert [stage["name"] for stage in found["stages"]] == [
+        "force map", "valve curve", "friction", "flow", "joint refinement"
+    ]  # fmt: skip
+    assert found["settings"]["seed"] == 7 and "pam_antagonist" in found["software"]
+    assert {item["name"] for item in found["parameters"]} == {
+        f"valve_{i}.{way}flow_area" for i in (1, 2) for way in ("in", "out")
+    }
+    noise = found["noise"]["found"]
+    assert noise["pressure_std"] == pytest.approx(600.0, rel=0.05)
+    assert noise["torque_std"] == pytest.approx(0.010, rel=0.05)
+
+
+@pytest.mark.slow
+def test_the_page_is_whole(result: Path) -> None:
+    page = (result / "report.html").read_text()
+    for title in ("On data that were held out", "Parameters, and what the data cannot tell", "Step by step",
+                  "How the recordings disagree", "Noise and tuning", "Profile likelihoods", "Plotly"):  # fmt: skip
+        assert title in page
+    assert "nan" not in page.split("<script>")[0].lower().replace("provenance", "")
+
+
+@pytest.mark.slow
+def test_one_recording_without_a_reference_tells_what_pressures_tell(
+    bags: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blind = changed(bags[0], tmp_path / "blind", angle=None, torque=None)
+    out = tmp_path / "out"
+    assert main([str(blind), "--rig", "shin2022", "--out", str(out), "--no-figures"]) == 0
+    found = report(out)
+    assert "pressures alone tell valve_1.inflow_area" in found["warnings"][0]
+    assert "pressures alone tell" in " ".join(capsys.readouterr().out.split())
+    assert all(item["name"].startswith(("valve_", "gas.")) for item in found["parameters"])
+    assert found["held_out"][0]["identified"]["ukf"]["angle"] is None
+    assert found["held_out"][0]["own"] is None and not (out / "rig_1.yaml").exists()
+    assert not found["tuning"]["scale_from_reference"]
+    undetermined = {item["name"]: item["record"] for item in found["parameters"] if not item["determined"]}
+    assert all(undetermined.values())
+
+
+def test_bad_input_is_one_line_that_names_it(
+    bags: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    free, locked = bags
+    samples = len(read_bag(locked).stamp_ns)
+    changed(locked, tmp_path / "still", voltage=np.full((samples, 2), 5.5))
+    changed(locked, tmp_path / "flat", pressure=450e3 + 0.01 * (read_bag(locked).pressure - 450e3))
+    changed(locked, tmp_path / "cut", pressure=np.minimum(read_bag(locked).pressure, 470e3))
+    short = slice(0, 4000)
+    whole = read_bag(locked)
+    changed(
+        locked, tmp_path / "short",
+        **{name: getattr(whole, name)[short] for name in ("stamp_ns", "pressure", "voltage", "angle", "torque")},
+    )  # fmt: skip
+    cases: list[tuple[list[str], str]] = [
+        ([str(tmp_path / "still")], "valves never moved"),
+        ([str(tmp_path / "flat")], "moves by"),
+        ([str(tmp_path / "cut")], "saturated"),
+        ([str(tmp_path / "short")], "too short"),
+        ([str(free), str(free)], "the same recording"),
+        ([str(free), "--holdout", "0.9"], "expected a share"),
+        ([str(free), "--free", "friction.shaf"], "did you mean 'friction.shaft'"),
+        ([str(free), "--jobs", "0"], "expected a number"),
+        ([str(free), "--seed", "-1"], "--seed"),
+        ([str(free), "--topic", "pressure_1=/x"], "/x"),
+        ([str(tmp_path / "none")], "none"),
+    ]
+    for arguments, says in cases:
+        assert main([*arguments, "--rig", "shin2022", "--out", str(tmp_path / "out")]) == 2, arguments
+        error = capsys.readouterr().err
+        assert error.startswith("error: ") and error.count("\n") == 1 and says in error, error
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_leaves_nothing(
+    bags: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    # At the worst moment: the rig is written, its report is not.
+    monkeypatch.setattr(command, "write_report", interrupt)
+    assert main([str(bags[1]), "--rig", "shin2022", "--out", str(tmp_path / "out"), *FEW]) == 130
+    assert "nothing was written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="the recordings of rig A are not beside the project")
+def test_rig_a_comes_near_to_its_sensors_noise(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    begin = time.perf_counter()
+    arguments = [str(DATA / "free"), str(DATA / "locked"), "--rig", "shin2022", "--out", str(out), "--no-figures"]
+    assert main(arguments) == 0
+    assert time.perf_counter() - begin < 400.0, "three minutes on two cores of one's own; these are shared"
+    free, locked = report(out)["held_out"]
+    assert free["as_configured"]["model_alone"]["angle"]["q"] > 0.02
+    assert free["identified"]["model_alone"]["angle"]["q"] <= 0.012
+    assert locked["identified"]["model_alone"]["torque"]["rmse_nm"] <= 0.015
+    assert free["identified"]["ukf"]["angle"]["rmse_deg"] <= 0.1
+    for entry in (free, locked):
+        assert max(entry["own"]["model_alone"]["pressure"]["rmse_pa"]) <= 800.0
+        assert 1.8 < entry["identified"]["innovation"]["nis_mean"] < 2.2
+        assert entry["identified"]["ukf"]["torque"]["coverage95"] >= 0.90
+    assert free["identified"]["ukf"]["angle"]["coverage95"] >= 0.90
