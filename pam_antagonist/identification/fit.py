@@ -224,8 +224,7 @@ def _first_weights(problem: Problem) -> list[Floats]:
 def noise_floor(problem: Problem) -> dict[int, float]:
     """Standard deviations of the channels' block means by sensor noise alone."""
     sensors = problem.rig.sensors
-    angle = np.hypot(sensors.angle_std, sensors.angle_step / np.sqrt(12.0))
-    torque = np.hypot(sensors.torque_std, sensors.torque_step / np.sqrt(12.0))
+    angle, torque = sensors.error("angle"), sensors.error("torque")
     pressure = np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))
     raw = {ANGLE: angle, TORQUE: torque, PRESSURE_1: pressure, PRESSURE_1 + 1: pressure}
     # A sensor that is declared without noise still has some: nothing is known to a part in a million.

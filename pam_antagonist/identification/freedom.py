@@ -17,10 +17,12 @@ from pam_antagonist.rig.physical import is_positive
 
 RELATIVE_PRIOR = 0.05
 """Standard deviation before identification of a parameter for which the rig file gives none."""
+_GAUGE_PRIOR = {"supply.pressure": 0.01}
+"""What a gauge shows is known better than what is not measured; a regulator holds it to about a per cent."""
 
 _FLOW = (
     "valve_1.inflow_area", "valve_1.outflow_area", "valve_2.inflow_area", "valve_2.outflow_area",
-    "gas.polytropic_flow", "gas.polytropic_volume",
+    "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure",
 )  # fmt: skip
 _MOTION = ("joint.inertia", "joint.viscous_friction")
 _FORCE = {"linear": ("v1", "v2", "w1", "w2")}
@@ -56,8 +58,8 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     """The parameters of a fit.
 
     By default all that cannot be measured directly (Proposition 1): the force maps, the orifice areas, the
-    polytropic indices, the friction, and the sizes of the effects that the rig has. The prior of each is that of the
-    rig file (``priors``), else 5 % of the value; so are its bounds (``bounds``), else a factor of five either way.
+    polytropic indices, the friction, the sizes of the effects that the rig has, and the supply pressure, which a gauge
+    shows to a per cent. The prior of each is that of the rig file (``priors``), else 5 % of the value; so are its bounds (``bounds``), else a factor of five either way.
 
     Args:
         rig: start values and priors.
@@ -103,7 +105,7 @@ def _by_default(rig: Rig) -> set[str]:
 def _prior(name: str, start: float) -> float:
     if start == 0.0 and name in _EFFECTS:
         return _EFFECTS[name].scale
-    return RELATIVE_PRIOR * abs(start)
+    return _GAUGE_PRIOR.get(name, RELATIVE_PRIOR) * abs(start)
 
 
 def _matches(name: str, word: str) -> bool:

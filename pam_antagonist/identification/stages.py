@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 _PRESSURES = (PRESSURE_1, PRESSURE_1 + 1)
 MEASURED = (
     "geometry.radius", "geometry.length", "joint.shaft_radius", "joint.mass", "joint.gravity", "joint.stop",
-    "joint.stiffness", "supply.pressure", "atmosphere.pressure", "gas.temperature", "gas.constant", "gas.heat_ratio",
+    "joint.stiffness", "atmosphere.pressure", "gas.temperature", "gas.constant", "gas.heat_ratio",
     "muscle_1.volume.d1", "muscle_1.volume.d2", "muscle_1.volume.d3",
     "muscle_2.volume.d1", "muscle_2.volume.d2", "muscle_2.volume.d3",
 )  # fmt: skip
@@ -197,7 +197,7 @@ def _friction(state: _Progress) -> None:
 def _flow(state: _Progress, ways: Sequence[Variation]) -> None:
     source = "pressures in motion"
     earlier = padded(state.whole, state.theta)
-    chosen = state.chosen("valve_", "gas.")
+    chosen = state.chosen("valve_", "gas.", "supply.")
     if not chosen:
         return state.end("flow", source, earlier, {}, "skipped: no parameter of it is free")
     now = state.whole.values(state.theta)

@@ -35,6 +35,9 @@ _EXPLAINED = 0.99
 _SETTLE_S = 1.0
 """[s] after the start of the filter that are not judged: its first covariance is a guess."""
 _SCALES = (0.2, 8.0)
+_MOST_LEVELS = 0.3
+"""Distinct values a sample of a converted signal: a signal without steps has nearly as many as samples."""
+_ON_GRID, _SHARE_ON_GRID = 0.02, 0.98
 _CALIBRATIONS = 12
 
 
@@ -118,6 +121,24 @@ def white_std(values: Floats) -> float:
     return float(np.sqrt(np.mean(step * step) / 2.0)) if step.size else float("nan")
 
 
+def converter_step(values: Floats) -> float:
+    """Step of the converter behind a signal; 0 where its values lie on no grid.
+
+    A slow signal shows little of its converter in the differences of neighbours, which are mostly none, so that its
+    noise looks smaller than the error of a reading is.
+
+    Args:
+        values: (N,), NaN where missing.
+    """
+    known = values[np.isfinite(values)]
+    levels = np.unique(known)
+    if len(levels) < 2 or len(levels) > _MOST_LEVELS * len(known):
+        return 0.0
+    step = float(np.median(np.diff(levels)))
+    off = np.abs(np.diff(levels) / step - np.rint(np.diff(levels) / step))
+    return step if np.mean(off < _ON_GRID) > _SHARE_ON_GRID else 0.0
+
+
 def with_noise(rig: Rig, trials: Sequence[Trial]) -> Rig:
     """The rig with the sensors' noise and R of the tuning ``default`` as the recordings show them."""
 
@@ -132,10 +153,12 @@ def with_noise(rig: Rig, trials: Sequence[Trial]) -> Rig:
     sensors = rig.sensors
     pressure = [max(of(PRESSURE_1 + i), sensors.pressure_step / np.sqrt(12.0), 10.0) for i in (0, 1)]
     changes = {"pressure_std": max(less_step(float(np.hypot(*pressure)) / np.sqrt(2.0), sensors.pressure_step), 10.0)}
-    for channel, name, step in ((ANGLE, "angle_std", "angle_step"), (TORQUE, "torque_std", "torque_step")):
+    for channel, name in ((ANGLE, "angle"), (TORQUE, "torque")):
         std = of(channel)
         if math.isfinite(std):
-            changes[name] = less_step(std, getattr(sensors, step))
+            seen = [converter_step(trial.measured[:, channel]) for trial in trials if trial.has(channel)]
+            step = max(*seen, getattr(sensors, f"{name}_step"))
+            changes |= {f"{name}_std": less_step(std, step), f"{name}_step": step}
     tuning = rig.tuning("default").replaced(measurement=tuple(float(std**2) for std in pressure), consider=True)
     return rig.replaced(sensors=sensors.replaced(**changes), tunings={**rig.tunings, "default": tuning}, directions={})
 
@@ -269,8 +292,8 @@ def _calibrate(rig: Rig, trials: Sequence[Trial], directions: Sequence[Direction
     """The scale of the directions under which the errors of the measured angles and torques are most likely."""
     sensors = rig.sensors
     noise = {
-        ANGLE: sensors.angle_std**2 + sensors.angle_step**2 / 12.0,
-        TORQUE: sensors.torque_std**2 + sensors.torque_step**2 / 12.0,
+        ANGLE: sensors.error("angle") ** 2,
+        TORQUE: sensors.error("torque") ** 2,
     }
     fields = {ANGLE: ("angle", 0), TORQUE: ("torque", 2)}
     judged = [(k, channel) for k, trial in enumerate(trials) for channel in fields if trial.has(channel)]

@@ -117,10 +117,13 @@ _EFFECTS = (
     Effect(
         "leak",
         "Air escapes from a muscle to the atmosphere past the valve.",
-        "m_i loses A_i times the orifice flow (5) from P_i to P_out",
-        "ideal orifice, as equation (5)",
+        "m_i loses A_i ((P_i − P_out)/350 kPa)^(n − 1) times the orifice flow (5) from P_i to P_out",
+        "ideal orifice, as equation (5), for n = 1; a fine crack or capillary, whose flow is viscous, up to n = 2",
         "Mass flow of one muscle too low, the more the higher its pressure; steady pressures below the curve's.",
-        _both("area", "m2", 0.0, 5e-8, 1e-9, "area of the leak"),
+        (
+            *_both("area", "m2", 0.0, 5e-8, 1e-9, "area of the leak"),
+            EffectParameter("exponent", "-", 1.0, 0.6, 3.0, 1.0, "power of the gauge pressure beside an orifice's"),
+        ),
     ),
     Effect(
         "supply_droop",

@@ -20,6 +20,7 @@ from pam_antagonist.model.parameters import (
     GAS_CONSTANT,
     INFLOW_AREA,
     LEAK_AREA,
+    LEAK_EXPONENT,
     LINE_RESISTANCE,
     LINE_TIME,
     MAX_KNOTS,
@@ -37,6 +38,8 @@ from pam_antagonist.model.parameters import (
     VALVE_TIME,
 )
 
+_LEAK_GAUGE = 350e3
+"""[Pa] Gauge pressure at which a leak of any exponent is an orifice of its area."""
 INFLOW_CHOKED, BOTH_CHOKED, OUTFLOW_CHOKED = 0, 1, 2
 """Flow regimes of one muscle; the third subsystem index, friction, is in ``joint``."""
 
@@ -131,8 +134,11 @@ def mass_flow(valve, alpha, pressure, p):
 
 @inlined
 def leak_flow(muscle, pressure, p):
-    """Mass flow out of a leaking muscle [kg/s]: an orifice to the atmosphere."""
-    return p[LEAK_AREA + muscle] * orifice_flow(pressure, p[ATMOSPHERE], p)
+    """Mass flow out of a leaking muscle [kg/s]: an orifice to the atmosphere, or a crack that resists more at first."""
+    flow = p[LEAK_AREA + muscle] * orifice_flow(pressure, p[ATMOSPHERE], p)
+    if p[LEAK_EXPONENT] != 1.0:
+        flow *= (max(pressure - p[ATMOSPHERE], 1.0) / _LEAK_GAUGE) ** (p[LEAK_EXPONENT] - 1.0)
+    return flow
 
 
 @inlined

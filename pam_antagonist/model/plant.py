@@ -136,6 +136,7 @@ class Plant:
             angle = dynamics.rest_angle(*initial_pressure, p) if initial_angle is None else initial_angle
         self._u = np.zeros(3)
         self._x = dynamics.initial_state(angle, *initial_pressure, self._u, p)
+        self._begun = False
 
     @property
     def parameters(self) -> np.ndarray:
@@ -165,6 +166,10 @@ class Plant:
         self._u[2] = external_torque
         if not np.all(np.isfinite(self._u)):
             raise BadInput(f"plant: valve voltages and torque {tuple(self._u)}, expected finite ones")
+        if not self._begun:
+            # Its valves have had their first voltage for long.
+            self._x = dynamics.initial_state(self._x[0], self._x[2], self._x[3], self._u, self._p)
+            self._begun = True
         for _ in range(self._substeps):
             dynamics.rk4_step(self._x, self._u, self._p, self._dt, self._x)
         sensors = self._sensors

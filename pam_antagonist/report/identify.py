@@ -234,7 +234,8 @@ def _between(found: Identified) -> dict[str, Any] | None:
 
 def _sensors(rig: Rig) -> dict[str, float]:
     sensors = rig.sensors
-    return {name: float(getattr(sensors, name)) for name in ("pressure_std", "angle_std", "torque_std")}
+    names = ("pressure_std", "angle_std", "angle_step", "torque_std", "torque_step")
+    return {name: float(getattr(sensors, name)) for name in names}
 
 
 def _tuning(found: Identified) -> dict[str, Any]:

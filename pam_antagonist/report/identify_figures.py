@@ -32,9 +32,9 @@ def held_out_figures(judged: Judged, found: Identified, index: int) -> list[Figu
     out = []
     scale = float(np.degrees(1.0))
     if trial.has(ANGLE):
-        out.append(_held_out(judged, "angle", "Joint angle", "°", scale, 0, found.tuned.rig.sensors.angle_std))
+        out.append(_held_out(judged, "angle", "Joint angle", "°", scale, 0, found.tuned.rig.sensors.error("angle")))
     if trial.has(TORQUE):
-        out.append(_held_out(judged, "torque", "Joint torque", "N m", 1.0, 2, found.tuned.rig.sensors.torque_std))
+        out.append(_held_out(judged, "torque", "Joint torque", "N m", 1.0, 2, found.tuned.rig.sensors.error("torque")))
     out.append(_pressures(judged))
     return out
 

@@ -175,7 +175,9 @@ def noise(document: Document, caption: str = "") -> Table:
     rows = [
         ("pressure sensor [Pa]", number(declared["pressure_std"]), number(found["pressure_std"])),
         ("encoder [°]", *(number(math.degrees(item["angle_std"])) for item in (declared, found))),
+        ("encoder, step of its converter [°]", *(number(math.degrees(item["angle_step"])) for item in (declared, found))),
         ("torque meter [N m]", *(number(item["torque_std"]) for item in (declared, found))),
+        ("torque meter, step [N m]", *(number(item["torque_step"]) for item in (declared, found))),
     ]
     for k, name in enumerate(("angle [rad²]", "velocity [rad²/s²]", "pressure 1 [Pa²]", "pressure 2 [Pa²]")):
         rows.append((f"Q a step, {name}", number(tuning["process_before"][k], 2), number(tuning["process"][k], 2)))

@@ -260,8 +260,8 @@ def _judge(
         "duration_s": float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9 + rig.sample_period,
         "realtime_factor": None,
         "ukf": {
-            "angle": _angle(angle, rows["angle"], variance[:, 0, 0], sensors.angle_std),
-            "torque": _torque(torque, rows["torque"], variance[:, 2, 2], sensors.torque_std),
+            "angle": _angle(angle, rows["angle"], variance[:, 0, 0], sensors.error("angle")),
+            "torque": _torque(torque, rows["torque"], variance[:, 2, 2], sensors.error("torque")),
             "pressure": _pressure(pressure, _readings(rig, rows["pressure"])),
             "external_torque": _external(recording, run),
         },

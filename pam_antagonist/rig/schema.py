@@ -148,6 +148,14 @@ class Sensors(Strict):
     torque_std: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
     torque_step: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
 
+    def error(self, quantity: str) -> float:
+        """Standard deviation of one reading, noise and converter together.
+
+        Args:
+            quantity: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m].
+        """
+        return math.hypot(getattr(self, f"{quantity}_std"), getattr(self, f"{quantity}_step") / math.sqrt(12.0))
+
 
 _Diagonal = Tuple[float, float, float, float]  # noqa: UP006
 

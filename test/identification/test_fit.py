@@ -115,7 +115,7 @@ def test_freeing_and_freezing_by_name() -> None:
     names = {item.name for item in free_parameters(RIG)}
     assert "friction.shaft" in names and "geometry.radius" not in names and "muscle_1.volume.d1" not in names
     assert not any(name.startswith("muscle_1.") for name in (i.name for i in free_parameters(RIG, frozen=["muscle_1"])))
-    assert "supply.pressure" in {item.name for item in free_parameters(RIG, free=["supply.pressure"])}
+    assert "atmosphere.pressure" in {item.name for item in free_parameters(RIG, free=["atmosphere.pressure"])}
     prior = next(
         i for i in free_parameters(RIG.replaced(priors={"friction.shaft": 0.01})) if i.name == "friction.shaft"
     )
