@@ -12,11 +12,14 @@ from pathlib import Path
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.sealed_session import STEPS as SEALED_STEPS
+from pam_antagonist.identification.sealed_session import identify_sealed
 from pam_antagonist.identification.session import Identified, Options, identify, steps
 from pam_antagonist.recording import Recording, bag_hash, read_bag
 from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report import identify as numbers
-from pam_antagonist.report import identify_tables, identify_words
+from pam_antagonist.report import identify_tables, identify_words, sealed
 from pam_antagonist.report.identify_page import write_report
 from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig, load_rig
@@ -36,7 +39,8 @@ _EXAMPLES = """\
 examples:
   identify free_bag locked_bag --rig shin2022 --out identified
   identify my_bag --rig my_rig.yaml --out identified --freeze muscle_1.force --freeze muscle_2.force
-  identify my_bag --rig my_rig.yaml --out identified --free supply.pressure --starts 4 --seed 7
+  identify my_bag --rig my_rig.yaml --out identified --free joint.stiffness --starts 4 --seed 7
+  identify sealed_bag --rig sealed_joint --out identified     (valves.sealed: true in the rig file)
   replay another_bag --rig identified/rig.yaml --out check
 """
 _Given = tuple[Recording, JointCondition, str]
@@ -103,6 +107,14 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.seed < 0:
         raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     recordings = _read(arguments)
+    if rig.valves.sealed:
+        return _sealed(arguments, rig, recordings)
+    for recording, _, name in recordings:
+        if sealed_muscles(recording.path):
+            raise BadInput(
+                f"{name}: its muscles were sealed, as the bag says, but rig {rig.name} lets air through its valves; "
+                "expected a rig file with valves.sealed: true, such as config/rigs/sealed_joint.yaml"
+            )
     options = Options(
         tuple(arguments.free),
         tuple(arguments.freeze),
@@ -130,6 +142,54 @@ def _main(argv: Sequence[str] | None) -> int:
     return common.DONE
 
 
+def _sealed(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[_Given]) -> int:
+    """The same for a joint whose muscles are sealed: other steps, fewer parameters."""
+    for name in ("free", "freeze"):
+        if getattr(arguments, name):
+            raise BadInput(f"--{name}: the parameters that a sealed joint tells are fixed; leave it out")
+    for _, state, name in recordings:
+        if state.condition != "free":
+            raise BadInput(
+                f"{name}: the joint is {state.condition}; expected a sealed joint that is moved from outside"
+            )
+    named = [(recording, name) for recording, _, name in recordings]
+    with common.progress(SEALED_STEPS, "identify", "steps") as bar:
+
+        def tell(text: str) -> None:
+            bar.set_description(f"identify: {text}")
+            bar.update(1)
+
+        found = identify_sealed(named, rig, arguments.holdout, tell)
+    judged = sealed.judge(named, found)
+    content = sealed.document(found, judged)
+    with common.output_folder(arguments.out) as folder:
+        about = [*_about(rig, arguments.seed), *_fitted(recordings, found.held_from)]
+        source = f"identified from {', '.join(name for _, name in named)}; started from: {rig.source.strip()}"
+        write_rig(_named(found.rig, rig.name, source), folder / "rig.yaml", about)
+        sealed.write_report(folder, content, judged, with_figures=not arguments.no_figures)
+    tables = [sealed.values_table(content), *(sealed.held_out_table(entry) for entry in content["held_out"])]
+    print("\n\n".join(table.text() for table in tables))
+    print(f"\nrig: {arguments.out / 'rig.yaml'}\nreport: {arguments.out / 'report.html'} and report.json")
+    if arguments.open:
+        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    return common.DONE
+
+
+def _about(rig: Rig, seed: int) -> list[str]:
+    when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    return [f"Identified on {when} by pam_antagonist identify, from rig {rig.name}, seed {seed}."]
+
+
+def _fitted(recordings: Sequence[_Given], held_from: Sequence[float]) -> list[str]:
+    return [
+        "Recordings (the part that was fitted, joint, SHA-256):",
+        *(
+            f"  {name}: first {until:.1f} s, {state.condition}, {bag_hash(recording.path)}"
+            for (recording, state, name), until in zip(recordings, held_from, strict=True)
+        ),
+    ]
+
+
 def _read(arguments: argparse.Namespace) -> list[_Given]:
     out: list[_Given] = []
     names = common.topics(arguments)
@@ -145,15 +205,9 @@ def _read(arguments: argparse.Namespace) -> list[_Given]:
 
 
 def _write_rigs(folder: Path, found: Identified, recordings: Sequence[_Given]) -> None:
-    when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    hashes = [bag_hash(recording.path) for recording, _, _ in recordings]
     about = [
-        f"Identified on {when} by pam_antagonist identify, from rig {found.start.name}, seed {found.options.seed}.",
-        "Recordings (the part that was fitted, joint, SHA-256):",
-        *(
-            f"  {name}: first {until:.1f} s, {state.condition}, {value}"
-            for (_, state, name), until, value in zip(recordings, found.held_from, hashes, strict=True)
-        ),
+        *_about(found.start, found.options.seed),
+        *_fitted(recordings, found.held_from),
         "Standard errors stand in report.json; the directions below are what of them moves the estimate.",
     ]
     source = (

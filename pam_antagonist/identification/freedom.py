@@ -58,8 +58,9 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     """The parameters of a fit.
 
     By default all that cannot be measured directly (Proposition 1): the force maps, the orifice areas, the
-    polytropic indices, the friction, the sizes of the effects that the rig has, and the supply pressure, which a gauge
-    shows to a per cent. The prior of each is that of the rig file (``priors``), else 5 % of the value; so are its bounds (``bounds``), else a factor of five either way.
+    polytropic indices, the friction, the sizes of the effects that the rig has; and the supply pressure, which a
+    gauge shows to a per cent. The prior of each is that of the rig file (``priors``), else 5 % of the value; so are
+    its bounds (``bounds``), else a factor of five either way.
 
     Args:
         rig: start values and priors.

@@ -182,8 +182,8 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
     count = int(sum(mask.sum() for mask in sliding))
     if count < _FEWEST_BLOCKS:
         raise BadInput(
-            f"{count * _BLOCK_S:.1f} s of sliding under a known torque, expected at least {_FEWEST_BLOCKS * _BLOCK_S:g} s: "
-            "record measured/external_torque while the joint is driven to and fro"
+            f"{count * _BLOCK_S:.1f} s of sliding under a known torque, expected at least "
+            f"{_FEWEST_BLOCKS * _BLOCK_S:g} s: record measured/external_torque while the joint is driven to and fro"
         )
     names = ("joint.stiffness", "joint.viscous_friction", "friction.shaft")
 
@@ -217,7 +217,8 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
         spread,
         float(np.sqrt(np.mean(solution.fun**2))),
         "N m",
-        f"over {count * _BLOCK_S:.1f} s in which the joint slides; where it sticks, friction may be anything up to its bound",
+        f"over {count * _BLOCK_S:.1f} s in which the joint slides; where it sticks, friction may be anything up to its "
+        "bound",
     )
 
 
