@@ -199,7 +199,7 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
         parts = []
         for trial, mask in zip(used, sliding, strict=True):
             assert trial.external is not None
-            needed = np.array([_needed(trial, k, p) for k in np.flatnonzero(mask)])
+            needed = np.array([_needed(trial, int(k), p) for k in np.flatnonzero(mask)])
             parts.append(needed - trial.external[mask])
         return np.concatenate(parts)
 

@@ -15,7 +15,12 @@ from pam_antagonist.report.figures import Clock, Level, Line, Panel
 from pam_antagonist.report.html import Figure
 from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET
 
-_AXES = (("Angle [°]", float(np.degrees(1.0))), ("Torque [N m]", 1.0), ("Pressure 1 [kPa]", 1e-3), ("Pressure 2 [kPa]", 1e-3))
+_AXES = (
+    ("Angle [°]", float(np.degrees(1.0))),
+    ("Torque [N m]", 1.0),
+    ("Pressure 1 [kPa]", 1e-3),
+    ("Pressure 2 [kPa]", 1e-3),
+)
 
 
 def residuals(found: Diagnosis) -> tuple[Figure, ...]:
@@ -39,13 +44,15 @@ def residuals(found: Diagnosis) -> tuple[Figure, ...]:
             f"that the sensor's noise alone gives. From {found.held_from[r]:.0f} s on nothing was fitted."
         )
         plot = figures.stack(panels, _clock(experiment, len(curves[0][1])))
-        out.append(Figure(f"{experiment.trial.name} (joint {experiment.trial.joint})", about, plot, experiment.trial.name))
+        out.append(
+            Figure(f"{experiment.trial.name} (joint {experiment.trial.joint})", about, plot, experiment.trial.name)
+        )
     return tuple(out)
 
 
 def _clock(experiment: Experiment, count: int) -> Clock:
     step = BLOCK * experiment.trial.dt
-    return Clock((np.arange(count) + 0.5) * step, np.zeros(count, dtype=np.int64))
+    return Clock(np.asarray((np.arange(count) + 0.5) * step, dtype=np.float64), np.zeros(count, dtype=np.int64))
 
 
 def profiles(document: dict[str, Any]) -> tuple[Figure, ...]:

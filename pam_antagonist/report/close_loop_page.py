@@ -34,8 +34,8 @@ _DEFINITIONS = (
     ("Residual", "measurement minus model. Both are averaged over 20 samples."),
     (
         "ΔBIC",
-        "evidence: twice the gain in log likelihood less what the further unknowns cost. Values count independent errors, "
-        "told from the residual's autocorrelation, not samples. Above 6 is strong.",
+        "evidence: twice the gain in log likelihood less what the further unknowns cost. It counts independent "
+        "errors, told from the residual's autocorrelation, not samples. Above 6 is strong.",
     ),
     (
         "Held-out share",
@@ -79,7 +79,7 @@ def page(document: dict[str, Any], found: Diagnosis, with_figures: bool = True) 
     parts.append(Section("Candidates", (TableBlock(tables.ranking(document)), *_law(found)), 2, "candidates"))
     if found.effects:
         figures = drawn.profiles(document) if with_figures and document["profiles"] else ()
-        section = (TableBlock(tables.parameters(document)), *figures)
+        section: tuple[Block, ...] = (TableBlock(tables.parameters(document)), *figures)
         parts.append(Section("Parameters", section, 2, "parameters"))
     if document["remaining"]:
         lines = tuple(Finding("note", line) for line in document["remaining"])
@@ -103,7 +103,9 @@ def _tiles(document: dict[str, Any]) -> tuple[Tile, ...]:
         if errors["extended"][channel] is not None:
             before, after = (errors[model][channel][f"rmse_{key}"] for model in ("recalibrated", "extended"))
             out.append(
-                Tile(f"{channel.capitalize()} error (RMS)", f"{number(after, 2)}{unit}", f"was {number(before, 2)}{unit}")
+                Tile(
+                    f"{channel.capitalize()} error (RMS)", f"{number(after, 2)}{unit}", f"was {number(before, 2)}{unit}"
+                )
             )
     before, after = (max(errors[model]["pressure"]["rmse_pa"]) / 1e3 for model in ("recalibrated", "extended"))
     out.append(Tile("Larger pressure error", f"{number(after, 2)} kPa", f"was {number(before, 2)} kPa"))

@@ -175,7 +175,10 @@ def noise(document: Document, caption: str = "") -> Table:
     rows = [
         ("pressure sensor [Pa]", number(declared["pressure_std"]), number(found["pressure_std"])),
         ("encoder [°]", *(number(math.degrees(item["angle_std"])) for item in (declared, found))),
-        ("encoder, step of its converter [°]", *(number(math.degrees(item["angle_step"])) for item in (declared, found))),
+        (
+            "encoder, step of its converter [°]",
+            *(number(math.degrees(item["angle_step"])) for item in (declared, found)),
+        ),
         ("torque meter [N m]", *(number(item["torque_std"]) for item in (declared, found))),
         ("torque meter, step [N m]", *(number(item["torque_step"]) for item in (declared, found))),
     ]

@@ -66,7 +66,11 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
             _tenth(replay),
         )
     )
-    out += [_pressures(replay, clock, link), _voltages(replay, clock, link), _nis(replay, clock, link)]
+    outside = _outside(replay, clock, link)
+    out += [*([outside] if outside else []), _pressures(replay, clock, link)]
+    if not replay.rig.valves.sealed:
+        out.append(_voltages(replay, clock, link))
+    out.append(_nis(replay, clock, link))
     correlation = _correlation(replay, link)
     return (*out, *([correlation] if correlation else []), _subsystems(replay, clock, link))
 
@@ -104,6 +108,22 @@ def _estimate_figure(
             "stays within its shaded interval 95 % of the time."
         )
     return Figure(f"{title}: measured, estimated, and by the model alone", about, figures.stack(panels, clock), link)
+
+
+def _outside(replay: Replay, clock: Clock, link: str) -> Figure | None:
+    """The torque from outside, where the rig's filter estimates it."""
+    estimate = replay.run.added.get("external_torque")
+    if estimate is None:
+        return None
+    parts: list[Part] = []
+    about = (
+        "What the filter takes for a torque from outside, which it is not told. Where the joint sticks, friction hides "
+        "it."
+    )
+    if replay.recording.external_torque is not None:
+        parts.append(Line("applied", replay.recording.external_torque[replay.run.index], MEASURED))
+    parts.append(Line("UKF", estimate, ESTIMATE))
+    return Figure("Torque from outside", about, figures.stack([Panel("Torque [N m]", parts, 220)], clock), link)
 
 
 def _pressures(replay: Replay, clock: Clock, link: str) -> Figure:

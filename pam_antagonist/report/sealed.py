@@ -41,7 +41,7 @@ ASSUMED = (
 
 @dataclass(frozen=True, eq=False)
 class SealedJudged:
-    """One recording by the rig as configured and by the identified one: replays of all of it and of its held-out part."""
+    """One recording by both rigs: replays of the whole of it and of the part that was held out."""
 
     name: str
     from_s: float
