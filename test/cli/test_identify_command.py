@@ -88,8 +88,8 @@ def test_the_report_judges_only_what_was_held_out(result: Path) -> None:
     ]  # fmt: skip
     assert found["settings"]["seed"] == 7 and "pam_antagonist" in found["software"]
     assert {item["name"] for item in found["parameters"]} == {
-        f"valve_{i}.{way}flow_area" for i in (1, 2) for way in ("in", "out")
-    }
+        "supply.pressure", *(f"valve_{i}.{way}flow_area" for i in (1, 2) for way in ("in", "out"))
+    }  # fmt: skip
     noise = found["noise"]["found"]
     assert noise["pressure_std"] == pytest.approx(600.0, rel=0.05)
     assert noise["torque_std"] == pytest.approx(0.010, rel=0.05)
@@ -114,7 +114,7 @@ def test_one_recording_without_a_reference_tells_what_pressures_tell(
     found = report(out)
     assert "pressures alone tell valve_1.inflow_area" in found["warnings"][0]
     assert "pressures alone tell" in " ".join(capsys.readouterr().out.split())
-    assert all(item["name"].startswith(("valve_", "gas.")) for item in found["parameters"])
+    assert all(item["name"].startswith(("valve_", "gas.", "supply.")) for item in found["parameters"])
     assert found["held_out"][0]["identified"]["ukf"]["angle"] is None
     assert found["held_out"][0]["own"] is None and not (out / "rig_1.yaml").exists()
     assert not found["tuning"]["scale_from_reference"]

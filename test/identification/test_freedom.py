@@ -21,7 +21,7 @@ def test_priors_and_bounds_are_those_of_the_rig_file(rig):
 def test_what_can_be_measured_directly_is_kept_unless_it_is_freed(rig):
     names = {item.name for item in free_parameters(rig)}
     assert "geometry.radius" not in names and "atmosphere.pressure" not in names
-    assert "atmosphere.pressure" in {item.name for item in free_parameters(rig, free=["supply.pressure"])}
+    assert "atmosphere.pressure" in {item.name for item in free_parameters(rig, free=["atmosphere.pressure"])}
     fewer = {item.name for item in free_parameters(rig, frozen=["muscle_1.force"])}
     assert names - fewer == {f"muscle_1.force.{name}" for name in ("v1", "v2", "w1", "w2")}
 
