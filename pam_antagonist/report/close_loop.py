@@ -75,7 +75,7 @@ def document(found: Diagnosis, rig: Rig, hashes: Sequence[str], seed: int, holdo
             "strong_evidence": STRONG,
             "first_share": rules.FIRST_SHARE,
             "further_share": rules.FURTHER_SHARE,
-            "explained_share": rules.EXPLAINED,
+            "explained_share": list(rules.EXPLAINED),
         },
         "timing": dict(found.seconds),
         "software": versions(),

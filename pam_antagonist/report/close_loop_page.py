@@ -149,8 +149,9 @@ def _assumed(document: dict[str, Any]) -> tuple[tuple[str, str], ...]:
             "Thresholds",
             f"ΔBIC {settings['strong_evidence']:g} to be taken at all; the first effect removes "
             f"{100 * settings['first_share']:.0f} % of the held-out excess, a further one "
-            f"{100 * settings['further_share']:.0f} % of what is left, all together "
-            f"{100 * settings['explained_share']:.0f} %. They come from statistics, not from recordings.",
+            f"{100 * settings['further_share']:.0f} % of what is left, one, two or three together "
+            f"{', '.join(f'{100 * share:.0f}' for share in settings['explained_share'])} %. "
+            "The ΔBIC is a matter of statistics; the shares are experience with rig A and simulated joints.",
         ),
         ("Catalogue", f"{', '.join(CATALOGUE)}. What is none of these can only be called unexplained."),
     )

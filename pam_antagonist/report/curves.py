@@ -100,11 +100,15 @@ def spreads(rows: Sequence[tuple[str, FloatArray, str]], title: str, log: bool =
         plotly's ``data`` and ``layout`` as plain values.
     """
     layout = base_layout(80 + 34 * len(rows))
-    layout["margin"] = {"l": 250, "r": 14, "t": 10, "b": 44}
+    layout["margin"] = {"l": 66, "r": 14, "t": 10, "b": 44}
     layout["xaxis"] = axis(title={"text": title, "standoff": 6}, zeroline=False, **({"type": "log"} if log else {}))
     names = [name for name, _, _ in rows]
     layout["yaxis"] = axis(
-        tickvals=list(range(len(rows))), ticktext=names, range=[len(rows) - 0.5, -0.5], zeroline=False
+        tickvals=list(range(len(rows))),
+        ticktext=names,
+        range=[len(rows) - 0.5, -0.5],
+        zeroline=False,
+        automargin=True,
     )
     layout["hovermode"] = "closest"
     layout["showlegend"] = False

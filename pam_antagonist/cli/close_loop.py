@@ -1,0 +1,171 @@
+"""``close_loop``: residual of recordings -> physical effect -> extended model -> error before and after."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import textwrap
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+
+from pam_antagonist.cli import common
+from pam_antagonist.diagnosis import Diagnosis, diagnose
+from pam_antagonist.diagnosis.store import Store
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording, bag_hash, read_bag
+from pam_antagonist.report import close_loop as numbers
+from pam_antagonist.report import close_loop_tables as tables
+from pam_antagonist.report.close_loop_page import write_report
+from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.write import write_rig
+
+_DESCRIPTION = """\
+Trace what the model of a rig lacks to a physical effect, add it, and report the error before and after.
+
+Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured. The
+base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
+catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording is kept to judge by.
+
+Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
+recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values.
+Status: 0 done (whatever the verdict), 2 bad input (one line says what and where).
+"""
+_EXAMPLES = """\
+examples:
+  close_loop free_bag locked_bag --rig shin2022 --out found
+  close_loop free_bag locked_bag --rig my_rig.yaml --out found --resume
+  replay another_bag --rig found/rig_extended.yaml --out check
+"""
+_STEPS = 14
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("close_loop", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
+    common.add_rig(out)
+    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the result; a new one")
+    common.add_joint(
+        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, told from the measured angle)"
+    )
+    out.add_argument(
+        "--holdout", type=_share, default=1.0 / 3.0, metavar="SHARE",
+        help="share at the end of each recording that no fit sees (default: a third)",
+    )  # fmt: skip
+    out.add_argument("--jobs", type=_count, default=2, metavar="N", help="threads (default: 2)")
+    out.add_argument("--seed", type=_seed, default=0, help="kept in the report (default: 0)")
+    out.add_argument("--resume", action="store_true", help="go on with what an interrupted run left in DIR.part")
+    common.add_topics(out)
+    out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
+    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
+    out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    return out
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.1 <= value <= 0.5:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a share from 0.1 to 0.5")
+    return value
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 64:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 64")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 0 or more")
+    return int(text)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    common.check_output(arguments.out)
+    rig = load_rig(arguments.rig)
+    common.lock_angle(arguments)
+    kept = arguments.out.parent / f"{arguments.out.name}.part"
+    if kept.exists() and not arguments.resume:
+        raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
+    recordings = _read(arguments)
+    hashes = [bag_hash(recording.path) for recording in recordings]
+    with common.progress(_STEPS, "close_loop", "steps") as bar:
+
+        def tell(text: str) -> None:
+            bar.set_description(f"close_loop: {text}")
+            bar.update(1)
+
+        found = diagnose(
+            recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=arguments.holdout,
+            jobs=arguments.jobs, seed=arguments.seed, progress=tell, store=Store(kept),
+        )  # fmt: skip
+    document = numbers.document(found, rig, hashes, arguments.seed, arguments.holdout)
+    with common.output_folder(arguments.out) as folder:
+        _write_rigs(folder, found, rig, hashes)
+        write_report(folder, document, found, with_figures=not arguments.no_figures)
+    shutil.rmtree(kept, ignore_errors=True)
+    print(_summary(document))
+    print(f"\nrig: {arguments.out / 'rig_extended.yaml'}\nreport: {arguments.out / 'report.html'} and report.json")
+    if arguments.open:
+        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    return common.DONE
+
+
+def _read(arguments: argparse.Namespace) -> list[Recording]:
+    names = common.topics(arguments)
+    recordings = [
+        read_bag(bag, topics=names, namespace=arguments.namespace, joint_name=arguments.joint_name)
+        for bag in arguments.bags
+    ]
+    hashes = [bag_hash(recording.path) for recording in recordings]
+    for k, value in enumerate(hashes):
+        if value in hashes[:k]:
+            raise BadInput(f"{arguments.bags[k]}: the same recording as {arguments.bags[hashes.index(value)]}")
+    return recordings
+
+
+def _write_rigs(folder: Path, found: Diagnosis, rig: Rig, hashes: Sequence[str]) -> None:
+    about = [
+        f"By pam_antagonist close_loop, from rig {rig.name}. {found.sentence}",
+        "Recordings (SHA-256):",
+        *(f"  {name}: {value}" for (name, _), value in zip(found.own, hashes, strict=True)),
+        *(f"Attention: {warning}." for warning in found.warnings),
+    ]
+    remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
+    source = f"extended by close_loop from {', '.join(name for name, _ in found.own)}; started from: {rig.source}"
+    write_rig(_named(found.rig_extended, rig.name, source), folder / "rig_extended.yaml", remarks)
+    if len(found.own) > 1:
+        for number, (name, own) in enumerate(found.own, 1):
+            remark = f"The values of {name} alone; those that suit all recordings are in rig_extended.yaml."
+            named = _named(own, rig.name, f"{source}; with the values of {name} alone")
+            write_rig(named, folder / f"rig_extended_{number}.yaml", [*remarks, remark])
+
+
+def _named(rig: Rig, name: str, source: str) -> Rig:
+    return rig.replaced(name=f"{name.removesuffix('_extended')}_extended", source=" ".join(source.split()))
+
+
+def _summary(document: dict) -> str:  # type: ignore[type-arg]
+    said = [textwrap.fill(document["sentence"], 100)]
+    said += [
+        textwrap.fill(f"! {text}", 100, subsequent_indent="  ") for text in (*document["warnings"], *document["unseen"])
+    ]
+    shown = [tables.before_after(document), tables.parameters(document), tables.ranking(document)]
+    return "\n\n".join(["\n".join(said), *(table.text() for table in shown if table.rows)])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

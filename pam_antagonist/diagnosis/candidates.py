@@ -1,0 +1,119 @@
+"""What could be wrong: every effect of the catalogue, on each muscle and on both, with its unknowns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, parameter_path
+
+_SPREAD = 4.0
+"""Shapes are tried at their start value and at so many times more and less."""
+
+UNKNOWN_INPUT = "external_torque"
+"""The effect that no deterministic model has: judged by what all others leave (:mod:`pushes`)."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number of an effect that a fit may move.
+
+    Attributes:
+        paths: dotted paths of the parameters that have this value: several where only their sum shows.
+        item: entry in the catalogue of the first.
+    """
+
+    paths: tuple[str, ...]
+    item: EffectParameter
+
+    @property
+    def path(self) -> str:
+        """Dotted path of the first."""
+        return self.paths[0]
+
+    def value(self, coordinate: float) -> float:
+        """Value at a coordinate: sizes in units of their scale, shapes by their logarithm."""
+        if self.item.is_size:
+            return coordinate * self.item.scale
+        return math.exp(coordinate)
+
+    def coordinate(self, value: float) -> float:
+        """Coordinate of a value."""
+        return value / self.item.scale if self.item.is_size else math.log(value)
+
+    def slope(self, value: float) -> float:
+        """Derivative of the value by its coordinate."""
+        return self.item.scale if self.item.is_size else value
+
+    def bounded(self, value: float) -> float:
+        """The nearest value that makes sense."""
+        return min(max(value, self.item.low), self.item.high)
+
+    def step(self, value: float) -> float:
+        """Step of a difference quotient at a value, in coordinates; sizes that cannot shrink step upwards."""
+        if not self.item.is_size:
+            return -0.1 if value * 1.1 > self.item.high else 0.1
+        return 0.1 * max(1.0, abs(value / self.item.scale))
+
+
+_TIED = ("hysteresis",)
+"""Effects whose share of each muscle does not show: both lengths move as one, and so do their loops."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect of the catalogue as an explanation; on which muscle is left to its sizes.
+
+    Attributes:
+        effect: its name.
+    """
+
+    effect: str
+
+    @property
+    def catalogued(self) -> Effect:
+        """Its entry in the catalogue."""
+        return CATALOGUE[self.effect]
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Its numbers, sizes first."""
+        items = sorted(self.catalogued.parameters, key=lambda item: not item.is_size)
+        if self.effect not in _TIED:
+            return tuple(Unknown((parameter_path(self.effect, item.name),), item) for item in items)
+        groups: dict[str, list[EffectParameter]] = {}
+        for item in items:
+            groups.setdefault(item.name[:-2] if item.muscle else item.name, []).append(item)
+        return tuple(
+            Unknown(tuple(parameter_path(self.effect, item.name) for item in group), group[0])
+            for group in groups.values()
+        )
+
+    @property
+    def sizes(self) -> tuple[Unknown, ...]:
+        """Those with which it vanishes."""
+        return tuple(unknown for unknown in self.unknowns if unknown.item.is_size)
+
+    @property
+    def shapes(self) -> tuple[Unknown, ...]:
+        """Those that say how it acts."""
+        return tuple(unknown for unknown in self.unknowns if not unknown.item.is_size)
+
+    def grid(self) -> list[dict[str, float]]:
+        """Shapes to try."""
+        points: list[dict[str, float]] = [{}]
+        for shape in self.shapes:
+            values = {shape.bounded(shape.item.neutral * factor) for factor in (1.0 / _SPREAD, 1.0, _SPREAD)}
+            points = [{**point, shape.path: value} for point in points for value in sorted(values)]
+        return points
+
+
+def candidates(taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+    """All candidates beside the effects that a model has already.
+
+    Args:
+        taken: values of the effects' parameters of the model, by dotted path.
+    """
+    present = {path.split(".")[1] for path in taken}
+    return tuple(Candidate(name) for name in CATALOGUE if name != UNKNOWN_INPUT and name not in present)

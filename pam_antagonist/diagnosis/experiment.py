@@ -1,0 +1,187 @@
+"""A recording and the free directions of the model: the residual of any extended model on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis.knobs import Knob, base_knobs
+from pam_antagonist.diagnosis.simulation import BLOCK, Start, blocks, predict, start_of
+from pam_antagonist.identification.trial import ANGLE, CHANNELS, Trial
+from pam_antagonist.model import parameters as par
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+_STEP = 2e-3
+"""Relative step of the base directions' differences: far above what stiction rounds off."""
+_START_ANGLE = 1.7e-3
+"""[rad] How well a measured start angle is known, stiction and encoder step together."""
+_SHIFTS = 3
+_LEAST = 1e-12
+_RUNAWAY = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point in the space of models of one recording.
+
+    Attributes:
+        theta: relative base changes, then the start's deviations in standard deviations (K + 3,).
+        effects: values of the effects' parameters by dotted path.
+    """
+
+    theta: Floats
+    effects: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A recording of a rig, made ready to be explained.
+
+    Every recording has base parameters and effects of its own: a day later the rig is warmer, and what is wrong with
+    it may have changed. What recordings have in common is looked for afterwards.
+
+    Attributes:
+        rig: as configured.
+        trial: the recording.
+        fitted: how many of its samples may be fitted; the rest is held out.
+    """
+
+    rig: Rig
+    trial: Trial
+    fitted: int
+
+    @cached_property
+    def knobs(self) -> tuple[Knob, ...]:
+        """Free base directions."""
+        return base_knobs(self.rig)
+
+    @cached_property
+    def first(self) -> Start:
+        """What the recording starts from."""
+        return start_of(self.trial)
+
+    @cached_property
+    def channels(self) -> tuple[int, ...]:
+        """What was measured and can tell something, indices of ``CHANNELS``."""
+        return tuple(c for c in range(len(CHANNELS)) if self.trial.has(c))
+
+    @cached_property
+    def measured(self) -> Floats:
+        """Block means of the measurements (B, C) of these channels."""
+        return blocks(self.trial.measured[:, list(self.channels)])
+
+    @cached_property
+    def noise(self) -> Floats:
+        """Standard deviation of a block mean by the sensor alone (C,)."""
+        return np.array([block_noise(self.trial.measured[:, c]) for c in self.channels])
+
+    @property
+    def size(self) -> int:
+        """How many base unknowns there are, the start's included."""
+        return len(self.knobs) + _SHIFTS
+
+    @property
+    def origin(self) -> Point:
+        """The model as configured."""
+        return Point(np.zeros(self.size))
+
+    @cached_property
+    def prior(self) -> Floats:
+        """Precision of the prior of each base unknown (K + 3,)."""
+        return np.array([knob.prior**-2 for knob in self.knobs] + [1.0] * _SHIFTS)
+
+    @cached_property
+    def _vector(self) -> Floats:
+        return self.rig.parameters(self.trial.joint, self.trial.lock_angle)
+
+    @cached_property
+    def _start_scale(self) -> Floats:
+        sensors = self.rig.sensors
+        pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))) / np.sqrt(BLOCK)
+        return np.array([0.0 if self.trial.joint == "locked" else _START_ANGLE, pressure, pressure])
+
+    def changes(self, point: Point) -> dict[str, float]:
+        """Values of the base parameters that differ from the rig file's, by dotted path."""
+        total: dict[str, float] = {}
+        for knob, amount in zip(self.knobs, point.theta, strict=False):
+            for name, change in knob.changes.items():
+                total[name] = total.get(name, self.rig.value(name)) + change * float(amount)
+        return total
+
+    def parameters(self, point: Point) -> Floats:
+        """Parameter vector of a point."""
+        p = self._vector.copy()
+        for name, value in self.changes(point).items():
+            p[par.INDEX[name]] = value
+        return par.changed(p, point.effects)
+
+    def simulated(self, point: Point, whole: bool = False) -> Floats:
+        """What the sensors would show (N, 4): in the part that is fitted, or in all of the recording."""
+        trial = self.trial if whole else self.trial.part(0.0, self.fitted * self.trial.dt)
+        shift = point.theta[-_SHIFTS:] * self._start_scale
+        return predict(trial, self.parameters(point), self.first, shift)
+
+    def residual(self, point: Point, whole: bool = False) -> Floats:
+        """Measured minus simulated block means (B, C), 0 where nothing was measured."""
+        simulated = blocks(self.simulated(point, whole)[:, list(self.channels)])
+        difference = self.measured[: len(simulated)] - simulated
+        # A model that runs away is wrong, not undefined.
+        bound = _RUNAWAY * self.noise
+        return np.clip(np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf), -bound, bound)
+
+    def held(self, residual: Floats) -> Floats:
+        """The held-out blocks of a residual of the whole recording."""
+        return residual[-(-self.fitted // BLOCK) :]
+
+    def jacobian(self, point: Point, residual: Floats) -> Floats:
+        """Derivatives of the residual by the base unknowns (B, C, K + 3)."""
+        result = np.zeros((*residual.shape, self.size))
+        for k in range(self.size):
+            if not self._matters(k):
+                continue
+            step = _STEP if k < len(self.knobs) else 1.0
+            theta = point.theta.copy()
+            theta[k] += step
+            result[:, :, k] = (self.residual(Point(theta, point.effects)) - residual) / step
+        return result
+
+    def _matters(self, k: int) -> bool:
+        if self.trial.joint != "locked":
+            return True
+        if k < len(self.knobs):
+            return not (self.knobs[k].free_only and self.trial.lock_angle == 0.0)
+        return k != len(self.knobs) + ANGLE
+
+
+def block_noise(values: Floats) -> float:
+    """Standard deviation that a sensor gives to the mean of a block of samples.
+
+    Noise is told from what changes between samples only: the second difference of a signal that is smooth over three
+    samples is noise of six times the variance. A converter whose step is coarser than the noise rounds all samples of
+    a block alike; its error does not average out.
+
+    Args:
+        values: what the sensor showed (N,), NaN where missing.
+    """
+    known = values[np.isfinite(values)]
+    second = np.diff(known, 2)
+    bound = 2.0 * float(np.quantile(np.abs(second), 0.95))
+    white = float(np.sqrt(np.mean(second[np.abs(second) <= bound] ** 2) / 6.0))
+    step = _converter_step(known)
+    averaged = white / np.sqrt(BLOCK)
+    return float(max(np.hypot(step / np.sqrt(12.0), averaged) if white < step / 2.0 else averaged, _LEAST))
+
+
+def _converter_step(known: Floats) -> float:
+    """Step of the converter behind a signal; 0 where hardly a value comes twice."""
+    levels, counts = np.unique(known, return_counts=True)
+    if len(levels) < 2 or len(levels) > len(known) / 4:
+        return 0.0
+    common = levels[counts >= np.quantile(counts, 0.5)]
+    return float(np.median(np.diff(common))) if len(common) > 1 else 0.0

@@ -1,0 +1,146 @@
+"""A torque from outside that comes and goes: no law gives it, so it is estimated and judged by its course.
+
+The model of a free joint is made to follow the measured angle by a torque; what that takes, beside the friction that
+holds the joint anyway, is what pushes. A law that the model lacks asks for such a torque whenever the joint moves; a
+push is there at some times and not at the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist._jit import kernel
+from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.refit import Fitted, excess, refit
+from pam_antagonist.diagnosis.simulation import BLOCK, blocks
+from pam_antagonist.identification.trial import ANGLE, PRESSURE_1
+from pam_antagonist.model import dynamics
+
+Floats = NDArray[np.float64]
+
+_STIFF = 30.0
+"""[N m/rad] of the observer: a hundredth of a radian pulls the model with a muscle's torque."""
+_DAMPING = 0.1
+"""[N m s/rad] of the observer."""
+_ROUNDS = 4
+_LOOK = 12
+"""[blocks] A quarter of a second: shorter than a push by hand."""
+_MARGIN = 12
+_STANDS_OUT = 3.0
+_MOST_ACTIVE = 0.5
+"""A torque that is there more than half of the time does not come and go."""
+_EXPLAINED = 0.75
+"""Share of the excess that must go with the pushes: they were told from the same angle, so more than of a law."""
+_rk4_step = dynamics.rk4_step
+
+
+@kernel
+def _followed(x0, given, angle, p, dt, stiff, damping):  # type: ignore[no-untyped-def]
+    """Torques (N,) [N m] that make the model follow an angle (N,) [rad]."""
+    x = x0.copy()
+    u = np.zeros(3)
+    out = np.empty(len(angle))
+    for k in range(len(angle)):
+        u[0] = given[k, 0]
+        u[1] = given[k, 1]
+        u[2] = stiff * (angle[k] - x[0]) - damping * x[1]
+        _rk4_step(x, u, p, dt, x)
+        out[k] = u[2]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Pushes:
+    """An explanation by a torque that comes and goes.
+
+    Attributes:
+        experiment: the recording with that torque as its input.
+        fitted: the base parameters beside it.
+        torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the pushes.
+        active: share of the time with one.
+        shares: share of the held-out and of the fitted excess that goes with it, in hindsight.
+        noise: size of the random walk that it looks like [N m/s^0.5].
+    """
+
+    experiment: Experiment
+    fitted: Fitted
+    torque: Floats
+    active: float
+    shares: tuple[float, float]
+    noise: float
+
+    @property
+    def episodes(self) -> int:
+        """How often something pushes."""
+        return int(np.sum(np.diff((self.torque != 0.0).astype(int)) == 1)) + int(self.torque[0] != 0.0)
+
+    def model(self) -> Fitted:
+        """The base parameters with a torque that is not known beforehand: an estimator's model."""
+        effects = {**self.fitted.point.effects, "effects.external_torque.noise": self.noise}
+        return replace(self.fitted, point=Point(self.fitted.point.theta, effects))
+
+    @property
+    def explains(self) -> bool:
+        """Whether pushes at some times, and nothing at the others, leave little of the residual."""
+        return self.active <= _MOST_ACTIVE and min(self.shares) >= _EXPLAINED
+
+
+def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
+    """Look for pushes in a recording of a free joint; None where the joint was locked or its angle not measured.
+
+    What the observer asks for beyond friction's reach is taken for a push, the base parameters are fitted beside it,
+    and both are repeated, since pushes that were taken for the model's error had bent its parameters.
+
+    Args:
+        experiment: the recording.
+        fitted: its model without pushes.
+    """
+    trial = experiment.trial
+    if trial.joint == "locked" or ANGLE not in experiment.channels:
+        return None
+    known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
+    best, now, base = None, experiment, fitted
+    for _ in range(_ROUNDS):
+        torque = _observed(now, base)
+        torque = np.where(_episodes(torque), torque, 0.0)
+        samples = np.repeat(torque, BLOCK)
+        samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
+        pushed = replace(experiment, trial=replace(trial, external=known + samples))
+        base = refit(pushed, Point(base.point.theta, dict(base.point.effects)), renewals=2)
+        now = experiment
+        before = (experiment.held(experiment.residual(fitted.point, whole=True)), fitted.residual)
+        after = (pushed.held(pushed.residual(base.point, whole=True)), base.residual)
+        shares = tuple(_gone(experiment, old, new) for old, new in zip(before, after, strict=True))
+        steps = np.diff(torque[::_LOOK])
+        noise = float(np.sqrt(np.mean(steps**2) / (_LOOK * BLOCK * trial.dt)))
+        found = Pushes(pushed, base, torque, float(np.mean(torque != 0.0)), (shares[0], shares[1]), noise)
+        if best is None or min(found.shares) > min(best.shares):
+            best = found
+    return best
+
+
+def _observed(experiment: Experiment, fitted: Fitted) -> Floats:
+    """Torque (B,) [N m] that makes the model follow the measured angle."""
+    trial = experiment.trial
+    angle = experiment.measured[:, experiment.channels.index(ANGLE)]
+    middle = (np.arange(len(angle)) + 0.5) * BLOCK
+    measured = np.interp(np.arange(len(trial)), middle[np.isfinite(angle)], angle[np.isfinite(angle)])
+    p = experiment.parameters(fitted.point)
+    start = experiment.simulated(fitted.point)[0]
+    x0 = dynamics.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
+    return blocks(_followed(x0, trial.given, measured, p, trial.dt, _STIFF, _DAMPING)[:, None])[:, 0]
+
+
+def _episodes(torque: Floats) -> NDArray[np.bool_]:
+    """When there is a push (B,): the torque stands out from its median size, with what is just before and after."""
+    smooth = np.convolve(torque, np.ones(_LOOK) / _LOOK, mode="same")
+    out = np.abs(smooth) > max(_STANDS_OUT * float(np.median(np.abs(smooth))), 0.1 * float(np.max(np.abs(smooth))))
+    return np.convolve(out, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
+
+
+def _gone(experiment: Experiment, before: Floats, after: Floats) -> float:
+    old, new = (np.maximum(excess(experiment, part) ** 2 - 1.0, 0.0).sum() for part in (before, after))
+    return 1.0 - float(new) / max(float(old), 1e-12)

@@ -1,0 +1,71 @@
+"""What recordings can tell, and what they cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pam_antagonist.diagnosis.experiment import Experiment
+from pam_antagonist.diagnosis.select import Model
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial, check
+
+_FAR = 5.0
+SHORTEST = 20.0
+"""[s] What drifts for seconds must come several times into the fitted part, and into the rest."""
+
+
+def check_trials(trials: Sequence[Trial], holdout: float) -> None:
+    """Refuse recordings from which nothing can be told.
+
+    Raises:
+        BadInput: a recording that is too short or too quiet, or a share to be held out that leaves too little.
+    """
+    if not 0.1 <= holdout <= 0.5:
+        raise BadInput(f"holdout {holdout:g}: expected a share of each recording from 0.1 to 0.5")
+    for trial in trials:
+        check(trial)
+        duration = len(trial) * trial.dt
+        if duration < SHORTEST:
+            raise BadInput(
+                f"{trial.name}: {duration:.1f} s is too short to tell an effect from chance; expected at least "
+                f"{SHORTEST:g} s with both valves moving all the time"
+            )
+
+
+def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
+    """Base parameters that had to leave their prior: a wrong number in the rig file, or an effect in disguise."""
+    said = []
+    for experiment, fitted in zip(experiments, model.fits, strict=True):
+        for knob, amount in zip(experiment.knobs, fitted.point.theta, strict=False):
+            if abs(amount) > _FAR * knob.prior:
+                said.append(
+                    f"recalibration moves {knob.name} by {100 * amount:+.0f} % in {experiment.trial.name}, "
+                    f"{abs(amount) / knob.prior:.0f} standard deviations of what was expected"
+                )
+    return said
+
+
+def unseen(trials: Sequence[Trial]) -> tuple[str, ...]:
+    """What no analysis of these recordings can show, one sentence each."""
+    conditions = {trial.joint for trial in trials}
+    said = []
+    if "free" not in conditions:
+        said.append(
+            "The joint was locked throughout: friction, load torque, external torque and hysteresis in the length of a "
+            "muscle do not show."
+        )
+    if "locked" not in conditions:
+        said.append(
+            "The joint moved throughout: an error of the force is told from friction and load only by their different "
+            "course; a recording with the joint locked would tell at once."
+        )
+    if not any(trial.has(TORQUE) for trial in trials):
+        said.append("No torque was measured: an error of the force shows only where it moves the joint.")
+    if "free" in conditions and not any(trial.has(ANGLE) for trial in trials if trial.joint == "free"):
+        said.append(
+            "No angle was measured: of the motion only what it does to the pressures shows; friction, load torque, "
+            "external torque, hysteresis and creep are hardly seen."
+        )
+    if not any(trial.has(TORQUE) or trial.has(ANGLE) for trial in trials):
+        said.append("Pressures alone decide here: only effects of the air, the valves and their sensors can be found.")
+    return tuple(said)

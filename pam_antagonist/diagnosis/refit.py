@@ -1,0 +1,182 @@
+"""The most probable base parameters and effects of a recording in full simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis.candidates import Unknown
+from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.solve import PACE, Scale, solve
+
+Floats = NDArray[np.float64]
+
+_ROUNDS = 14
+_ENOUGH = 0.5
+_ENOUGH_OF_ALL = 2e-3
+"""A step is the last one that gains less than these: in −2 log posterior, and of what was gained before."""
+AT_NOISE = 1.1
+"""A channel is at its noise whose residual is at most so many times as large: 60 s tell the noise to a few per cent."""
+_NEAR = 4.0
+_LEAP = 1.0
+"""A step that multiplies a time constant by more than e is a leap in the dark."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model of a recording at its best.
+
+    Attributes:
+        point: where it is.
+        unknowns: numbers of effects that were free.
+        residual: measured minus simulated (B, C) of the part that was fitted.
+        base: its derivatives by the base unknowns (B, C, K + 3).
+        effect: its derivatives by the unknowns' coordinates (B, C, m).
+        scale: how its residual is judged.
+        cost: −2 log posterior, up to a constant.
+        covariance: of the base unknowns and the effects' coordinates.
+    """
+
+    point: Point
+    unknowns: tuple[Unknown, ...]
+    residual: Floats
+    base: Floats
+    effect: Floats
+    scale: Scale
+    cost: float
+    covariance: Floats
+
+    @property
+    def effect_covariance(self) -> Floats:
+        """Covariance of the effects' coordinates (m, m)."""
+        m = len(self.unknowns)
+        return self.covariance[len(self.covariance) - m :, len(self.covariance) - m :]
+
+
+def prior_cost(experiment: Experiment, theta: Floats) -> float:
+    """−2 log prior of the base unknowns, up to a constant."""
+    return float(np.sum(experiment.prior * theta**2))
+
+
+def cost_of(experiment: Experiment, point: Point, residual: Floats, scale: Scale) -> float:
+    """−2 log posterior of a model, up to a constant."""
+    return float(scale.misfits(residual).sum()) + prior_cost(experiment, point.theta)
+
+
+def effect_jacobian(experiment: Experiment, point: Point, residual: Floats, unknowns: Sequence[Unknown]) -> Floats:
+    """Derivatives of the residual by the coordinates of effects (B, C, m)."""
+    result = np.zeros((*residual.shape, len(unknowns)))
+    for k, unknown in enumerate(unknowns):
+        value = point.effects.get(unknown.path, unknown.item.neutral)
+        step = unknown.step(value)
+        moved = unknown.value(unknown.coordinate(value) + step)
+        changed = Point(point.theta, {**point.effects, **dict.fromkeys(unknown.paths, moved)})
+        result[:, :, k] = (experiment.residual(changed) - residual) / step
+    return result
+
+
+def refit(
+    experiment: Experiment,
+    point: Point,
+    unknowns: Sequence[Unknown] = (),
+    base: Floats | None = None,
+    rounds: int = _ROUNDS,
+    renewals: int = 3,
+    pace: float = PACE,
+) -> Fitted:
+    """Gauss-Newton, with the derivatives by the base unknowns kept from step to step while they serve.
+
+    Args:
+        experiment: the recording.
+        point: where to start; the unknowns' values in it are their starts.
+        unknowns: numbers of effects that may move beside the base parameters.
+        base: derivatives by the base unknowns from a point nearby; default: worked out here.
+        rounds: at most so many steps.
+        renewals: how often the derivatives by the base unknowns may be worked out.
+        pace: blocks per value that is counted.
+    """
+    residual = experiment.residual(point)
+    fresh = base is None
+    if base is None:
+        base = experiment.jacobian(point, residual)
+        renewals -= 1
+    effect = effect_jacobian(experiment, point, residual, unknowns)
+    gained = 0.0
+    for _ in range(rounds):
+        scale = Scale.of(residual, experiment.noise, pace)
+        cost = cost_of(experiment, point, residual, scale)
+        held = _held(point, unknowns)
+        step = solve(residual, base, effect, scale, experiment.prior, point.theta, held=held)
+        found = None
+        for share in (1.0, 0.4, 0.1):
+            trial = _moved(point, unknowns, share * step.theta, share * step.effect)
+            moved = experiment.residual(trial)
+            new = cost_of(experiment, trial, moved, scale)
+            if new < cost:
+                found = trial, moved, cost - new
+                break
+        if found is not None:
+            point, residual, gain = found
+            gained += gain
+            effect = effect_jacobian(experiment, point, residual, unknowns)
+            if gain > _ENOUGH + _ENOUGH_OF_ALL * gained:
+                fresh = False
+                continue
+            if fresh:
+                break
+        elif fresh:
+            break
+        if renewals <= 0:
+            break
+        base = experiment.jacobian(point, residual)
+        renewals -= 1
+        fresh = True
+    scale = Scale.of(residual, experiment.noise, pace)
+    last = solve(residual, base, effect, scale, experiment.prior, point.theta, rounds=1, length=scale.length)
+    cost = cost_of(experiment, point, residual, scale)
+    return Fitted(point, tuple(unknowns), residual, base, effect, scale, cost, last.covariance)
+
+
+def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
+    """A model whose residual may be noise alone, fitted once more as one that is right: every block counts then.
+
+    Args:
+        experiment: the recording.
+        fitted: the model at the pace of one that lacks something.
+
+    Returns:
+        The finer fit where it ends at the noise of every channel, else the model as it was.
+    """
+    if np.max(excess(experiment, fitted.residual)) > _NEAR:
+        return fitted
+    finer = refit(experiment, fitted.point, fitted.unknowns, fitted.base, renewals=2, pace=1.0)
+    return finer if np.max(excess(experiment, finer.residual)) < AT_NOISE else fitted
+
+
+def excess(experiment: Experiment, residual: Floats) -> Floats:
+    """Root mean square of each channel over its noise (C,)."""
+    return np.asarray(np.sqrt(np.mean(residual**2, axis=0)) / experiment.noise)
+
+
+def _moved(point: Point, unknowns: Sequence[Unknown], theta: Floats, effect: Floats) -> Point:
+    effects = dict(point.effects)
+    for unknown, change in zip(unknowns, effect, strict=True):
+        value = effects.get(unknown.path, unknown.item.neutral)
+        bound = np.inf if unknown.item.is_size else _LEAP
+        moved = unknown.bounded(unknown.value(unknown.coordinate(value) + float(np.clip(change, -bound, bound))))
+        effects.update(dict.fromkeys(unknown.paths, moved))
+    return Point(point.theta + theta, effects)
+
+
+def _held(point: Point, unknowns: Sequence[Unknown]) -> list[int]:
+    """Shapes of an effect without size: nothing depends on them."""
+    held = []
+    for k, unknown in enumerate(unknowns):
+        effect = unknown.path.rsplit(".", 1)[0] + "."
+        sizes = [u for u in unknowns if u.item.is_size and u.path.startswith(effect)]
+        if not unknown.item.is_size and not any(point.effects.get(size.path, 0.0) for size in sizes):
+            held.append(k)
+    return held

@@ -1,0 +1,63 @@
+"""Rig files of what was found: one for each recording, and one for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.select import Model
+from pam_antagonist.identification.change import moved
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+_OWN = 0.01
+"""Relative scatter between recordings that a weighted mean expects."""
+
+
+def own_rig(experiment: Experiment, point: Point) -> Rig:
+    """The rig with the base parameters and effects of one recording."""
+    return with_effects(moved(experiment.rig, experiment.changes(point)), point.effects)
+
+
+def common_rig(experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float]) -> Rig:
+    """The rig with base parameters that suit all recordings, each weighted by how well it tells them.
+
+    Args:
+        experiments: the recordings.
+        model: their models.
+        effects: values of the effects' parameters by dotted path.
+    """
+    if len(experiments) == 1:
+        return own_rig(experiments[0], model.fits[0].point)
+    first = experiments[0]
+    count = len(first.knobs)
+    information, pull = np.diag(first.prior[:count]), np.zeros(count)
+    for fitted in model.fits:
+        covariance = fitted.covariance[:count, :count] + _OWN**2 * np.eye(count)
+        weight = np.linalg.inv(covariance)
+        # The prior is in every recording's covariance; it counts once.
+        weight -= np.linalg.inv(np.diag(1.0 / first.prior[:count]) + _OWN**2 * np.eye(count))
+        information += weight
+        pull += weight @ fitted.point.theta[:count]
+    theta = np.zeros(first.size)
+    theta[:count] = np.linalg.solve(information, pull)
+    return with_effects(moved(first.rig, first.changes(Point(theta))), effects)
+
+
+def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:
+    """A rig with effects; those without size are left out, with their shapes."""
+    chosen: dict[str, dict[str, float]] = {}
+    for path, value in effects.items():
+        _, effect, name = path.split(".")
+        chosen.setdefault(effect, {})[name] = float(value)
+    kept = {}
+    for effect, values in chosen.items():
+        sizes = {item.name for item in CATALOGUE[effect].parameters if item.is_size}
+        if any(values.get(name) for name in sizes):
+            kept[effect] = {name: value for name, value in values.items() if name not in sizes or value != 0.0}
+    return rig.replaced(effects={**rig.effects, **kept})

@@ -1,0 +1,68 @@
+"""When an effect is called found, when nothing is wrong, and when the answer is that it is not known.
+
+Evidence (ΔBIC, noise) has its statistical reason. The shares below have none but experience: they were set by what right
+and wrong explanations left of the held-out residual in recordings of rig A and of simulated joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pam_antagonist.diagnosis.experiment import Experiment
+from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, excess
+from pam_antagonist.diagnosis.select import STRONG, Model, Trial, price
+
+FIRST_SHARE = 0.1
+"""The first effect must remove this share of the held-out excess: a law that holds does so on data it never saw. Where
+another effect is there too, it need not be much."""
+FURTHER_SHARE = 0.4
+"""A further one must remove this share of what is left."""
+OWN_FORM = 0.85
+"""Where the effects so far have removed this share, what is left is as much as another form of them would leave
+(a Dahl loop against a Bouc-Wen one). A further effect then has to be clearer: ``CLEAR_SHARE``, twice the evidence."""
+CLEAR_SHARE = 0.75
+EXPLAINED = (0.7, 0.8, 0.9)
+"""Share of the held-out excess that one, two or three effects must remove to be called the explanation.
+
+The more laws may be chosen, the more of anything they imitate."""
+_LEAST_UNKNOWNS = 2
+
+
+def worth(trial: Trial, share_before: float) -> bool:
+    """Whether a refitted candidate goes into the model.
+
+    Args:
+        trial: the candidate beside the model.
+        share_before: share of the held-out excess that the model removes already.
+    """
+    if trial.delta_bic is None or trial.shares is None or trial.model is None or trial.delta_bic < STRONG:
+        return False
+    held, fitted = trial.shares
+    if trial.round == 1:
+        return held >= FIRST_SHARE
+    if share_before < OWN_FORM:
+        return held >= FURTHER_SHARE
+    return held >= CLEAR_SHARE and trial.delta_bic >= 2.0 * STRONG
+
+
+def could_pay(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool:
+    """Whether an effect that explained everything beyond the sensors' noise would pay for itself."""
+    total = 0.0
+    for experiment, fitted in zip(experiments, fits, strict=True):
+        over = excess(experiment, fitted.residual)
+        if np.max(over) < AT_NOISE:
+            continue
+        squares = over**2
+        gain = len(fitted.residual) / fitted.scale.counted * np.sum(np.maximum(np.log(squares), 0.0))
+        total += max(float(gain) - price(experiment, fitted, _LEAST_UNKNOWNS), 0.0)
+    return total >= STRONG
+
+
+def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
+    """Whether nothing is left beyond the sensors' noise."""
+    return all(
+        float(np.max(excess(experiment, fitted.residual))) < AT_NOISE
+        for experiment, fitted in zip(experiments, model.fits, strict=True)
+    )

@@ -1,0 +1,104 @@
+"""Score test: what each candidate would explain of a residual, beside the base parameters, to first order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis.candidates import Candidate, Unknown, candidates
+from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.refit import Fitted, cost_of, prior_cost
+from pam_antagonist.diagnosis.solve import Scale, Step, solve
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well a candidate would do in a recording.
+
+    Attributes:
+        candidate: which.
+        gain: evidence for it, twice a difference of log posteriors, to first order.
+        start: values of its unknowns by dotted path, for a refit.
+    """
+
+    candidate: Candidate
+    gain: float
+    start: Mapping[str, float]
+
+
+def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) -> dict[str, Score]:
+    """Score of every candidate beside a fitted model, by the effect's name.
+
+    Args:
+        experiment: the recording.
+        fitted: the model without the candidate, whose residual is to be explained.
+        at: model from which the steps are taken; default: the fitted one. From the model as configured, a large
+            effect is seen before the base parameters have given way to it.
+    """
+    here = fitted if at is None else at
+    scale = fitted.scale
+    before = cost_of(experiment, fitted.point, fitted.residual, scale)
+    # Weights from several starts: that of one channel near its noise hides what another could tell.
+    firsts = (scale.variances(here.residual), scale.noise**2, np.var(experiment.measured, axis=0))
+    known = here.effect.shape[2]
+    columns: dict[tuple[str, tuple[tuple[str, float], ...]], Floats] = {}
+
+    def column(size: Unknown, shape: Mapping[str, float]) -> Floats:
+        key = size.path, tuple(sorted(shape.items()))
+        if key not in columns:
+            values = dict.fromkeys(size.paths, size.item.scale)
+            changed = Point(here.point.theta, {**here.point.effects, **shape, **values})
+            columns[key] = experiment.residual(changed) - here.residual
+        return columns[key]
+
+    def cost(step: Step) -> float:
+        return float(scale.misfits(step.residual).sum()) + prior_cost(experiment, here.point.theta + step.theta)
+
+    def score(candidate: Candidate, shape: Mapping[str, float]) -> Score:
+        sizes = list(candidate.sizes)
+        while sizes:
+            effect = np.concatenate([here.effect, np.stack([column(size, shape) for size in sizes], axis=2)], axis=2)
+            step = min(
+                (
+                    solve(here.residual, here.base, effect, scale, experiment.prior, here.point.theta, 4, first=first)
+                    for first in firsts
+                ),
+                key=cost,
+            )
+            values = [size.value(float(a)) for size, a in zip(sizes, step.effect[known:], strict=True)]
+            refused = [size for size, value in zip(sizes, values, strict=True) if value < size.item.low]
+            if not refused:
+                start = dict(shape)
+                for size, value in zip(sizes, values, strict=True):
+                    start.update(dict.fromkeys(size.paths, size.bounded(value)))
+                return Score(candidate, scale.share * (before - cost(step)), start)
+            sizes = [size for size in sizes if size not in refused]
+        return Score(candidate, 0.0, {**shape, **{path: 0.0 for size in candidate.sizes for path in size.paths}})
+
+    result = {}
+    for candidate in candidates(fitted.point.effects):
+        tried = [score(candidate, shape) for shape in candidate.grid()]
+        result[candidate.effect] = max(tried, key=lambda found: found.gain)
+    return result
+
+
+def as_configured(experiment: Experiment, effects: Mapping[str, float]) -> Fitted:
+    """The model with its base as configured, as a place to take steps from."""
+    point = Point(experiment.origin.theta, dict(effects))
+    residual = experiment.residual(point)
+    base = experiment.jacobian(point, residual)
+    return Fitted(
+        point,
+        (),
+        residual,
+        base,
+        np.zeros((*residual.shape, 0)),
+        Scale.of(residual, experiment.noise),
+        np.inf,
+        np.zeros((0, 0)),
+    )

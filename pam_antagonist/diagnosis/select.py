@@ -1,0 +1,257 @@
+"""Forward selection of effects over all recordings, with a backward step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis.candidates import Candidate
+from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, cost_of, excess, refit, settled
+from pam_antagonist.diagnosis.score import Score, as_configured, score_all
+from pam_antagonist.diagnosis.store import Store, key_of
+
+Floats = NDArray[np.float64]
+
+MOST_EFFECTS = 3
+_REFITTED = 5
+"""Candidates a round that are refitted in full simulation: those with the best scores."""
+_TOLD = 2.0
+"""Score below which a recording has nothing to say about a candidate."""
+STRONG = 6.0
+"""Evidence (twice a log likelihood ratio less the price of unknowns) that Kass and Raftery (1995) call strong."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """One explanation of all recordings.
+
+    Attributes:
+        effects: names of the effects in it, in the order in which they came.
+        fits: the model of each recording.
+    """
+
+    effects: tuple[str, ...]
+    fits: tuple[Fitted, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate beside a model.
+
+    Attributes:
+        effect: its name.
+        round: how many effects the model had before, plus one.
+        score: evidence to first order, over all recordings.
+        delta_bic: evidence after a refit in full simulation; None where it was not refitted.
+        foretold: evidence on the held-out part, where nothing was fitted and no unknown has a price; None likewise.
+        shares: share of the held-out and of the fitted excess residual that it removes; None likewise.
+        model: the refitted model; None likewise.
+    """
+
+    effect: str
+    round: int
+    score: float
+    delta_bic: float | None = None
+    foretold: float | None = None
+    shares: tuple[float, float] | None = None
+    model: Model | None = None
+
+    @property
+    def standing(self) -> float:
+        """Evidence of both parts, by which candidates are compared; the score's place is behind all of these."""
+        if self.delta_bic is None or self.foretold is None:
+            return -np.inf
+        return self.delta_bic + self.foretold
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What was tried and what was taken.
+
+    Attributes:
+        recalibrated: the model without effects.
+        model: the one that was chosen.
+        trials: every candidate of every round, in the order of evidence.
+    """
+
+    recalibrated: Model
+    model: Model
+    trials: tuple[Trial, ...]
+
+
+def refitted_without(experiments: Sequence[Experiment], model: Model, effect: str, jobs: int) -> Model:
+    """The model without one of its effects, the others and the base fitted anew."""
+
+    def one(experiment: Experiment, fitted: Fitted) -> Fitted:
+        path = f"effects.{effect}."
+        if not any(unknown.path.startswith(path) for unknown in fitted.unknowns):
+            return fitted
+        left = tuple(unknown for unknown in fitted.unknowns if not unknown.path.startswith(path))
+        effects = {name: value for name, value in fitted.point.effects.items() if not name.startswith(path)}
+        return refit(experiment, Point(fitted.point.theta, effects), left)
+
+    fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*pair) for pair in _pairs(experiments, model))
+    return Model(tuple(name for name in model.effects if name != effect), tuple(fits))
+
+
+def recalibrated(experiments: Sequence[Experiment], jobs: int) -> Model:
+    """The base parameters of every recording at their most probable values."""
+
+    def one(experiment: Experiment) -> Fitted:
+        return settled(experiment, refit(experiment, experiment.origin))
+
+    return Model((), tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(e) for e in experiments)))
+
+
+def excess_squares(experiments: Sequence[Experiment], model: Model, held: bool) -> Floats:
+    """How far the squared residuals are beyond the noise's, in units of it, one number a recording and channel."""
+    parts = []
+    for experiment, fitted in zip(experiments, model.fits, strict=True):
+        residual = fitted.residual
+        if held:
+            residual = experiment.held(experiment.residual(fitted.point, whole=True))
+        parts.append(np.maximum(excess(experiment, residual) ** 2 - 1.0, 0.0))
+    return np.concatenate(parts)
+
+
+def removed(before: Floats, after: Floats) -> float:
+    """Share of the excess that is gone; negative where it has grown."""
+    return 1.0 - float(after.sum()) / max(float(before.sum()), 1e-12)
+
+
+def price(experiment: Experiment, before: Fitted, unknowns: int) -> float:
+    """What the Bayesian information criterion charges: k log n, with the independent values counted."""
+    return unknowns * float(np.log(max(before.scale.values(before.residual), np.e)))
+
+
+def evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
+    """Evidence for a model with more unknowns in one recording, at the pace of the one with fewer."""
+    scale = before.scale
+    gain = cost_of(experiment, before.point, before.residual, scale)
+    gain -= cost_of(experiment, after.point, after.residual, scale)
+    visible = sum(1 for k in range(after.effect.shape[2]) if np.any(after.effect[:, :, k]))
+    known = sum(1 for k in range(before.effect.shape[2]) if np.any(before.effect[:, :, k]))
+    return scale.share * gain - price(experiment, before, visible - known)
+
+
+def select(
+    experiments: Sequence[Experiment],
+    base: Model,
+    jobs: int,
+    worth: Callable[[Trial, float], bool],
+    said: Callable[[str], None],
+    store: Store,
+) -> Selection:
+    """Add effects while one pays.
+
+    Args:
+        experiments: the recordings.
+        base: the recalibrated model.
+        jobs: threads.
+        worth: decides on a refitted candidate, given the share of the held-out excess that is explained already.
+        said: told what is being done.
+        store: keeps finished candidates.
+    """
+    model, tried = base, []
+    beginning = excess_squares(experiments, base, held=True)
+    for number in range(1, MOST_EFFECTS + 1):
+        if all(np.max(excess(e, f.residual)) < AT_NOISE for e, f in _pairs(experiments, model)):
+            break
+        share = removed(beginning, excess_squares(experiments, model, held=True))
+        found = _round(experiments, model, number, jobs, said, store)
+        tried += found
+        best = next((trial for trial in found if trial.model is not None), None)
+        if best is None or best.model is None or not worth(best, share):
+            break
+        model = best.model
+        said(f"{best.effect} added")
+    return Selection(base, model, tuple(tried))
+
+
+def _round(
+    experiments: Sequence[Experiment],
+    model: Model,
+    number: int,
+    jobs: int,
+    said: Callable[[str], None],
+    store: Store,
+) -> list[Trial]:
+    said(f"round {number}: score tests")
+    starts = [Parallel(n_jobs=jobs, prefer="threads")(_score_tasks(e, f)) for e, f in _pairs(experiments, model)]
+    names = list(starts[0][0][0])
+    best = {name: [max(per, key=lambda pair: pair[0][name].gain) for per in starts] for name in names}
+    totals = {name: sum(max(scores[name].gain, 0.0) for scores, _ in best[name]) for name in names}
+    order = sorted(names, key=lambda name: -totals[name])
+    wanted = [name for name in order[:_REFITTED] if totals[name] > _TOLD]
+    said(f"round {number}: refitting {', '.join(wanted) or 'nothing'}")
+    tasks = [
+        (name, r)
+        for name in wanted
+        for r in range(len(experiments))
+        if best[name][r][0][name].gain > min(_TOLD, 0.2 * totals[name])
+    ]
+    fits = Parallel(n_jobs=jobs, prefer="threads")(
+        delayed(_fit)(experiments[r], model, r, best[name][r][0][name], best[name][r][1], store) for name, r in tasks
+    )
+    done = dict(zip(tasks, fits, strict=True))
+    before = [excess_squares(experiments, model, held) for held in (True, False)]
+    trials = []
+    for name in order:
+        if name not in wanted:
+            trials.append(Trial(name, number, totals[name]))
+            continue
+        chosen, total, foretold = [], 0.0, 0.0
+        for r, (experiment, old) in enumerate(_pairs(experiments, model)):
+            new = done.get((name, r))
+            gain = evidence(experiment, old, new) if new is not None else 0.0
+            # A recording in which the candidate does not pay keeps its model.
+            chosen.append(new if new is not None and gain > 0.0 else old)
+            total += max(gain, 0.0)
+            if new is not None and gain > 0.0:
+                foretold += _foretold(experiment, old, new)
+        extended = Model((*model.effects, name), tuple(chosen))
+        after = [excess_squares(experiments, extended, held) for held in (True, False)]
+        shares = removed(before[0], after[0]), removed(before[1], after[1])
+        trials.append(Trial(name, number, totals[name], total, foretold, shares, extended))
+    trials.sort(key=lambda trial: (-trial.standing, -trial.score))
+    return trials
+
+
+def _foretold(experiment: Experiment, old: Fitted, new: Fitted) -> float:
+    """Evidence for a model on the held-out part of a recording."""
+    before, after = (experiment.held(experiment.residual(f.point, whole=True)) for f in (old, new))
+    gain = float(old.scale.misfits(before).sum() - old.scale.misfits(after).sum())
+    return old.scale.share * gain
+
+
+def _pairs(experiments: Sequence[Experiment], model: Model) -> list[tuple[Experiment, Fitted]]:
+    return list(zip(experiments, model.fits, strict=True))
+
+
+def _score_tasks(experiment: Experiment, fitted: Fitted):  # type: ignore[no-untyped-def]
+    yield delayed(lambda: (score_all(experiment, fitted), fitted))()
+    if not fitted.unknowns:
+
+        def far() -> tuple[dict[str, Score], Fitted]:
+            start = as_configured(experiment, {})
+            return score_all(experiment, fitted, start), start
+
+        yield delayed(far)()
+
+
+def _fit(experiment: Experiment, model: Model, r: int, score: Score, start: Fitted, store: Store) -> Fitted:
+    candidate: Candidate = score.candidate
+    unknowns = (*model.fits[r].unknowns, *candidate.unknowns)
+    key = key_of(experiment, (*model.effects, candidate.effect))
+    known = store.load(key)
+    if known is not None:
+        return refit(experiment, known[0], unknowns, rounds=0, pace=known[1])
+    point = Point(start.point.theta, {**start.point.effects, **score.start})
+    fitted = settled(experiment, refit(experiment, point, unknowns, start.base, renewals=2))
+    store.save(key, fitted.point, fitted.scale.pace)
+    return fitted

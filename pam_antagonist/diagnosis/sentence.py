@@ -1,0 +1,86 @@
+"""The verdict in a sentence, with its evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pam_antagonist.diagnosis.result import FoundEffect, Ranked
+
+_WORDS = {
+    "hysteresis": "the force of the muscles depends on which way their length came (hysteresis)",
+    "leak": "air leaks from {muscle}",
+    "supply_droop": "the supply's pressure droops while air is drawn (supply_droop)",
+    "valve_lag": "{valve} follows its voltage late (valve_lag)",
+    "valve_offset": "the curve of {valve} is shifted along the voltage (valve_offset)",
+    "line_resistance": "the line to {muscle} throttles the flow (line_resistance)",
+    "pressure_sensor": "the pressure sensor of {muscle} reads wrong (pressure_sensor)",
+    "load_torque": "something beside the muscles pulls at the joint (load_torque)",
+    "friction": "the joint's friction is of another kind (friction)",
+    "creep": "the muscles give way slowly (creep)",
+    "thermal": "the gas warms and cools (thermal)",
+    "external_torque": "something pushes the joint now and then (external_torque)",
+}
+
+
+def in_words(effect: FoundEffect) -> str:
+    """What an effect means."""
+    which = "both muscles" if effect.muscle is None else f"muscle {effect.muscle}"
+    valve = "both valves" if effect.muscle is None else f"valve {effect.muscle}"
+    return _WORDS[effect.name].format(muscle=which, valve=valve)
+
+
+def sentence(
+    verdict: str,
+    found: Sequence[FoundEffect],
+    share: float,
+    errors: Mapping[str, Mapping[str, Any]],
+    ranking: Sequence[Ranked],
+) -> str:
+    """The verdict in a sentence.
+
+    Args:
+        verdict: ``effect``, ``none`` or ``unexplained``.
+        found: the effects.
+        share: of the held-out excess that they explain.
+        errors: of the three models.
+        ranking: all candidates.
+    """
+    if verdict == "none":
+        return (
+            "Nothing is wrong with the model beyond its parameters: recalibrated, it leaves what the sensors' noise "
+            f"explains ({_errors(errors, 'recalibrated')} on data held out from the fit)."
+        )
+    if verdict == "effect":
+        everywhere = len({effect.recordings for effect in found}) == 1
+        what = "; and ".join(
+            in_words(effect) + ("" if everywhere else f" in {' and '.join(effect.recordings)}") for effect in found
+        )
+        return (
+            f"{what[0].upper()}{what[1:]}: with it the model explains {100 * share:.0f} % of what it left beyond noise "
+            f"on data that no fit has seen ({_errors(errors, 'recalibrated')} before, {_errors(errors, 'extended')} "
+            "after)."
+        )
+    tried = [item for item in ranking if item.holdout_gain is not None and item.round == 1]
+    best = max(tried, key=lambda item: item.holdout_gain or 0.0, default=None)
+    closest = (
+        f" The closest, {best.name}, explains {100 * max(best.holdout_gain or 0.0, 0.0):.0f} % of it on held-out data, "
+        "which is not enough."
+        if best is not None
+        else ""
+    )
+    return (
+        "Something is wrong that no effect of the catalogue explains: recalibrated, the model leaves "
+        f"{_errors(errors, 'recalibrated')} on held-out data, well beyond the sensors' noise.{closest}"
+    )
+
+
+def _errors(errors: Mapping[str, Mapping[str, Any]], model: str) -> str:
+    own = errors[model]
+    said = []
+    if own["angle"]:
+        said.append(f"{own['angle']['rmse_deg']:.2g}°")
+    if own["torque"]:
+        said.append(f"{own['torque']['rmse_nm']:.2g} N m")
+    said.append("{:.2g} and {:.2g} kPa".format(*(value / 1e3 for value in own["pressure"]["rmse_pa"])))
+    return ", ".join(said)

@@ -1,0 +1,162 @@
+"""Likelihood of residuals of unknown size, and the linear problem behind score tests and refits.
+
+The error of each channel is taken for Gaussian with an unknown variance that is at least the sensor's. Its
+autocorrelation says how many independent values a series of residuals is worth; the evidence counts those, not samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+PACE = 50.0
+"""[blocks] What a model lacks moves with the commands: a fit counts one independent error a second and channel."""
+_SHORTEST = 10.0
+"""The correlation length is not told from fewer of them in a series."""
+
+
+def correlation_length(residual: Floats) -> float:
+    """Blocks per independent value: 1 + 2 Σ ρ_k over the initial positive pairs (Geyer 1992).
+
+    Args:
+        residual: (B,).
+
+    Returns:
+        At least 1, at most a tenth of the series.
+    """
+    power = np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2
+    rho = np.fft.irfft(power)[: len(residual)]
+    if rho[0] <= 0.0:
+        return 1.0
+    pairs = (rho[1:-1:2] + rho[2::2][: len(rho[1:-1:2])]) / rho[0]
+    ends = np.flatnonzero(pairs <= 0.0)
+    total = float(pairs[: ends[0] if len(ends) else len(pairs)].sum())
+    return float(np.clip(1.0 + 2.0 * total, 1.0, max(1.0, len(residual) / _SHORTEST)))
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """How residuals are judged.
+
+    Attributes:
+        noise: least standard deviation of each channel's block means (C,).
+        length: blocks per independent value of each channel (C,); 1 where a channel is at its noise.
+        pace: blocks per value that a fit counts.
+    """
+
+    noise: Floats
+    length: Floats
+    pace: float = PACE
+
+    @classmethod
+    def of(cls, residual: Floats, noise: Floats, pace: float = PACE) -> Scale:
+        """With the correlation lengths of a residual (B, C)."""
+        quiet = np.mean(residual**2, axis=0) <= noise**2
+        lengths = [1.0 if still else correlation_length(r) for still, r in zip(quiet, residual.T, strict=True)]
+        return cls(noise, np.array(lengths), pace)
+
+    @property
+    def counted(self) -> float:
+        """Blocks per value that the evidence counts: the longest memory of any channel, for all of them.
+
+        What is wrong in one channel and what a model of another form leaves in the next have one cause and one pace. A
+        channel that counts more than the others because it is white now would forbid everything to such a model.
+        """
+        return float(max(self.length.max(), PACE))
+
+    @property
+    def share(self) -> float:
+        """What a gain that a fit counts is worth as evidence."""
+        return self.pace / self.counted
+
+    def variances(self, residual: Floats) -> Floats:
+        """Error variance of each channel (C,): its mean square, at least the noise's."""
+        return np.maximum(np.mean(residual**2, axis=0), self.noise**2)
+
+    def misfits(self, residual: Floats) -> Floats:
+        """−2 log likelihood of each channel (C,) with its variance at its best, as a fit counts, up to a constant."""
+        squares, variances = np.mean(residual**2, axis=0), self.variances(residual)
+        return np.asarray(len(residual) / self.pace * (np.log(variances / self.noise**2) + squares / variances))
+
+    def values(self, residual: Floats) -> float:
+        """Independent values in all channels."""
+        return residual.size / self.counted
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Solution of a linear problem.
+
+    Attributes:
+        theta: change of the base unknowns (K + 3,).
+        effect: change of the effects' unknowns (m,).
+        residual: what the linear model leaves (B, C).
+        covariance: of all unknowns, the base first (K + 3 + m, K + 3 + m).
+    """
+
+    theta: Floats
+    effect: Floats
+    residual: Floats
+    covariance: Floats
+
+
+def solve(
+    residual: Floats,
+    base: Floats,
+    effect: Floats,
+    scale: Scale,
+    prior: Floats,
+    theta: Floats,
+    rounds: int = 3,
+    held: Collection[int] = (),
+    first: Floats | None = None,
+    length: Floats | None = None,
+) -> Step:
+    """Most probable step, with the channels' variances estimated anew in every round.
+
+    Args:
+        residual: measured minus simulated (B, C).
+        base: its derivatives by the base unknowns (B, C, K + 3).
+        effect: its derivatives by the effects' unknowns (B, C, m).
+        scale: how residuals are judged.
+        prior: precision of each base unknown (K + 3,).
+        theta: the base unknowns now, which the prior pulls to 0.
+        rounds: how often the variances are estimated.
+        held: effects' unknowns that may not move.
+        first: variances (C,) of the first round; default: those of the residual.
+        length: blocks per value (C,); default: as fits count.
+    """
+    counted = np.full(len(scale.noise), scale.pace) if length is None else length
+    n, m = base.shape[2], effect.shape[2]
+    columns = np.concatenate([base, effect], axis=2)
+    gram = np.einsum("bci,bcj->cij", columns, columns, optimize=True)
+    slope = np.einsum("bci,bc->ci", columns, residual, optimize=True)
+    keep = np.array([k for k in range(n + m) if k - n not in held])
+    step, left, information = np.zeros(n + m), residual, np.diag(np.concatenate([prior, np.zeros(m)]))
+    for number in range(rounds):
+        variances = first if first is not None and number == 0 else scale.variances(left)
+        weights = 1.0 / (variances * counted)
+        information = np.einsum("c,cij->ij", weights, gram)
+        information[np.arange(n), np.arange(n)] += prior
+        right = weights @ slope
+        right[:n] += prior * theta
+        step = np.zeros(n + m)
+        step[keep] = -_solved(information[np.ix_(keep, keep)], right[keep])
+        left = residual + columns @ step
+    covariance = np.zeros((n + m, n + m))
+    covariance[np.ix_(keep, keep)] = _solved(information[np.ix_(keep, keep)], np.eye(len(keep)))
+    return Step(step[:n], step[n:], left, covariance)
+
+
+def _solved(matrix: Floats, right: Floats) -> Floats:
+    """Solution with the unknowns scaled to a diagonal of 1, and those without influence left where they are."""
+    dead = np.diag(matrix) <= 0.0
+    diagonal = np.where(dead, 1.0, np.sqrt(np.where(dead, 1.0, np.diag(matrix))))
+    scaled = matrix / np.outer(diagonal, diagonal) + (1e-10 + dead) * np.eye(len(matrix))
+    across = diagonal if right.ndim == 1 else diagonal[:, None]
+    return np.asarray(np.linalg.solve(scaled, right / across) / across)

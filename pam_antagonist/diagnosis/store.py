@@ -1,0 +1,54 @@
+"""Finished candidates on disk, so that an interrupted diagnosis goes on where it was."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pam_antagonist.diagnosis.experiment import Experiment, Point
+
+
+@dataclass(frozen=True)
+class Store:
+    """A folder with one small file for each refitted candidate; without a folder, nothing is kept.
+
+    Attributes:
+        folder: where to, or None.
+    """
+
+    folder: Path | None = None
+
+    def load(self, key: str) -> tuple[Point, float] | None:
+        """Point and pace of a finished refit, None where there is none that can be read."""
+        if self.folder is None or not (self.folder / f"{key}.json").is_file():
+            return None
+        try:
+            found = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
+            effects = {str(name): float(value) for name, value in found["effects"].items()}
+            return Point(np.array(found["theta"], dtype=np.float64), effects), float(found["pace"])
+        except (ValueError, KeyError, TypeError, AttributeError):
+            return None
+
+    def save(self, key: str, point: Point, pace: float) -> None:
+        """Keep a finished refit."""
+        if self.folder is None:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"theta": point.theta.tolist(), "effects": dict(point.effects), "pace": pace})
+        partial = self.folder / f"{key}.part"
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(self.folder / f"{key}.json")
+
+
+def key_of(experiment: Experiment, parts: Sequence[str]) -> str:
+    """Name of a refit: what was fitted, on what, from which model."""
+    digest = hashlib.sha256()
+    digest.update(np.ascontiguousarray(experiment.trial.measured).tobytes())
+    digest.update(np.ascontiguousarray(experiment.trial.given).tobytes())
+    digest.update(f"{experiment.rig!r} {experiment.fitted} {experiment.trial.joint} {'/'.join(parts)}".encode())
+    return digest.hexdigest()[:24]

@@ -1,0 +1,97 @@
+"""The command as users meet it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.benchmark.battery_plants import Case
+from pam_antagonist.cli.close_loop import main
+from pam_antagonist.recording import write_bag
+from pam_antagonist.rig import load_rig
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rig_a"
+
+
+@pytest.fixture(scope="module")
+def leaking(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bags") / "leaking"
+    case = Case("leaking", "single", (("leak", 2),), ("seeping",), 5, (15.0,))
+    write_bag(folder, case.recording("locked", 24.0))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(leaking: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "found"
+    assert main([str(leaking), "--rig", "shin2022", "--out", str(out), "--jobs", "1"]) == 0
+    return out
+
+
+def test_report_and_rig_are_written(done: Path) -> None:
+    assert sorted(path.name for path in done.iterdir()) == ["report.html", "report.json", "rig_extended.yaml"]
+    assert not (done.parent / "found.part").exists()
+    assert load_rig(done / "rig_extended.yaml").effects["leak"]["area_2"] > 0.0
+
+
+def test_the_report_has_the_keys_that_others_read(done: Path) -> None:
+    report = json.loads((done / "report.json").read_text())
+    assert report["verdict"] == "effect"
+    effect = report["effects"][0]
+    assert (effect["name"], effect["muscle"]) == ("leak", 2)
+    assert set(effect["parameters"]["area_2"]) == {"value", "std", "unit"}
+    assert {"delta_bic", "holdout_gain"} <= set(effect)
+    assert report["ambiguous_with"] == []
+    for model in ("as_configured", "recalibrated", "extended"):
+        assert report["errors"][model]["angle"] is None
+        assert set(report["errors"][model]["torque"]) == {"rmse_nm", "max_nm", "q"}
+        assert len(report["errors"][model]["pressure"]["rmse_pa"]) == 2
+    assert len(report["recordings"][0]["sha256"]) == 64
+    assert report["settings"]["seed"] == 0
+
+
+def test_the_page_needs_no_network(done: Path) -> None:
+    page = (done / "report.html").read_text()
+    assert "Air leaks from muscle 2" in page
+    # The policy keeps a browser from loading anything that is not in the file.
+    assert "default-src 'none'" in page and "<script src=" not in page.split("<script>")[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--holdout", "0.9"], ["--holdout", "0.1 to 0.5"]),
+        (["--jobs", "0"], ["--jobs"]),
+        (["--lock-angle", "3"], ["--lock-angle"]),
+        (["--seed", "-1"], ["--seed"]),
+    ],
+)
+def test_wrong_arguments_are_one_line(
+    leaking: Path, tmp_path: Path, arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o"), *arguments]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and all(word in said for word in words)
+
+
+def test_the_same_bag_twice_is_refused(leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(leaking), str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o")]) == 2
+    assert "same recording" in capsys.readouterr().err
+
+
+def test_what_was_interrupted_wants_resume(leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "o.part").mkdir()
+    assert main([str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o")]) == 2
+    assert "--resume" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="recordings of rig A are not beside the project")
+def test_a_shifted_valve_of_rig_a(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = [str(DATA / "case_valve_offset" / "locked"), "--rig", "shin2022", "--out", str(out), "--no-figures"]
+    assert main(arguments) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert [(effect["name"], effect["muscle"]) for effect in report["effects"]] == [("valve_offset", 1)]
+    assert report["errors"]["extended"]["pressure"]["rmse_pa"][0] < 700.0

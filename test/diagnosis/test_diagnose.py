@@ -1,0 +1,85 @@
+"""The verdict, on joints whose fault is known and written in another form than the catalogue's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pam_antagonist.diagnosis import diagnose
+from pam_antagonist.errors import BadInput
+from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.write import write_rig
+
+
+@pytest.fixture(scope="module")
+def leaking(rig, recorded):
+    return diagnose([recorded("leak", 1, "seeping", 15.0)], rig, joint="locked", jobs=1)
+
+
+def test_a_leak_is_found_on_its_muscle(leaking) -> None:
+    assert leaking.verdict == "effect"
+    first = leaking.effects[0]
+    assert (first.name, first.muscle) == ("leak", 1)
+    assert first.delta_bic > 6.0
+    assert first.holdout_gain > 0.7
+    assert "area_1" in first.parameters and "area_2" not in first.parameters
+
+
+def test_the_extended_model_is_better_on_data_that_no_fit_saw(leaking) -> None:
+    errors = {name: leaking.errors[name]["pressure"]["rmse_pa"][0] for name in leaking.errors}
+    assert errors["extended"] < 0.4 * errors["recalibrated"]
+    assert leaking.errors["extended"]["angle"] is None
+    for part in leaking.by_recording:
+        assert set(part["ukf"]) == {"as_configured", "recalibrated", "extended"}
+
+
+def test_the_extended_rig_can_be_read_again(leaking, tmp_path) -> None:
+    write_rig(leaking.rig_extended, tmp_path / "rig.yaml")
+    assert load_rig(tmp_path / "rig.yaml").effects["leak"]["area_1"] > 0.0
+
+
+def test_what_a_locked_joint_cannot_show_is_said(leaking) -> None:
+    assert any("friction" in line and "locked" in line for line in leaking.unseen)
+
+
+def test_the_likelihood_of_what_was_found_is_not_flat(leaking) -> None:
+    profile = next(item for item in leaking.profiles if item["parameter"] == "leak.area_1")
+    assert not profile["flat"]
+    assert max(profile["rise"]) > 3.84
+
+
+def test_a_wrong_parameter_is_no_effect(rig, recorded) -> None:
+    found = diagnose([recorded()], rig, joint="locked", jobs=1, estimator=False)
+    assert found.verdict == "none"
+    assert found.effects == ()
+    assert found.errors["recalibrated"] == found.errors["extended"]
+
+
+def test_what_is_in_no_catalogue_is_unexplained(rig, recorded) -> None:
+    faulty = recorded("exchange", None, "chambers exchange air", 25.0)
+    found = diagnose([faulty], rig, joint="locked", jobs=1, estimator=False)
+    assert found.verdict == "unexplained"
+    assert found.effects == ()
+    assert found.remaining
+    assert found.rig_extended.effects == {}
+
+
+def test_recordings_that_are_too_short_are_refused(rig, recorded) -> None:
+    with pytest.raises(BadInput, match="too short"):
+        diagnose([recorded(seconds=12.0)], rig, joint="locked")
+
+
+def test_no_recording_is_refused(rig) -> None:
+    with pytest.raises(BadInput, match="no recording"):
+        diagnose([], rig)
+
+
+def test_pressures_alone_say_so(rig, recorded) -> None:
+    import dataclasses
+
+    bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
+    found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False)
+    assert any("Pressures alone" in line for line in found.unseen)
+    assert found.errors["extended"]["torque"] is None
+    assert found.effects and found.effects[0].name in ("valve_offset", "pressure_sensor", "leak")
+    assert np.isfinite(found.share)

@@ -1,0 +1,67 @@
+"""Decision rules and what is kept on disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.diagnosis import rules
+from pam_antagonist.diagnosis.advice import experiments_that_tell
+from pam_antagonist.diagnosis.experiment import Point
+from pam_antagonist.diagnosis.select import Model, Trial, removed
+from pam_antagonist.diagnosis.store import Store
+
+NO_MODEL = Model((), ())
+
+
+def trial(number: int, bic: float, held: float) -> Trial:
+    return Trial("leak", number, bic, bic, 0.0, (held, held), NO_MODEL)
+
+
+def test_evidence_without_held_out_gain_is_not_enough() -> None:
+    assert rules.worth(trial(1, 50.0, 0.8), 0.0)
+    assert not rules.worth(trial(1, 50.0, 0.05), 0.0)
+    assert not rules.worth(trial(1, 3.0, 0.8), 0.0)
+    assert not rules.worth(Trial("leak", 1, 50.0), 0.0)
+
+
+def test_a_remainder_that_another_form_would_leave_is_no_second_effect() -> None:
+    assert rules.worth(trial(2, 9.0, 0.56), 0.5)
+    assert not rules.worth(trial(2, 9.0, 0.56), 0.9)
+    assert rules.worth(trial(2, 24.0, 0.86), 0.94)
+
+
+def test_removed_share() -> None:
+    assert removed(np.array([8.0, 2.0]), np.array([1.0, 1.0])) == pytest.approx(0.8)
+    assert removed(np.array([1.0]), np.array([3.0])) == pytest.approx(-2.0)
+
+
+def test_a_finished_candidate_is_found_again(tmp_path: Path) -> None:
+    store = Store(tmp_path / "kept")
+    point = Point(np.array([0.1, -0.2]), {"effects.leak.area_1": 1e-9})
+    store.save("a", point, 50.0)
+    found = store.load("a")
+    assert found is not None
+    assert found[0].theta.tolist() == [0.1, -0.2]
+    assert found[0].effects == point.effects
+    assert found[1] == 50.0
+    assert store.load("b") is None
+
+
+@pytest.mark.parametrize("text", ["", "{", "{}", "[1]", '{"theta": [1], "effects": {"a": "b"}, "pace": 1}'])
+def test_a_damaged_file_is_worked_out_anew(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    assert Store(tmp_path).load("a") is None
+
+
+def test_nothing_is_kept_without_a_folder() -> None:
+    Store().save("a", Point(np.zeros(1)), 1.0)
+    assert Store().load("a") is None
+
+
+def test_an_experiment_that_tells_is_named() -> None:
+    said = experiments_that_tell(("leak",), ("valve_offset",), {"free"})
+    assert "close the valves" in said["valve_offset"]
+    assert "locked" in said["valve_offset"]
