@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from pam_antagonist.identification.freedom import FreeParameter, free_parameters
 from pam_antagonist.identification.profile import Profile, profiles
 from pam_antagonist.identification.stages import Stage, run_stages
 from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial, check, make_trial
-from pam_antagonist.identification.tuning import Tuned, own_tuning, tune
+from pam_antagonist.identification.tuning import INNER_SHARE, Tuned, own_tuning, tune
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig
@@ -103,7 +104,7 @@ class Identified:
 
 def steps(options: Options) -> int:
     """How often :func:`identify` tells about its progress, about."""
-    return 12 + 5 * (options.starts - 1) + _MOST_PROFILES
+    return 14 + 5 * (options.starts - 1) + _MOST_PROFILES
 
 
 def identify(
@@ -147,11 +148,12 @@ def identify(
     chosen = _worth_a_profile(found)
     drawn = profiles(found, chosen, options.jobs, tell)
     result = moved(found.problem.rig, found.values)
-    tuned = tune(result, fitted, found, options.jobs, tell)
+    inner = _inner(found, fitted, ways, tell)
+    tuned = tune(result, fitted, found, inner, options.jobs, tell)
     own = []
     for index, part in enumerate(fitted if len(fitted) > 1 else []):
         tell(f"own values of {part.name}")
-        own.append(own_tuning(tuned.rig, part, found, index, options.jobs))
+        own.append(own_tuning(tuned.rig, part, found, inner, index, options.jobs))
     return Identified(
         rig,
         result,
@@ -169,6 +171,14 @@ def identify(
         tuple(warnings),
         options,
     )
+
+
+def _inner(found: Fit, trials: Sequence[Trial], ways: tuple[Variation, ...], tell: Callable[[str], None]) -> Fit:
+    """The joint refinement of the first share of each part, from where the whole ended."""
+    begin = [trial.part(0.0, round(INNER_SHARE * len(trial)) * trial.dt) for trial in trials]
+    problem = dataclasses.replace(found.problem, trials=begin, between=None)
+    own = deviations(ways, problem.free)
+    return fit(problem, found.theta, 2, own, progress=lambda text: tell(f"inner fit, {text}"))
 
 
 def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[FreeParameter], list[str]]:

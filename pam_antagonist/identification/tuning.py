@@ -3,7 +3,7 @@
 The sensors' noise is what of the measurements no model could follow, sample by sample; R is its variance. What is left
 in the innovations beyond it is process noise: Q is the one under which the innovations are most likely. What the
 parameters are not known to becomes a few directions that the filter considers (Schmidt-Kalman), and one scale for all
-of them, under which the errors of the measured angle and torque are most likely.
+of them, under which the errors of the measured angle and torque are most likely, beyond the part that an inner fit had.
 """
 
 from __future__ import annotations
@@ -34,7 +34,11 @@ _MOST_CONSIDERED = 5
 _EXPLAINED = 0.99
 _SETTLE_S = 1.0
 """[s] after the start of the filter that are not judged: its first covariance is a guess."""
-_SCALES = (0.2, 8.0)
+_SCALES = (1.0, 8.0)
+"""Not below 1: a handful of slow errors can show that the parameters' covariance is too small, but not that it is too
+large."""
+INNER_SHARE = 2.0 / 3.0
+"""Of the fitted part, what an inner fit gets; the rest tells how wrong such a fit is where it was not fitted."""
 _MOST_LEVELS = 0.3
 """Distinct values a sample of a converted signal: a signal without steps has nearly as many as samples."""
 _ON_GRID, _SHARE_ON_GRID = 0.02, 0.98
@@ -82,7 +86,12 @@ class Tuned:
 
 
 def tune(
-    rig: Rig, trials: Sequence[Trial], found: Fit, jobs: int = 1, progress: Callable[[str], None] | None = None
+    rig: Rig,
+    trials: Sequence[Trial],
+    found: Fit,
+    inner: Fit,
+    jobs: int = 1,
+    progress: Callable[[str], None] | None = None,
 ) -> Tuned:
     """Noise, Q, R and uncertain directions.
 
@@ -90,6 +99,8 @@ def tune(
         rig: with the fitted values.
         trials: the parts that were fitted.
         found: the fit.
+        inner: the same fit of the first share of these parts: what it makes of the rest tells how wrong a fit is
+            where it was not fitted.
         jobs: threads.
         progress: told what is being done.
     """
@@ -106,7 +117,7 @@ def tune(
     tell("process noise")
     rig, likelihood, evaluations = _tune_process(rig, parts, jobs)
     tell("scale of the uncertainty")
-    scale, calibrated = _calibrate(rig, trials, directions, jobs)
+    scale, calibrated = _calibrate(moved(rig, inner.values), trials, inner, inner.predictive, jobs)
     return Tuned(with_directions(rig, directions, scale), directions, scale, likelihood, evaluations, calibrated)
 
 
@@ -180,19 +191,21 @@ def _part(trial: Trial) -> Trial:
     return trial.part(0.0, min(_PART_S, len(trial) * trial.dt))
 
 
-def own_tuning(rig: Rig, trial: Trial, found: Fit, index: int, jobs: int = 1) -> Rig:
+def own_tuning(rig: Rig, trial: Trial, found: Fit, inner: Fit, index: int, jobs: int = 1) -> Rig:
     """The rig with one recording's own values, and with what these are not known to in place of the common ones'.
 
     Args:
         rig: with the common values and the tuning that was found for them.
         trial: the part of the recording that was fitted.
         found: the fit.
+        inner: the same fit of the first share of the part.
         index: of the recording.
         jobs: threads.
     """
     own = moved(rig, found.own_values(index))
     directions = considered_directions(own, [_part(trial)], found.problem.free, found.own_covariance(index), jobs)
-    scale, _ = _calibrate(own, [trial], directions, jobs)
+    early = moved(rig, inner.own_values(index))
+    scale, _ = _calibrate(early, [trial], inner, inner.own_covariance(index), jobs)
     return with_directions(own, directions, scale)
 
 
@@ -288,17 +301,25 @@ def _tune_process(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[Rig, tu
     return with_process(found.x), (-first, -float(found.fun)), int(found.nfev) + 1
 
 
-def _calibrate(rig: Rig, trials: Sequence[Trial], directions: Sequence[Direction], jobs: int) -> tuple[float, bool]:
-    """The scale of the directions under which the errors of the measured angles and torques are most likely."""
-    sensors = rig.sensors
-    noise = {
-        ANGLE: sensors.error("angle") ** 2,
-        TORQUE: sensors.error("torque") ** 2,
-    }
+def _calibrate(rig: Rig, trials: Sequence[Trial], inner: Fit, covariance: Floats, jobs: int) -> tuple[float, bool]:
+    """The scale of the uncertainty under which the errors of measured angles and torques are most likely.
+
+    They are those after the part that ``inner`` was fitted to: in that part a fit comes nearer to what was measured
+    than to the truth, by as much as it is uncertain.
+
+    Args:
+        rig: with the values of ``inner``, noise and Q.
+        trials: recordings beyond the part that ``inner`` was fitted to.
+        inner: a fit of their beginnings.
+        covariance: of its parameters (F, F), in units of the priors.
+        jobs: threads.
+    """
     fields = {ANGLE: ("angle", 0), TORQUE: ("torque", 2)}
     judged = [(k, channel) for k, trial in enumerate(trials) for channel in fields if trial.has(channel)]
+    directions = considered_directions(rig, [_part(trial) for trial in trials], inner.problem.free, covariance, jobs)
     if not judged or not directions:
         return 1.0, False
+    noise = {ANGLE: rig.sensors.error("angle") ** 2, TORQUE: rig.sensors.error("torque") ** 2}
 
     def against(logarithm: float) -> float:
         now = with_directions(rig, directions, math.exp(logarithm))
@@ -306,9 +327,8 @@ def _calibrate(rig: Rig, trials: Sequence[Trial], directions: Sequence[Direction
         total = 0.0
         for k, channel in judged:
             name, place = fields[channel]
-            # What the filter did not know at its start widens its interval until the joint has moved for a while.
-            settle = len(runs[k].rows) // 3
-            rows, index = runs[k].rows[settle:], runs[k].index[settle:]
+            begin = round(INNER_SHARE * len(runs[k].rows))
+            rows, index = runs[k].rows[begin:], runs[k].index[begin:]
             error = rows[name] - trials[k].measured[index, channel]
             variance = rows["covariance"][:, place, place] + max(noise[channel], 1e-12)
             good = np.isfinite(error)
