@@ -26,9 +26,18 @@ COMMANDS: dict[str, Command] = {
     "replay": Command(
         "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"
     ),
+    "identify": Command(
+        "pam_antagonist.cli.identify:main", "find a rig's parameters, noise and tuning from recordings"
+    ),
+    "close_loop": Command(
+        "pam_antagonist.cli.close_loop:main", "trace what the model lacks to a physical effect, error before and after"
+    ),
     "simulate": Command("pam_antagonist.cli.simulate:main", "make a recording of a simulated joint"),
     "import_csv": Command("pam_antagonist.cli.import_csv:main", "make a recording of a CSV file"),
+    "static": Command("pam_antagonist.cli.static:main", "volume and force map of a muscle from tables of measurements"),
+    "paper": Command("pam_antagonist.cli.paper:main", "every experiment of the paper on a simulated joint"),
     "benchmark": Command("pam_antagonist.cli.benchmark:main", "measure the speed of estimator, pipeline and replay"),
+    "battery": Command("pam_antagonist.cli.battery:main", "how often the diagnosis is right, on simulated joints"),
     "plant": Command("pam_antagonist.nodes.plant:main", "a simulated joint that publishes what its sensors show"),
     "estimator": Command("pam_antagonist.nodes.estimator:main", "the joint's angle and torque from two pressures"),
     "controller": Command("pam_antagonist.nodes.controller:main", "angle or torque control on the estimate"),

@@ -1,0 +1,190 @@
+"""The compared linear model: a state-space model from data, with its Kalman filter on the pressures.
+
+A vector autoregression with input, y(t) = Σ A_i y(t−i) + Σ B_i u(t−i) + c + e(t), y = [ψ, P_1, P_2], by least
+squares, which is a linear state-space model in innovation form (Ljung, *System Identification*, 1999, sections
+4.3 and 7.3). Its filter is the stationary Kalman filter for the pressures alone; the angle follows by its
+covariance with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.estimation import metrics
+
+Floats = NDArray[np.float64]
+
+STEP = 20
+"""Samples that are averaged into one: from one to the next a pressure changes by less than its sensor's noise."""
+_ORDERS = (1, 2, 3, 4)
+_TRAINING = 2 / 3
+_ANGLE, _PRESSURES = 0, slice(1, 3)
+_RIDGE = 1e-9
+_ROUNDS, _TOLERANCE = 20_000, 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """x(k+1) = A x + B u + K e, y = C x + D u + e with e ~ N(0, S), in scaled deviations from the means.
+
+    Attributes:
+        order: past samples in the regression; the state is that many outputs and inputs.
+        a: (n, n).
+        b: (n, 3), for [u_1, u_2, 1].
+        c: (3, n).
+        d: (3, 3).
+        k: (n, 3).
+        noise: S (3, 3).
+        middle: means of [ψ, P_1, P_2, u_1, u_2].
+        scale: their standard deviations.
+        gain: of the stationary filter on the pressures (n, 2).
+        angle_gain: of the angle on the pressures' innovation (2,).
+        angle_variance: of the filtered angle, in squares of its scale.
+        innovation: covariance of the pressures' innovations (2, 2).
+    """
+
+    order: int
+    a: Floats
+    b: Floats
+    c: Floats
+    d: Floats
+    k: Floats
+    noise: Floats
+    middle: Floats
+    scale: Floats
+    gain: Floats
+    angle_gain: Floats
+    angle_variance: float
+    innovation: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class LinearEstimate:
+    """What the linear filter says: angle (N,) in the unit it was identified in, its variance, and NIS (N // STEP,)."""
+
+    angle: Floats
+    angle_variance: float
+    nis: Floats
+
+
+def averaged(values: Floats) -> Floats:
+    """Means over ``STEP`` samples (N // STEP, ...)."""
+    count = len(values) // STEP
+    return np.asarray(values[: count * STEP].reshape(count, STEP, *values.shape[1:]).mean(axis=1))
+
+
+def identify(angle: Floats, pressure: Floats, voltage: Floats) -> LinearModel:
+    """A linear model from a recording with the angle measured.
+
+    The order is the one whose filter errs least in the angle on the last third, which the others are not fitted to; the
+    model is then fitted to all of it.
+
+    Args:
+        angle: (N,).
+        pressure: (N, 2) [Pa].
+        voltage: (N, 2) [V].
+    """
+    y, u = averaged(np.column_stack([angle, pressure])), averaged(voltage)
+    middle = np.concatenate([y.mean(axis=0), u.mean(axis=0)])
+    scale = np.concatenate([y.std(axis=0), u.std(axis=0)])
+    y, u = (y - middle[:3]) / scale[:3], (u - middle[3:]) / scale[3:]
+    split = round(_TRAINING * len(y))
+
+    def error(order: int) -> float:
+        model = _realised(y[:split], u[:split], order, middle, scale)
+        value, _ = _filter(model, y[:, _PRESSURES], u)
+        return metrics.rmse((value - y[:, _ANGLE])[split:])
+
+    return _realised(y, u, min(_ORDERS, key=error), middle, scale)
+
+
+def _realised(y: Floats, u: Floats, order: int, middle: Floats, scale: Floats) -> LinearModel:
+    """Least squares, then the state of past outputs and inputs, then the filter."""
+    count, ones = len(y), np.ones((len(y), 1))
+    u = np.hstack([u, ones])
+    past = [
+        part for lag in range(1, order + 1) for part in (y[order - lag : count - lag], u[order - lag : count - lag, :2])
+    ]
+    design = np.hstack([*past, u[order:]])
+    square = design.T @ design
+    ridge = _RIDGE * np.trace(square) / len(square) * np.eye(len(square))
+    theta = np.linalg.solve(square + ridge, design.T @ y[order:]).T
+    left = y[order:] - design @ theta.T
+    noise = left.T @ left / (len(left) - design.shape[1])
+    n = 5 * order
+    c, d = theta[:, :n], theta[:, n:]
+    # State: [y(k−1), u(k−1), ..., y(k−p), u(k−p)]. Its first block becomes y(k) = C x + D u + e and u(k).
+    a, b, k = np.zeros((n, n)), np.zeros((n, 3)), np.zeros((n, 3))
+    a[:3], b[:3], k[:3] = c, d, np.eye(3)
+    b[3:5, :2] = np.eye(2)
+    a[5:, :-5] = np.eye(n - 5)
+    gain, angle_gain, variance, innovation = _stationary(a, c, k, noise)
+    return LinearModel(order, a, b, c, d, k, noise, middle, scale, gain, angle_gain, variance, innovation)
+
+
+def _stationary(a: Floats, c: Floats, k: Floats, noise: Floats) -> tuple[Floats, Floats, float, Floats]:
+    """The stationary filter when only the pressures are measured.
+
+    Returns:
+        Its gain (n, 2), the angle's gain (2,) and variance, the innovations' covariance (2, 2).
+    """
+    seen = c[_PRESSURES]
+    q, r, s = k @ noise @ k.T, noise[_PRESSURES, _PRESSURES], k @ noise[:, _PRESSURES]
+    # The recursion itself: the shift of old samples in A makes the usual solvers of its fixed point fail.
+    p = q.copy()
+    for _ in range(_ROUNDS):
+        innovation = seen @ p @ seen.T + r
+        with_state = a @ p @ seen.T + s
+        gain = np.linalg.solve(innovation, with_state.T).T
+        after = a @ p @ a.T + q - gain @ with_state.T
+        after = 0.5 * (after + after.T)
+        settled = float(np.max(np.abs(after - p))) < _TOLERANCE * float(np.max(np.abs(after)))
+        p = after
+        if settled:
+            break
+    with_angle = c[_ANGLE] @ p @ seen.T + noise[_ANGLE, _PRESSURES]
+    angle_gain = np.linalg.solve(innovation, with_angle)
+    variance = float(c[_ANGLE] @ p @ c[_ANGLE] + noise[_ANGLE, _ANGLE] - angle_gain @ with_angle)
+    return np.asarray(gain), np.asarray(angle_gain), variance, innovation
+
+
+def _filter(model: LinearModel, pressure: Floats, voltage: Floats) -> tuple[Floats, Floats]:
+    """Scaled angle (M,) and the pressures' innovations (M, 2)."""
+    u = np.hstack([voltage, np.ones((len(voltage), 1))])
+    x = np.zeros(len(model.a))
+    angle, innovation = np.empty(len(u)), np.empty((len(u), 2))
+    # A joint that has stood at the first sample's values for long.
+    first = np.concatenate([[0.0], pressure[0]])
+    first[_ANGLE] = -model.middle[_ANGLE] / model.scale[_ANGLE]
+    x[:] = np.tile(np.concatenate([first, voltage[0]]), model.order)
+    for t in range(len(u)):
+        predicted = model.c @ x + model.d @ u[t]
+        innovation[t] = pressure[t] - predicted[_PRESSURES]
+        angle[t] = predicted[_ANGLE] + model.angle_gain @ innovation[t]
+        x = model.a @ x + model.b @ u[t] + model.gain @ innovation[t]
+    return angle, innovation
+
+
+def estimate(model: LinearModel, pressure: Floats, voltage: Floats) -> LinearEstimate:
+    """The angle from pressures and voltages alone.
+
+    Args:
+        model: the linear model.
+        pressure: (N, 2) [Pa].
+        voltage: (N, 2) [V].
+
+    Returns:
+        The angle at all N samples, straight between the middles of the averages (which looks ahead by up to
+        20 ms: to the linear model's advantage), and the normalised innovations squared of the averages.
+    """
+    y = (averaged(pressure) - model.middle[1:3]) / model.scale[1:3]
+    u = (averaged(voltage) - model.middle[3:]) / model.scale[3:]
+    value, innovation = _filter(model, y, u)
+    value = value * model.scale[_ANGLE] + model.middle[_ANGLE]
+    middles = (np.arange(len(value)) + 0.5) * STEP - 0.5
+    angle = np.interp(np.arange(len(pressure)), middles, value)
+    nis = np.einsum("ti,ij,tj->t", innovation, np.linalg.inv(model.innovation), innovation)
+    return LinearEstimate(angle, model.angle_variance * float(model.scale[_ANGLE]) ** 2, nis)

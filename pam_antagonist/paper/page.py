@@ -1,0 +1,188 @@
+"""The report on the paper's experiments: page, document and Markdown of the same results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+from pam_antagonist.paper.result import HEADER, Beside, Result
+from pam_antagonist.paper.scenario import Scenario
+from pam_antagonist.report.html import Block, Findings, Page, Section, TableBlock, Text, blocks
+from pam_antagonist.report.html import Finding as HtmlFinding
+from pam_antagonist.report.software import versions
+from pam_antagonist.report.table import Table, number
+
+SOURCE = (
+    "T. Shin, T. Ibayashi, K. Kogiso, “Detailed Dynamic Model of Antagonistic PAM System and its Experimental "
+    "Validation: Sensor-less Angle and Torque Control with UKF”, 2022"
+)
+CAUTION = (
+    "Every number called ours is of a virtual rig: this package's own simulator with declared mismatches, which "
+    "neither model nor estimator is told. It shows how models and estimators compare under those mismatches, and says "
+    "nothing about a real joint. The paper's numbers are of its authors' real rig, and stand beside ours for "
+    "comparison only."
+)
+MARK = "<!-- Written by `./run paper --docs FILE`; do not edit. -->"
+_UNITS = ("%", "ms")
+_WIDTHS = (27, 20, 10, 43)
+
+
+@dataclass(frozen=True)
+class BesideBlock:
+    """Numbers beside the paper's, with the sentence on each difference in a column that is wide enough for it."""
+
+    items: tuple[Beside, ...]
+
+    def html(self, serial: Iterator[int]) -> str:
+        """The table."""
+        widths = "".join(f'<col style="width:{width}%">' for width in _WIDTHS)
+        head = "".join(f'<th scope="col" style="text-align:left">{escape(title)}</th>' for title in HEADER)
+        body, said = [], ""
+        for item in self.items:
+            *cells, why = (escape(cell) for cell in item.cells)
+            # A sentence that stands for several numbers in a row is said once.
+            cells.append("″" if why == said else why)
+            said = why
+            body.append("<tr>" + "".join(f'<td class="text">{cell}</td>' for cell in cells) + "</tr>")
+        return (
+            '<div class="scroll"><table style="table-layout:fixed;width:100%;min-width:720px">'
+            f"<colgroup>{widths}</colgroup><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div>"
+        )
+
+
+def overview(results: Sequence[Result]) -> Table:
+    """The ratios and times that the paper gives, in one table."""
+    rows = [
+        (result.title, *item.cells[:3])
+        for result in results
+        for item in result.beside
+        if item.paper is not None and item.unit in _UNITS
+    ]
+    return Table(("Experiment", "What", "Virtual rig (ours)", "Paper (real rig)"), tuple(rows))
+
+
+def mismatches(scenario: Scenario, seeds: Sequence[int]) -> Table:
+    """What the virtual rigs are."""
+    size = scenario.mismatch
+    return Table(
+        ("Mismatch", "Size"),
+        (
+            ("declared rig", scenario.rig),
+            ("parameters", f"{100 * size.parameters:g} % standard deviation of each group (model/plant.py)"),
+            ("valve curves", f"{100 * size.valve_curve:g} % standard deviation of each knot's open rate"),
+            (
+                "hysteresis of the force",
+                f"{size.hysteresis.amplitude:g} N to either side, {100 * size.hysteresis.spread:g} % from muscle to "
+                "muscle; the declared rig has none",
+            ),
+            ("sensors", "noise and steps of the declared rig"),
+            (
+                "virtual rigs",
+                f"{len(seeds)}, seeds {min(seeds)} to {max(seeds)}; figures and live runs show seed {seeds[0]}",
+            ),
+        ),
+    )
+
+
+def page(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], took: Mapping[str, float]) -> Page:
+    """The report as a page."""
+    parts: list[Block] = [Text(f"After {SOURCE}.", "lede"), Text(CAUTION, "verdict")]
+    shown = overview(results)
+    if shown.rows:
+        parts.append(Section("Beside the paper", (TableBlock(shown, prose=True),), 2, "overview"))
+    parts.append(Section("The virtual rigs", (TableBlock(mismatches(scenario, seeds), prose=True),), 2, "rigs"))
+    for result in results:
+        parts.append(Section(result.title, _section(result), 2, result.name))
+    parts.append(Section("How long it took", (TableBlock(_times(took)),), folded=True))
+    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return Page(
+        "The paper's experiments on a virtual rig",
+        "Everything the paper shows, beside its numbers",
+        blocks(parts),
+        footer,
+    )
+
+
+def _section(result: Result) -> tuple[Block, ...]:
+    out: list[Block] = [Text(result.question)]
+    if result.beside:
+        out.append(BesideBlock(result.beside))
+    if result.findings:
+        out.append(Findings(tuple(HtmlFinding("note", text) for text in result.findings)))
+    out += [TableBlock(table) for table in result.tables]
+    out += list(result.figures)
+    return tuple(out)
+
+
+def _times(took: Mapping[str, float]) -> Table:
+    return Table(("Part", "Time [s]"), tuple((name, number(seconds)) for name, seconds in took.items()))
+
+
+def document(
+    results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], took: Mapping[str, float]
+) -> dict[str, Any]:
+    """What goes into ``report.json``."""
+    return {
+        "source": SOURCE,
+        "caution": CAUTION,
+        "virtual_rig": {
+            "scenario": scenario.name,
+            "declared": scenario.rig,
+            "profile": scenario.profile,
+            "parameters": scenario.mismatch.parameters,
+            "valve_curve": scenario.mismatch.valve_curve,
+            "hysteresis": {
+                "amplitude_n": scenario.mismatch.hysteresis.amplitude,
+                "spread": scenario.mismatch.hysteresis.spread,
+                "width_m": scenario.mismatch.hysteresis.width,
+            },
+            "seeds": list(seeds),
+        },
+        "experiments": {result.name: result.document() for result in results},
+        "seconds": dict(took),
+        "software": versions(),
+    }
+
+
+def markdown(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int]) -> str:
+    """The tables as Markdown, for ``docs/paper.md``."""
+    lines = [
+        MARK,
+        "",
+        "# Everything the paper shows, beside its numbers",
+        "",
+        f"After {SOURCE}.",
+        "",
+        f"**{CAUTION}**",
+        "",
+    ]
+    lines += [
+        "`./run paper --out DIR` makes all of it again, with figures, in `DIR/report.html`; `DIR/report.json` holds "
+        "every number of every seed. Median (least … largest) over the virtual rigs throughout.",
+        "",
+    ]
+    lines += [*_table(mismatches(scenario, seeds)), ""]
+    for result in results:
+        lines += [f"## {result.title}", "", result.question, ""]
+        if result.beside:
+            lines += [*_table(result.table()), ""]
+        lines += [f"* {text}" for text in result.findings]
+        lines += [""] if result.findings else []
+        for table in result.tables:
+            lines += [f"*{table.caption}*", ""] if table.caption else []
+            lines += [*_table(table), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _table(table: Table) -> list[str]:
+    def line(cells: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+    best = table.best or (frozenset[int](),) * len(table.rows)
+    rows = [
+        line([f"**{cell}**" if column in marked else cell for column, cell in enumerate(row)])
+        for row, marked in zip(table.rows, best, strict=True)
+    ]
+    return [line(table.header), line(["---"] * len(table.header)), *rows]
