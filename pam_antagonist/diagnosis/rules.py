@@ -1,7 +1,7 @@
 """When an effect is called found, when nothing is wrong, and when the answer is that it is not known.
 
-Evidence (ΔBIC, noise) has its statistical reason. The shares below have none but experience: they were set by what right
-and wrong explanations left of the held-out residual in recordings of rig A and of simulated joints.
+Evidence (ΔBIC, noise) has its statistical reason. The shares below have none but experience: they were set by what
+right and wrong explanations left of the held-out residual in recordings of rig A and of simulated joints.
 """
 
 from __future__ import annotations

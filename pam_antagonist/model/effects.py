@@ -95,9 +95,7 @@ def _both(name: str, unit: str, low: float, high: float, scale: float, meaning: 
     )
 
 
-def _pair(
-    name: str, unit: str, switch: str, initial_std: float, noise: float, *further: str
-) -> tuple[AddedState, ...]:
+def _pair(name: str, unit: str, switch: str, initial_std: float, noise: float, *further: str) -> tuple[AddedState, ...]:
     return tuple(AddedState(f"{name}_{i}", unit, f"{switch}_{i}", initial_std, noise, further) for i in (1, 2))
 
 
