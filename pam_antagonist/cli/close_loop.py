@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sys
 import textwrap
-import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli import recordings as given
 from pam_antagonist.diagnosis import Diagnosis, diagnose
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import Recording, bag_hash, read_bag
+from pam_antagonist.recording import bag_hash
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import close_loop_tables as tables
 from pam_antagonist.report.close_loop_page import write_report
@@ -44,47 +43,16 @@ _STEPS = 14
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("close_loop", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
-    common.add_rig(out)
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the result; a new one")
-    common.add_joint(
-        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, told from the measured angle)"
-    )
+    given.add_bags(out)
     out.add_argument(
-        "--holdout", type=_share, default=1.0 / 3.0, metavar="SHARE",
+        "--holdout", type=given.share(0.1, 0.5), default=1.0 / 3.0, metavar="SHARE",
         help="share at the end of each recording that no fit sees (default: a third)",
     )  # fmt: skip
-    out.add_argument("--jobs", type=_count, default=2, metavar="N", help="threads (default: 2)")
-    out.add_argument("--seed", type=_seed, default=0, help="kept in the report (default: 0)")
+    out.add_argument("--jobs", type=given.count, default=2, metavar="N", help="threads (default: 2)")
+    out.add_argument("--seed", type=given.seed, default=0, help="kept in the report (default: 0)")
     out.add_argument("--resume", action="store_true", help="go on with what an interrupted run left in DIR.part")
-    common.add_topics(out)
-    out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
-    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
-    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
-    out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    given.add_names_and_report(out)
     return out
-
-
-def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.1 <= value <= 0.5:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a share from 0.1 to 0.5")
-    return value
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or not 1 <= int(text) <= 64:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 64")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 0 or more")
-    return int(text)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -96,11 +64,16 @@ def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig)
+    if rig.valves.sealed:
+        raise BadInput(
+            f"rig {rig.name} is sealed: close_loop takes joints that valves drive; expected another rig, or `identify`, "
+            "which takes sealed ones"
+        )
     common.lock_angle(arguments)
     kept = arguments.out.parent / f"{arguments.out.name}.part"
     if kept.exists() and not arguments.resume:
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
-    recordings = _read(arguments)
+    recordings = given.read(arguments)
     hashes = [bag_hash(recording.path) for recording in recordings]
     with common.progress(_STEPS, "close_loop", "steps") as bar:
 
@@ -118,23 +91,8 @@ def _main(argv: Sequence[str] | None) -> int:
         write_report(folder, document, found, with_figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
     print(_summary(document))
-    print(f"\nrig: {arguments.out / 'rig_extended.yaml'}\nreport: {arguments.out / 'report.html'} and report.json")
-    if arguments.open:
-        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    given.tell_where(arguments, "rig_extended.yaml")
     return common.DONE
-
-
-def _read(arguments: argparse.Namespace) -> list[Recording]:
-    names = common.topics(arguments)
-    recordings = [
-        read_bag(bag, topics=names, namespace=arguments.namespace, joint_name=arguments.joint_name)
-        for bag in arguments.bags
-    ]
-    hashes = [bag_hash(recording.path) for recording in recordings]
-    for k, value in enumerate(hashes):
-        if value in hashes[:k]:
-            raise BadInput(f"{arguments.bags[k]}: the same recording as {arguments.bags[hashes.index(value)]}")
-    return recordings
 
 
 def _write_rigs(folder: Path, found: Diagnosis, rig: Rig, hashes: Sequence[str]) -> None:

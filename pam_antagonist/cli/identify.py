@@ -6,16 +6,16 @@ import argparse
 import datetime
 import sys
 import textwrap
-import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli import recordings as given
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_session import STEPS as SEALED_STEPS
 from pam_antagonist.identification.sealed_session import identify_sealed
 from pam_antagonist.identification.session import Identified, Options, identify, steps
-from pam_antagonist.recording import Recording, bag_hash, read_bag
+from pam_antagonist.recording import Recording, bag_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report import identify as numbers
@@ -49,12 +49,7 @@ _Given = tuple[Recording, JointCondition, str]
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("identify", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
-    common.add_rig(out)
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the result; a new one")
-    common.add_joint(
-        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, told from the measured angle)"
-    )
+    given.add_bags(out)
     out.add_argument(
         "--free", action="append", default=[], metavar="NAME",
         help="a parameter (supply.pressure), or the beginning of its name, that may move as well; may be repeated",
@@ -64,34 +59,14 @@ def parser() -> common.Parser:
         help="a parameter, or the beginning of its name, that stays as configured; may be repeated",
     )  # fmt: skip
     out.add_argument(
-        "--holdout", type=_share, default=1.0 / 3.0, metavar="SHARE",
+        "--holdout", type=given.share(0.05, 0.8), default=1.0 / 3.0, metavar="SHARE",
         help="share at the end of each recording that is kept to judge the result (default: a third)",
     )  # fmt: skip
-    out.add_argument("--starts", type=_count, default=1, metavar="N", help="starts of the refinement (default: 1)")
-    out.add_argument("--seed", type=int, default=0, help="of further starts (default: 0)")
-    out.add_argument("--jobs", type=_count, default=2, metavar="N", help="threads (default: 2)")
-    common.add_topics(out)
-    out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
-    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
-    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
-    out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    out.add_argument("--starts", type=given.count, default=1, metavar="N", help="starts of the refinement (default: 1)")
+    out.add_argument("--seed", type=given.seed, default=0, help="of further starts (default: 0)")
+    out.add_argument("--jobs", type=given.count, default=2, metavar="N", help="threads (default: 2)")
+    given.add_names_and_report(out)
     return out
-
-
-def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.05 <= value <= 0.8:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a share from 0.05 to 0.8")
-    return value
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or not 1 <= int(text) <= 64:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 64")
-    return int(text)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -104,8 +79,6 @@ def _main(argv: Sequence[str] | None) -> int:
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig)
     common.lock_angle(arguments)
-    if arguments.seed < 0:
-        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     recordings = _read(arguments)
     if rig.valves.sealed:
         return _sealed(arguments, rig, recordings)
@@ -136,9 +109,7 @@ def _main(argv: Sequence[str] | None) -> int:
         _write_rigs(folder, found, recordings)
         write_report(folder, document, found, judged, with_figures=not arguments.no_figures)
     print(_summary(document))
-    print(f"\nrig: {arguments.out / 'rig.yaml'}\nreport: {arguments.out / 'report.html'} and report.json")
-    if arguments.open:
-        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    given.tell_where(arguments)
     return common.DONE
 
 
@@ -169,9 +140,7 @@ def _sealed(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[_Given
         sealed.write_report(folder, content, judged, with_figures=not arguments.no_figures)
     tables = [sealed.values_table(content), *(sealed.held_out_table(entry) for entry in content["held_out"])]
     print("\n\n".join(table.text() for table in tables))
-    print(f"\nrig: {arguments.out / 'rig.yaml'}\nreport: {arguments.out / 'report.html'} and report.json")
-    if arguments.open:
-        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    given.tell_where(arguments)
     return common.DONE
 
 
@@ -191,17 +160,10 @@ def _fitted(recordings: Sequence[_Given], held_from: Sequence[float]) -> list[st
 
 
 def _read(arguments: argparse.Namespace) -> list[_Given]:
-    out: list[_Given] = []
-    names = common.topics(arguments)
-    for bag in arguments.bags:
-        recording = read_bag(bag, topics=names, namespace=arguments.namespace, joint_name=arguments.joint_name)
-        state = joint_condition(recording, arguments.joint, arguments.lock_angle)
-        out.append((recording, state, bag_name(bag)))
-    hashes = [bag_hash(recording.path) for recording, _, _ in out]
-    for k, value in enumerate(hashes):
-        if value in hashes[:k]:
-            raise BadInput(f"{arguments.bags[k]}: the same recording as {arguments.bags[hashes.index(value)]}")
-    return out
+    return [
+        (recording, joint_condition(recording, arguments.joint, arguments.lock_angle), bag_name(bag))
+        for recording, bag in zip(given.read(arguments), arguments.bags, strict=True)
+    ]
 
 
 def _write_rigs(folder: Path, found: Identified, recordings: Sequence[_Given]) -> None:

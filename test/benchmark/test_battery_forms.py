@@ -84,4 +84,6 @@ def left_over(form: Form) -> float:
 )
 def test_the_catalogue_explains_most_of_it_and_not_all(form: Form) -> None:
     # Pushes are no law that could be fitted: their form is theirs alone.
-    assert 0.01 < left_over(form) < 0.6
+    # The leak's exponent takes in capillaries and cracks as well as orifices.
+    least = 0.0 if form.effect == "leak" else 0.01
+    assert least < left_over(form) < 0.6

@@ -95,3 +95,8 @@ def test_a_shifted_valve_of_rig_a(tmp_path: Path) -> None:
     report = json.loads((out / "report.json").read_text())
     assert [(effect["name"], effect["muscle"]) for effect in report["effects"]] == [("valve_offset", 1)]
     assert report["errors"]["extended"]["pressure"]["rmse_pa"][0] < 700.0
+
+
+def test_a_sealed_rig_is_not_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "bag"), "--rig", "sealed_joint", "--out", str(tmp_path / "out")]) == 2
+    assert "`identify`, which takes sealed ones" in capsys.readouterr().err

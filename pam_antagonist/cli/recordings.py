@@ -1,0 +1,90 @@
+"""What the commands share that learn from recordings: their arguments, and reading the bags."""
+
+from __future__ import annotations
+
+import argparse
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording, bag_hash, read_bag
+
+
+def add_bags(parser: argparse.ArgumentParser) -> None:
+    """Bags, rig, new folder, and whether the joint could move."""
+    parser.add_argument(
+        "bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file"
+    )
+    common.add_rig(parser)
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the result; a new one")
+    common.add_joint(
+        parser,
+        ("auto", "free", "locked"),
+        "auto",
+        "could the joint move? (default: auto, told from the measured angle)",
+    )
+
+
+def add_names_and_report(parser: argparse.ArgumentParser) -> None:
+    """Names of topics and joint, and what the report holds."""
+    common.add_topics(parser)
+    parser.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
+    parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    parser.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
+    parser.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+
+
+def share(low: float, high: float) -> Callable[[str], float]:
+    """Type of an argument that is a share between two bounds."""
+
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r}: expected a share from {low:g} to {high:g}")
+        return value
+
+    return convert
+
+
+def count(text: str) -> int:
+    """Type of an argument that is a small number of things."""
+    if not text.isdigit() or not 1 <= int(text) <= 64:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 64")
+    return int(text)
+
+
+def seed(text: str) -> int:
+    """Type of an argument that seeds a random generator."""
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 0 or more")
+    return int(text)
+
+
+def read(arguments: argparse.Namespace) -> list[Recording]:
+    """The bags of :func:`add_bags`.
+
+    Raises:
+        BadInput: a bag that cannot be read, or the same one twice.
+    """
+    names = common.topics(arguments)
+    recordings = [
+        read_bag(bag, topics=names, namespace=arguments.namespace, joint_name=arguments.joint_name)
+        for bag in arguments.bags
+    ]
+    hashes = [bag_hash(recording.path) for recording in recordings]
+    for k, value in enumerate(hashes):
+        if value in hashes[:k]:
+            raise BadInput(f"{arguments.bags[k]}: the same recording as {arguments.bags[hashes.index(value)]}")
+    return recordings
+
+
+def tell_where(arguments: argparse.Namespace, rig: str = "rig.yaml") -> None:
+    """Say where rig and report are, and show the report if that was asked for."""
+    print(f"\nrig: {arguments.out / rig}\nreport: {arguments.out / 'report.html'} and report.json")
+    if arguments.open:
+        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
