@@ -66,8 +66,8 @@ def _main(argv: Sequence[str] | None) -> int:
     rig = load_rig(arguments.rig)
     if rig.valves.sealed:
         raise BadInput(
-            f"rig {rig.name} is sealed: close_loop takes joints that valves drive; expected another rig, or `identify`, "
-            "which takes sealed ones"
+            f"rig {rig.name} is sealed: close_loop takes joints that valves drive; expected another rig, or "
+            "`identify`, which takes sealed ones"
         )
     common.lock_angle(arguments)
     kept = arguments.out.parent / f"{arguments.out.name}.part"
