@@ -16,6 +16,7 @@ from pam_antagonist.model.parameters import (
     BASE_STATES,
     CHARGE,
     LOCKED,
+    PLAIN,
     POLYTROPIC_VOLUME,
     SLOT_OF,
     STATELESS_EFFECTS,
@@ -33,6 +34,7 @@ _SUPPLY, _EXTERNAL = SLOT_OF["supply"], SLOT_OF["external_torque"]
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
 _force, _force_length_slope, _loaded_force = muscle.force, muscle.force_length_slope, muscle.loaded_force
+_linear_force = muscle.linear_force
 _hysteresis_rate, _creep_rate = muscle.hysteresis_rate, muscle.creep_rate
 _relaxing_force = muscle.relaxing_force
 _valve_flow, _leak_flow, _pressure_rate = flow.valve_flow, flow.leak_flow, flow.pressure_rate
@@ -110,42 +112,48 @@ def _stopped(angle, velocity, p):
 
 
 @inlined
-def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, p):
+def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, p, plain):
     """Equations (3) to (5) of one muscle: Ṗ of the chamber, mass flow through the valve and out of the supply."""
     volume, volume_slope = _volume(i, muscle_length, p)
     passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
     net = passed
-    if p[STATELESS_EFFECTS] != 0.0:
+    if not plain and p[STATELESS_EFFECTS] != 0.0:
         net -= _leak_flow(i, chamber, p)
     return _pressure_rate(chamber, volume, volume_slope * length_rate, net, p), passed, drawn
 
 
 @inlined
-def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_2, external, p):
+def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_2, external, p, plain):
     """Equations (8) to (10): ψ̈, and whether the joint slides."""
     coulomb = _coulomb_torque(force_1, force_2, chamber_1, chamber_2, p)
     balance = _muscle_torque(cosine, force_1, force_2, p) + external
-    if p[STATELESS_EFFECTS] != 0.0:
+    if not plain and p[STATELESS_EFFECTS] != 0.0:
         coulomb = max(coulomb + _extra_coulomb_torque(velocity, p), 0.0)
         balance += _load_torque(sine, p)
-    return _acceleration(angle, velocity, balance, coulomb, p)
+    return _acceleration(angle, velocity, balance, coulomb, p, plain)
 
 
 @inlined
 def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p):
-    """The four rows of equation (11a), in scalars: a sigma point passes through registers, not memory."""
+    """The rows of equation (11a) for a plain rig, in scalars: a sigma point passes through registers, not memory."""
     velocity = _stopped(angle, velocity, p)
     sine, cosine, _ = _leverage(angle, p)
     length_1 = _length(0, sine, p)
     length_2 = _length(1, sine, p)
     supply = p[SUPPLY]
-    rate_1, _, _ = _air(0, alpha_1, pressure_1, pressure_1, length_1, _length_rate(0, cosine, velocity, p), supply, p)
-    rate_2, _, _ = _air(1, alpha_2, pressure_2, pressure_2, length_2, _length_rate(1, cosine, velocity, p), supply, p)
+    rate_1, _, _ = _air(
+        0, alpha_1, pressure_1, pressure_1, length_1, _length_rate(0, cosine, velocity, p), supply, p, True
+    )
+    rate_2, _, _ = _air(
+        1, alpha_2, pressure_2, pressure_2, length_2, _length_rate(1, cosine, velocity, p), supply, p, True
+    )
     if p[LOCKED] != 0.0:
         return 0.0, 0.0, rate_1, rate_2
-    force_1 = _force(0, length_1, pressure_1, p)
-    force_2 = _force(1, length_2, pressure_2, p)
-    acceleration, _ = _motion(angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, p)
+    force_1 = _linear_force(0, length_1, pressure_1, p)
+    force_2 = _linear_force(1, length_2, pressure_2, p)
+    acceleration, _ = _motion(
+        angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, p, True
+    )
     return velocity, acceleration, rate_1, rate_2
 
 
@@ -168,7 +176,7 @@ def _rows(x, wanted, external, p, dx):
         sensed, chamber = x[PRESSURE_1 + i], _chamber_pressure(i, x, p)
         muscle_length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
         alpha = _added(_OPEN_RATE + i, x, p, wanted[i])
-        rate, passed, drawn = _air(i, alpha, sensed, chamber, muscle_length, length_rate, supply, p)
+        rate, passed, drawn = _air(i, alpha, sensed, chamber, muscle_length, length_rate, supply, p, False)
         consumption += drawn
         at = int(p[_WARMTH + i])
         if at > 0:
@@ -204,7 +212,7 @@ def _rows(x, wanted, external, p, dx):
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
         x[ANGLE], velocity, sine, cosine, force_1, force_2, _chamber_pressure(0, x, p), _chamber_pressure(1, x, p),
-        external, p,
+        external, p, False,
     )  # fmt: skip
 
 
@@ -228,7 +236,7 @@ def derivative(x, u, p, dx):
     _rows(x, wanted, _outside(u), p, dx)
 
 
-@kernel
+@inlined
 def _stop(x, p):
     """The mechanical stop, an inelastic impact: the angle is held at ±``joint.stop``, the velocity into it is lost."""
     stop = p[STOP]
@@ -271,7 +279,7 @@ def rk4_step(x, u, p, dt, result):
         dt: step [s].
         result: state after the step (n,).
     """
-    if x.shape[0] != BASE_STATES:
+    if p[PLAIN] == 0.0:
         _extended_step(x, u, p, dt, result)
         return
     alpha_1 = _open_rate(0, u[0], p)
@@ -308,7 +316,7 @@ def subsystem(x, p):
         sine, cosine, _ = _leverage(x[ANGLE], p)
         _, slides = _motion(
             x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2,
-            _chamber_pressure(0, x, p), _chamber_pressure(1, x, p), _added(_EXTERNAL, x, p, 0.0), p,
+            _chamber_pressure(0, x, p), _chamber_pressure(1, x, p), _added(_EXTERNAL, x, p, 0.0), p, False,
         )  # fmt: skip
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)

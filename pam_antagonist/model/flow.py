@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from pam_antagonist._jit import inlined
+from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
     CHOKED_FLOW,
@@ -132,7 +132,7 @@ def mass_flow(valve, alpha, pressure, p):
     return flow
 
 
-@inlined
+@kernel
 def leak_flow(muscle, pressure, p):
     """Mass flow out of a leaking muscle [kg/s]: an orifice to the atmosphere, or a crack that resists more at first."""
     flow = p[LEAK_AREA + muscle] * orifice_flow(pressure, p[ATMOSPHERE], p)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from pam_antagonist._jit import inlined
+from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
     EXTRA_COULOMB,
@@ -34,7 +34,7 @@ from pam_antagonist.model.parameters import (
     VISCOUS,
 )
 
-_SIMPLE, _TONDU, _NONE = (float(FRICTION_LAWS.index(law)) for law in ("simple", "tondu", "none"))
+_SIMPLE, _NONE = (float(FRICTION_LAWS.index(law)) for law in ("simple", "none"))
 
 
 @inlined
@@ -59,7 +59,7 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
     return shaft + p[MUSCLE_FRICTION] * (square_1 + square_2) / (square_1 * square_2)
 
 
-@inlined
+@kernel
 def extra_coulomb_torque(velocity, p):
     """What the effect ``friction`` adds to T_s + T_p [N m]: a constant, and a part that fades with the velocity."""
     return p[EXTRA_COULOMB] + p[STRIBECK] * math.exp(-abs(velocity) / p[STRIBECK_VELOCITY])
@@ -71,13 +71,18 @@ def load_torque(sine, p):
     return p[LOAD_CONSTANT] + p[LOAD_SINE] * sine
 
 
-@inlined
-def friction_torque(velocity, applied, coulomb, p):
-    """T_f [N m] by the law of Kikuuwe et al., equation (10), and whether the joint slides.
+@kernel
+def _compared_coulomb(velocity, p):
+    """Torque [N m] of the compared laws; a function of its own, so that the paper's own law's stays small and quick."""
+    if p[FRICTION_LAW] == _SIMPLE:
+        return p[LEVER_FORCE] * p[RADIUS]
+    fade = math.exp(-abs(velocity) / p[FRICTION_VELOCITY])
+    return (p[STATIC_FRICTION] - p[KINETIC_FRICTION]) * fade + p[KINETIC_FRICTION]
 
-    The laws that the paper compares it with (Table III) put another torque in place of T_s + T_p, and no
-    viscous one: ``simple`` a constant force on the lever, r F_r sgn ψ̇; ``tondu``
-    ((f_s − f_k) exp(−|ψ̇|/v) + f_k) sgn ψ̇ (Tondu and Lopez 2000), read as torques; ``none`` nothing.
+
+@inlined
+def kikuuwe_torque(velocity, applied, coulomb, viscous, p):
+    """T_f [N m] by the law of Kikuuwe et al., equation (10), and whether the joint slides.
 
     ψ̇(k) in the equation is the velocity that the joint would have after a step without friction,
     ψ̇(k−1) + Z T_0(k), with Z = T_stp/J. (The paper prints J/T_stp, which is no velocity per torque.) Used
@@ -88,6 +93,7 @@ def friction_torque(velocity, applied, coulomb, p):
         velocity: ψ̇ [rad/s].
         applied: T_0 [N m], all torques but friction.
         coulomb: T_s + T_p [N m].
+        viscous: c_s [N m s/rad].
         p: parameter vector.
 
     Returns:
@@ -95,17 +101,6 @@ def friction_torque(velocity, applied, coulomb, p):
     """
     z = p[FRICTION_STEP] / p[INERTIA]
     free = velocity + z * applied
-    viscous = p[VISCOUS]
-    law = p[FRICTION_LAW]
-    if law != 0.0:
-        viscous = 0.0
-        if law == _NONE:
-            return 0.0, 1.0
-        if law == _SIMPLE:
-            coulomb = p[LEVER_FORCE] * p[RADIUS]
-        elif law == _TONDU:
-            fade = math.exp(-abs(free) / p[FRICTION_VELOCITY])
-            coulomb = (p[STATIC_FRICTION] - p[KINETIC_FRICTION]) * fade + p[KINETIC_FRICTION]
     if abs(free) <= z * coulomb:
         return free / z, 0.0
     sign = 1.0 if free > 0.0 else -1.0
@@ -113,8 +108,30 @@ def friction_torque(velocity, applied, coulomb, p):
 
 
 @inlined
-def acceleration(angle, velocity, torque, coulomb, p):
-    """ψ̈ [rad/s²], equation (8): (τ − T_f − k_s ψ)/J, and whether the joint slides (1.0) or sticks (0.0)."""
+def friction_torque(velocity, applied, coulomb, p):
+    """T_f [N m] by the rig's law of friction, and whether the joint slides; arguments as :func:`kikuuwe_torque`.
+
+    The laws that the paper compares (10) with (Table III) put another torque in place of T_s + T_p, and no
+    viscous one: ``simple`` a constant force on the lever, r F_r sgn ψ̇; ``tondu``
+    ((f_s − f_k) exp(−|ψ̇|/v) + f_k) sgn ψ̇ (Tondu and Lopez 2000), read as torques; ``none`` nothing.
+    """
+    if p[FRICTION_LAW] == 0.0:
+        return kikuuwe_torque(velocity, applied, coulomb, p[VISCOUS], p)
+    if p[FRICTION_LAW] == _NONE:
+        return 0.0, 1.0
+    free = velocity + p[FRICTION_STEP] / p[INERTIA] * applied
+    return kikuuwe_torque(velocity, applied, _compared_coulomb(free, p), 0.0, p)
+
+
+@inlined
+def acceleration(angle, velocity, torque, coulomb, p, own=False):
+    """ψ̈ [rad/s²], equation (8): (τ − T_f − k_s ψ)/J, and whether the joint slides (1.0) or sticks (0.0).
+
+    ``own``: the law is known to be the paper's own, so that it need not be looked up.
+    """
     applied = torque - p[STIFFNESS] * angle
-    friction, slides = friction_torque(velocity, applied, coulomb, p)
+    if own:
+        friction, slides = kikuuwe_torque(velocity, applied, coulomb, p[VISCOUS], p)
+    else:
+        friction, slides = friction_torque(velocity, applied, coulomb, p)
     return (applied - friction) / p[INERTIA], slides

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from pam_antagonist._jit import inlined
+from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model.parameters import (
     C1,
     CREEP_SHARE,
@@ -96,6 +96,15 @@ def volume(muscle, muscle_length, p):
 
 
 @inlined
+def linear_force(muscle, muscle_length, pressure, p):
+    """Contraction force [N], equations (6) and (7): F = v(l) P + w(l)."""
+    base = MUSCLE + muscle * MUSCLE_SIZE
+    slope = p[base + V1] * muscle_length + p[base + V2]
+    intercept = p[base + W1] * muscle_length + p[base + W2]
+    return slope * pressure + intercept
+
+
+@inlined
 def force(muscle, muscle_length, pressure, p):
     """Contraction force [N] of a form of the static force map.
 
@@ -109,11 +118,15 @@ def force(muscle, muscle_length, pressure, p):
     * ``polynomial`` (of second degree in both): c1 + c2 k + c3 q + c4 k² + c5 k q + c6 q².
     """
     base = MUSCLE + muscle * MUSCLE_SIZE
+    if p[FORCE_FORM] != 0.0:
+        return _compared_force(base, muscle_length, pressure, p)
+    return linear_force(muscle, muscle_length, pressure, p)
+
+
+@kernel
+def _compared_force(base, muscle_length, pressure, p):
+    """The forms beside the linear one; a function of its own, so that the linear one's stays small and quick."""
     form = p[FORCE_FORM]
-    if form == 0.0:
-        slope = p[base + V1] * muscle_length + p[base + V2]
-        intercept = p[base + W1] * muscle_length + p[base + W2]
-        return slope * pressure + intercept
     k, q, c = 1.0 - muscle_length / p[LENGTH], pressure / _UNIT_PRESSURE, base + C1
     if form == _HILDEBRANDT:
         area = (p[c + 2] * k + p[c + 1]) * k + p[c]

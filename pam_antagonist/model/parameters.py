@@ -132,7 +132,9 @@ STATELESS_EFFECTS = LOCKED + 8
 """1 where an effect that adds no state is at work, so that a rig without any pays for one comparison."""
 STATES = LOCKED + 9
 """How many states there are."""
-SLOT = LOCKED + 10
+PLAIN = LOCKED + 10
+"""1 for the paper's own model and no effect: what most rigs run, and the quickest."""
+SLOT = LOCKED + 11
 """Index in the state of each of ``effects.ADDED_STATES``, 0 for one that is not there."""
 CURVE = SLOT + len(ADDED_STATES)
 CURVE_SIZE = 1 + 2 * MAX_KNOTS
@@ -181,6 +183,8 @@ def refresh(p: np.ndarray) -> np.ndarray:
         p[SLOT + slot] = count if present else 0.0
         count += present
     p[STATES] = count
+    own = p[FORCE_FORM] == 0.0 and p[FRICTION_LAW] == 0.0
+    p[PLAIN] = float(own and p[STATELESS_EFFECTS] == 0.0 and count == BASE_STATES)
     return p
 
 
