@@ -183,7 +183,8 @@ def _round(
 ) -> list[Trial]:
     said(f"round {number}: score tests")
     starts = [Parallel(n_jobs=jobs, prefer="threads")(_score_tasks(e, f)) for e, f in _pairs(experiments, model)]
-    names = list(starts[0][0][0])
+    # An effect of the model may be absent from the model of a recording in which it did not pay.
+    names = [name for name in starts[0][0][0] if name not in model.effects]
     best = {name: [max(per, key=lambda pair: pair[0][name].gain) for per in starts] for name in names}
     totals = {name: sum(max(scores[name].gain, 0.0) for scores, _ in best[name]) for name in names}
     order = sorted(names, key=lambda name: -totals[name])

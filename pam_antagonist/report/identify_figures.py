@@ -64,6 +64,7 @@ def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, pl
                 f"UKF, {label}",
                 figures.moving_mean(error, window),
                 color,
+                quiet=replay is now,  # the signal above has it in the legend
                 dash="dot" if color == QUIET else "",
                 width=1.8,
             )

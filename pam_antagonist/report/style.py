@@ -70,6 +70,8 @@ footer { margin-top:48px; padding-top:12px; border-top:1px solid var(--line); fo
   main { padding:18px 14px 48px; } h1 { font-size:24px; } h2 { font-size:20px; }
   .verdict { font-size:18px; padding:12px 14px; } .tiles { grid-template-columns:1fr 1fr; }
   .tile .value { font-size:22px; } table { font-size:14px; } th,td { padding-right:12px; }
+  /* It lies on the legend; a finger zooms by dragging, and a double tap goes back. */
+  .modebar { display:none !important; }
 }
 @media print {
   main { max-width:none; padding:0; } body { font-size:11pt; } h2 { break-before:auto; }
