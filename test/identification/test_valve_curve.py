@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.curve_stage import identify_curves
+from pam_antagonist.identification.trial import Trial, make_trial
 from pam_antagonist.identification.valve_curve import SteadyPoints, steady_open_rate, steady_points, valve_curve
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.plant import Plant
-from pam_antagonist.rig import load_rig
+from pam_antagonist.recording import Recording
+from pam_antagonist.rig import Rig, load_rig
 
 RIG = load_rig("shin2022")
 
@@ -47,6 +52,45 @@ def test_a_staircase_gives_the_plants_curve_back() -> None:
     # Another supply gives other steady pressures, and a wrong curve where the model does not know of it.
     wrong = par.changed(RIG.parameters(), {"supply.pressure": 650e3})
     assert np.abs(valve_curve(points, wrong)[1] - true).max() > 0.02
+
+
+def _with_curve(shift: float) -> Rig:
+    """The rig whose valve 2 is open by another share in the middle of its range."""
+    curve = RIG.valve_2.curve
+    rates = tuple(
+        rate + (shift if 4.5 < u < 6.0 else 0.0) for u, rate in zip(curve.voltage, curve.open_rate, strict=True)
+    )
+    return RIG.replaced(valve_2=RIG.valve_2.replaced(curve=curve.replaced(open_rate=rates)))
+
+
+def _staircase(rig: Rig) -> Trial:
+    plant = Plant(rig, joint="locked", seed=4)
+    voltage = np.repeat(np.array([4.6, 5.0, 5.5, 6.0]), 30_000)[:, None] * np.ones(2)
+    samples = [plant.step(row) for row in voltage]
+    stamps = np.arange(1, len(samples) + 1, dtype=np.int64) * 1_000_000
+    pressure = np.array([sample.pressure for sample in samples])
+    measured = [np.array([getattr(sample, name) for sample in samples]) for name in ("angle", "torque")]
+    recording = Recording(
+        path=Path("staircase"),
+        stamp_ns=stamps,
+        pressure=pressure,
+        voltage=voltage,
+        angle=measured[0],
+        torque=measured[1],
+    )
+    return make_trial(recording, RIG, "locked", 0.0, "staircase")
+
+
+def test_a_curve_that_is_declared_wrong_is_replaced_where_it_was_measured_and_nowhere_else() -> None:
+    true = _with_curve(-0.02)
+    found, (first, second) = identify_curves(RIG, [_staircase(true)])
+    assert not first.replaced and found.valve_1 == RIG.valve_1
+    assert second.replaced and "curve replaced" in second.note
+    knots, declared = np.array(RIG.valve_2.curve.voltage), np.array(RIG.valve_2.curve.open_rate)
+    rates, wanted = np.array(found.valve_2.curve.open_rate), np.array(true.valve_2.curve.open_rate)
+    measured = (knots >= 4.6) & (knots <= 6.0)
+    assert np.abs(rates - wanted)[measured].max() < 0.005 < np.abs(declared - wanted)[measured].max()
+    assert np.array_equal(rates[~measured], declared[~measured])
 
 
 def test_a_pressure_that_still_moves_is_no_point() -> None:
