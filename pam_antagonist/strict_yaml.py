@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
+import stat
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -21,6 +22,8 @@ from pam_antagonist.errors import BadInput
 
 _LARGEST_FILE = 100_000
 _DEEPEST = 5
+_LONGEST_NUMBER = 1000  # characters; the largest float has 309 digits
+_MOST_NODES = 100_000  # values of a file once its aliases are written out
 
 if pydantic.VERSION.startswith("1."):
 
@@ -72,7 +75,59 @@ def _mapping_without_duplicates(loader: _StrictLoader, node: yaml.MappingNode) -
     return loader.construct_mapping(node, deep=True)
 
 
+def _sane_integer(loader: _StrictLoader, node: yaml.ScalarNode) -> int:
+    """An integer that can be printed: Python refuses to write out those of thousands of digits."""
+    if len(node.value) > _LONGEST_NUMBER:
+        raise yaml.YAMLError(f"a number in line {node.start_mark.line + 1} is too large: {len(node.value)} characters")
+    return int(loader.construct_yaml_int(node))  # type: ignore[no-untyped-call]
+
+
+_StrictLoader.add_constructor("tag:yaml.org,2002:int", _sane_integer)
 _StrictLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping_without_duplicates)
+
+
+def load_bounded(text: str, most: int = _MOST_NODES) -> Any:
+    """Plain YAML values of a text that nobody vouches for.
+
+    A few hundred bytes of aliases can stand for billions of values. They are counted before any is made, so that
+    whoever copies, merges or prints the result meets no more than ``most``.
+
+    Args:
+        text: one YAML document.
+        most: values that it may hold with its aliases written out.
+
+    Raises:
+        yaml.YAMLError: not YAML, a key that stands twice, a value that holds itself, or too many values.
+        RecursionError: nested too deep.
+        ValueError: a number or a date that is none.
+    """
+    loader = _StrictLoader(text)
+    try:
+        root = loader.get_single_node()
+        if root is None:
+            return None
+        if _written_out(root, {}) > most:
+            raise yaml.YAMLError(f"its aliases stand for more than {most} values")
+        return loader.construct_document(root)
+    except (AttributeError, LookupError):  # what PyYAML makes of !!timestamp x, !!bool x and an empty !!int
+        raise yaml.YAMLError("a value is not of the type that its tag names") from None
+    finally:
+        loader.dispose()  # type: ignore[no-untyped-call]
+
+
+def _written_out(node: yaml.Node, known: dict[int, int]) -> int:
+    """Number of values in a node with every alias in its place; an alias is the same node once more."""
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if id(node) in known:
+        if known[id(node)] == 0:
+            raise yaml.YAMLError(f"a value holds itself, in line {node.start_mark.line + 1}")
+        return known[id(node)]
+    known[id(node)] = 0
+    pairs = isinstance(node, yaml.MappingNode)
+    parts = (part for pair in node.value for part in pair) if pairs else iter(node.value)
+    known[id(node)] = 1 + sum(_written_out(part, known) for part in parts)
+    return known[id(node)]
 
 
 def read_mapping(path: Path, what: str, example: str) -> dict[str, Any]:
@@ -87,9 +142,13 @@ def read_mapping(path: Path, what: str, example: str) -> dict[str, Any]:
         BadInput: not there, not readable, too large, not YAML, a key that stands twice, or no mapping.
     """
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise BadInput(f"{path}: {path.stat().st_size} bytes, which is no {what} file (a few kB expected)")
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
+        kind = path.stat()
+        if not stat.S_ISREG(kind.st_mode):  # a device may never end, a pipe may never begin
+            raise BadInput(f"{path}: cannot be read: it is no file, expected a {what} file")
+        if kind.st_size > _LARGEST_FILE:
+            raise BadInput(f"{path}: {kind.st_size} bytes, which is no {what} file (a few kB expected)")
+        with path.open("rb") as stream:
+            content = load_bounded(stream.read(_LARGEST_FILE + 1).decode("utf-8"))
     except FileNotFoundError:
         raise BadInput(f"{path}: no such {what} file") from None
     except (OSError, UnicodeDecodeError) as error:

@@ -20,7 +20,8 @@ from pam_antagonist.rig import load_rig
 
 _PASSTHROUGH = "pam_antagonist.benchmark.passthrough"
 _SETTLE = 2.0  # after the nodes have started, before memory is looked at [s]
-_NODES = ("plant", "estimator", "controller")
+NODES = ("plant", "estimator", "controller")
+"""Those that a pipeline consists of, without the recorder."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def measure(rig: str, duration: float) -> list[Figure]:
     path = str(Path(rig).resolve()) if rig.endswith((".yaml", ".yml")) else rig
     try:
         empty = _run(_start_passthrough(period), duration, period)
-        real = _run(_start_real(path), duration, period)
+        real = _run(start_real(path), duration, period)
     except ProcessFailed as error:
         raise BadInput(f"pipeline: {error}") from None
     lost = sum(real.account.lost.values())
@@ -124,7 +125,13 @@ def measure(rig: str, duration: float) -> list[Figure]:
     ]
 
 
-def _start_real(rig: str) -> Callable[[Processes], None]:
+def start_real(rig: str) -> Callable[[Processes], None]:
+    """What starts the three nodes.
+
+    Args:
+        rig: name or absolute path.
+    """
+
     def start(processes: Processes) -> None:
         shared: dict[str, object] = {"rig": rig}
         processes.start("estimator", ros_arguments(shared, {}))
@@ -155,16 +162,16 @@ def _run(start: Callable[[Processes], None], duration: float, period: float) -> 
             with Watch() as watch:
                 processes.wait(watch.missing)
             time.sleep(_SETTLE)
-            nodes = {node: processes.running[node] for node in _NODES}
-            before = {node: _resident_mb(process) for node, process in nodes.items()}
-            cpu_before = {node: _cpu_seconds(process) for node, process in nodes.items()}
+            nodes = {node: processes.running[node] for node in NODES}
+            before = {node: resident_mb(process) for node, process in nodes.items()}
+            cpu_before = {node: cpu_seconds(process) for node, process in nodes.items()}
             begin = time.monotonic()
             while (elapsed := time.monotonic() - begin) < duration:
                 processes.check()
                 time.sleep(min(0.5, duration - elapsed))
             elapsed = time.monotonic() - begin
-            resident = {node: _resident_mb(process) for node, process in nodes.items()}
-            cpu = {node: _cpu_seconds(process) for node, process in nodes.items()}
+            resident = {node: resident_mb(process) for node, process in nodes.items()}
+            cpu = {node: cpu_seconds(process) for node, process in nodes.items()}
             processes.stop("plant")
             time.sleep(0.3)
             processes.stop("controller", "estimator", "record")
@@ -181,17 +188,18 @@ def _run(start: Callable[[Processes], None], duration: float, period: float) -> 
         account=accounting,
         drift_ms=(quickest[1] - quickest[0]) * 1e-6,
         resident_mb=resident,
-        growth_mb={node: resident[node] - before[node] for node in _NODES},
-        cpu_percent={node: 100.0 * (cpu[node] - cpu_before[node]) / elapsed for node in _NODES},
+        growth_mb={node: resident[node] - before[node] for node in NODES},
+        cpu_percent={node: 100.0 * (cpu[node] - cpu_before[node]) / elapsed for node in NODES},
     )
 
 
-def _resident_mb(process: Process) -> float:
-    """Resident memory of a process."""
+def resident_mb(process: Process) -> float:
+    """Resident memory of a process [MB]."""
     pages = int(Path(f"/proc/{process.popen.pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def _cpu_seconds(process: Process) -> float:
+def cpu_seconds(process: Process) -> float:
+    """Processor time that a process has taken [s]."""
     fields = Path(f"/proc/{process.popen.pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
+import math
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pam_antagonist.benchmark.figure import Figure
@@ -24,6 +26,9 @@ Measure what the package costs on this machine.
   pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): losses,
             and the round trip pressure -> command against that of a pipeline that passes messages through
 
+  --soak S  instead of all that: the pipeline for S seconds, with what grows, what is lost and what drifts (600 is a
+            good while); looks at every process once a second
+
 Every figure is a ratio of two things that were timed in turn, so that a busy machine slows both.
 Status: 0 whether or not a bound holds, 2 bad input.
 """
@@ -41,6 +46,9 @@ def parser() -> common.Parser:
     out.add_argument(
         "--duration", type=float, default=60.0, metavar="S", help="length of the pipeline's run [s] (default: 60)"
     )
+    out.add_argument(
+        "--soak", type=float, metavar="S", help="run the pipeline for so long, from 15 s on, and no other part"
+    )
     out.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE as well; must not exist")
     return out
 
@@ -55,6 +63,8 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.json is not None and arguments.json.exists():
         raise BadInput(f"{arguments.json}: exists; expected a new file, nothing is overwritten")
     rig = load_rig(arguments.rig)
+    if arguments.soak is not None:
+        return _soak(arguments)
     parts = [part for part in PARTS if part in (arguments.only or PARTS)]
     figures: list[Figure] = []
     with common.progress(len(parts), "benchmark", "parts") as bar:
@@ -72,17 +82,42 @@ def _main(argv: Sequence[str] | None) -> int:
 
                 figures += pipeline.measure(arguments.rig, arguments.duration)
             bar.update(1)
+    _tell(figures, arguments.json)
+    return common.DONE
+
+
+def _soak(arguments: argparse.Namespace) -> int:
+    if not (math.isfinite(arguments.soak) and 15.0 <= arguments.soak <= 86_400.0):
+        raise BadInput(f"--soak {arguments.soak:g}: expected seconds from 15 to 86400")
+    if arguments.only:
+        raise BadInput("--soak and --only: expected one of them")
+    from pam_antagonist.benchmark import soak
+
+    with common.progress(round(arguments.soak), "soak", "s") as bar:
+        result = soak.measure(arguments.rig, arguments.soak, bar.update)
+    series: dict[str, object] = {
+        "time_s": result.usage.time.round(3).tolist(),
+        "resident_mb": {name: values.round(3).tolist() for name, values in result.usage.resident.items()},
+        "cpu_s": {name: values.round(2).tolist() for name, values in result.usage.cpu.items()},
+        "drift_ms": result.drift.round(4).tolist(),
+    }
+    _tell(result.figures, arguments.json, {"duration_s": arguments.soak, "series": series})
+    return common.DONE
+
+
+def _tell(figures: Sequence[Figure], json: Path | None, more: Mapping[str, object] = {}) -> None:
+    """Print the figures, and write them where that was asked for."""
     print(_table(figures).text(indent=""))
     print("\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures))
-    if arguments.json is not None:
+    if json is not None:
         machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
         content = {
             "figures": {figure.name: dataclasses.asdict(figure) for figure in figures},
             "machine": machine,
             "software": versions(),
+            **more,
         }
-        write_json(arguments.json, content)
-    return common.DONE
+        write_json(json, content)
 
 
 def _table(figures: Sequence[Figure]) -> Table:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
+from pam_antagonist.recording.limits import Limits
 
 if TYPE_CHECKING:
     from pam_antagonist.nodes.recorder_node import RecorderNode
@@ -18,15 +19,23 @@ if TYPE_CHECKING:
 DESCRIPTION = """
 Writes every topic of a pipeline, as it comes, into a rosbag2 bag (MCAP), with the time of reception.
 
+It is a process of its own, and nothing waits for it: where the disk does not keep up, messages are dropped, counted and
+reported. What is older than a second survives a kill or a power cut; such a bag has no metadata.yaml, and the commands
+of this package read it as it is. A full disk ends the recording with status 2; what was written is kept.
+
 options:
-  --out DIR        folder of the bag; it must not exist
-  --duration S     end by itself after so many seconds (default: when it is told to)
+  --out DIR         folder of the bag; it must not exist
+  --duration S      end by itself after so many seconds (default: when it is told to)
+  --max-size MB     begin a new file when the last one has so many megabytes (default: one file)
+  --max-duration S  begin a new file after so many seconds (default: one file)
 
 subscribes:  pressure_1, pressure_2, valve_state, valve_command, joint_estimate, joint_states, reference,
              measured/joint_states, measured/external_torque, /diagnostics
 """
 
 PARAMETERS: tuple[Parameter, ...] = ()
+
+_MEGABYTE = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -36,10 +45,12 @@ class Options:
     Attributes:
         out: folder of the bag.
         duration: after which it ends by itself [s]; None: never.
+        limits: when to begin a new file.
     """
 
     out: Path
     duration: float | None
+    limits: Limits = field(default_factory=Limits)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -56,10 +67,19 @@ def read_options(arguments: list[str]) -> Options:
     parser = _Parser(prog="record", add_help=False, allow_abbrev=False)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--duration", type=float)
+    parser.add_argument("--max-size", type=float)
+    parser.add_argument("--max-duration", type=float)
     given = parser.parse_args(arguments)
-    if given.duration is not None and not (math.isfinite(given.duration) and given.duration > 0.0):
-        raise BadInput(f"--duration {given.duration}: expected a number of seconds above 0")
-    return Options(given.out, given.duration)
+    _check("--duration", given.duration, 0.0, "seconds")
+    _check("--max-duration", given.max_duration, 0.1, "seconds")
+    _check("--max-size", given.max_size, 0.1, "megabytes")
+    size = None if given.max_size is None else round(given.max_size * _MEGABYTE)
+    return Options(given.out, given.duration, Limits(size, given.max_duration))
+
+
+def _check(name: str, value: float | None, above: float, unit: str) -> None:
+    if value is not None and not (math.isfinite(value) and value > above):
+        raise BadInput(f"{name} {value}: expected a number of {unit} above {above:g}")
 
 
 def _create(options: Options) -> RecorderNode:

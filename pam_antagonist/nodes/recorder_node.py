@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
+import math
+import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from rclpy.subscription import Subscription
+from tqdm import tqdm
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.gaps import Gaps
 from pam_antagonist.nodes.health import Health, Level, Rate
-from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.node import PamNode, take
 from pam_antagonist.nodes.recorder import PARAMETERS, Options
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.recording.writer import BagWriter
 
 _PERIOD = 0.02  # time between two looks [s]; the queues hold 250 times as much at 1 kHz
+_PROGRESS = 1.0  # time between two changes of the progress line [s]
+_BACKLOG = 256 << 20  # what may wait for a slow disk, five minutes of a pipeline at 1 kHz [bytes]
+_LITTLE_SPACE = 600.0  # of recording left on the disk that is worth a warning [s]
 
 
 def message_class(name: str) -> Any:
@@ -41,74 +48,148 @@ class RecorderNode(PamNode):
     """
 
     def __init__(self, options: Options) -> None:
-        self._collected: dict[str, Subscription] = {}
-        super().__init__("recorder", PARAMETERS)
-        self._bag = BagWriter(options.out)
+        self._options = options
         self._path = options.out
+        self._topics: dict[str, Subscription] = {}
         self._counts: dict[str, int] = {}
-        self._failed = False
-        self._rate = Rate()
+        self._gaps: dict[str, Gaps] = {}
+        self._reason: str | None = None  # why nothing more can be written
+        self._told = False
+        self._rate, self._bytes_rate = Rate(), Rate()
+        self._lost_before = 0
+        self._since = time.monotonic()
+        self._until = math.inf
+        # On a terminal only; elsewhere /diagnostics tells.
+        self._line = tqdm(bar_format="{desc}", leave=False, disable=None)
+        super().__init__("recorder", PARAMETERS)
+
+    def configure(self) -> None:
+        """Make the bag."""
+        self._bag = BagWriter(self._path, limits=self._options.limits, durable=True, backlog=_BACKLOG)
+        self._told = False
         for topic in TOPICS.values():
             name = self.resolve_topic_name(topic.relative)
             self._bag.add_topic(name, topic.type)
             self._counts[name] = 0
-            self._collected[name] = self.create_subscription(
-                message_class(topic.type), topic.relative, _never, qos.RECORD, raw=True
-            )
-        self._end = None if options.duration is None else time.monotonic() + options.duration
-        self.start_diagnostics(options.out.name)
+            self._gaps[name] = Gaps(partial(self.count_publishers, name))
+        self.start_diagnostics(self._path.name)
+
+    def activate(self) -> None:
+        """Listen."""
+        for topic in TOPICS.values():
+            name = self.resolve_topic_name(topic.relative)
+            self._topics[name] = self.collect(message_class(topic.type), topic.relative, qos.RECORD)
+        self._since = time.monotonic()
+        if self._options.duration is not None:
+            self._until = self._since + self._options.duration
         self.steady_timer(_PERIOD, self._collect)
-        self.get_logger().info(f"recording into {options.out}")
+        self.steady_timer(_PROGRESS, self._show)
+        self.get_logger().info(f"recording into {self._path}")
+
+    def deactivate(self) -> None:
+        """Take what is left; what comes from now on is not missed."""
+        if self._reason is None:
+            self._collect()
+        self._topics = {}
+
+    def cleanup(self) -> None:
+        """Finish the bag; the next one needs another folder, thus another recorder."""
+        self._finish()
 
     @property
-    def subscriptions(self) -> Iterator[Subscription]:
-        """Those that an executor is to wake up for: not the recorded ones."""
-        collected = set(map(id, self._collected.values()))
-        return (item for item in super().subscriptions if id(item) not in collected)
+    def lost(self) -> int:
+        """Messages that did not come, or did not get to the disk."""
+        return sum(gaps.missing for gaps in self._gaps.values()) + self._bag.dropped
 
     def _collect(self) -> None:
-        for name, subscription in self._collected.items():
+        for name, subscription in self._topics.items():
             items = []
-            with subscription.handle:
-                handle = subscription.handle
-                while (taken := handle.take_message(subscription.msg_type, True)) is not None:
-                    items.append((name, taken[1]["received_timestamp"] or time.time_ns(), taken[0]))
-            self._counts[name] += len(items)
+            gaps = self._gaps[name]
+            for data, about in take(subscription):
+                gaps.add(about.get("publication_sequence_number"))
+                items.append((name, about["received_timestamp"] or time.time_ns(), data))
             try:
-                self._bag.write_many(items)
+                self._counts[name] += self._bag.write_many(items)
             except OSError as error:
-                self._failed = True
-                raise BadInput(f"{self._path}: cannot be written: {error.strerror or error}") from None
-        if self._end is not None and time.monotonic() >= self._end:
+                raise self._failed(error) from None
+        if time.monotonic() >= self._until:
             self.finished = True
+
+    def _failed(self, error: OSError) -> BadInput:
+        """Remember why nothing more can be written."""
+        why = error.strerror or str(error)
+        if self._bag.kept is not None:
+            why += f"; {self._bag.kept} of {sum(self._counts.values())} messages are kept and can be read"
+        self._reason = why
+        return BadInput(f"{self._path}: cannot be written: {why}")
+
+    def _show(self) -> None:
+        """The progress line."""
+        if self._line.disable:
+            return
+        taken = f"{time.monotonic() - self._since:8.1f} s  {sum(self._counts.values())} messages  {self.lost} lost"
+        written = f"{self._bag.size / 1e6:.1f} MB in {self._bag.files} file{'s' if self._bag.files > 1 else ''}"
+        self._line.set_description_str(f"{taken}  {written}  (Ctrl-C ends)")
 
     def close(self) -> None:
         """Write what is left, finish the bag, and say what is in it."""
-        if self._failed:
-            with contextlib.suppress(OSError):  # it was reported where it was met
-                self._bag.close()
+        self._line.close()
+        if self._reason is not None:
+            self._diagnose()  # the last word of this node
+        elif self._topics:
+            self._collect()
+        self._finish()
+
+    def _finish(self) -> None:
+        if self._told or not self._counts:
             return
-        self._collect()
+        self._told = True
         try:
             self._bag.close()
         except OSError as error:
-            raise BadInput(f"{self._path}: cannot be written: {error.strerror or error}") from None
-        print(f"recorded {sum(self._counts.values())} messages into {self._path}")
+            raise self._failed(error) from None
+        if self._reason is not None:
+            return
+        files = f" ({self._bag.files} files)" if self._bag.files > 1 else ""
+        print(f"recorded {sum(self._counts.values())} messages into {self._path}{files}")
         width = max(map(len, self._counts))
         for topic, count in self._counts.items():
-            print(f"  {topic.ljust(width)}  {count:9d}")
+            missing = self._gaps[topic].missing
+            print(f"  {topic.ljust(width)}  {count:9d}" + (f"  {missing} more never came" if missing else ""))
+        if self._bag.dropped:
+            print(f"  {self._bag.dropped} messages were dropped, because the disk did not keep up")
+
+    def _free(self) -> float:
+        """Space that is left [bytes]; NaN where the folder is gone."""
+        try:
+            return float(shutil.disk_usage(self._path).free)
+        except OSError:
+            return math.nan
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        total = sum(self._counts.values())
-        rate = self._rate.take(total, steady_ns)
-        return {
-            "bag": Health(
-                Level.OK if total else Level.WARN,
-                "recording" if total else "no message has come yet",
-                {"rate [Hz]": f"{rate:.1f}", "messages": total, **self._counts},
-            )
+        total, size, lost = sum(self._counts.values()), self._bag.size, self.lost
+        rate, growth = self._rate.take(total, steady_ns), self._bytes_rate.take(size, steady_ns)
+        lost_now, self._lost_before = lost - self._lost_before, lost
+        free = self._free()
+        if self._reason is not None:
+            state = (Level.ERROR, f"the recording has ended: {self._reason}")
+        elif lost_now:
+            state = (Level.WARN, f"{lost_now} messages lost")
+        elif total == 0:
+            state = (Level.WARN, "no message has come yet")
+        elif growth > 0.0 and free < _LITTLE_SPACE * growth:
+            state = (Level.WARN, f"the disk will be full in {free / growth:.0f} s")
+        else:
+            state = (Level.OK, "recording")
+        values = {
+            "rate [Hz]": f"{rate:.1f}",
+            "messages": total,
+            "never came": lost - self._bag.dropped,
+            "dropped, disk too slow": self._bag.dropped,
+            "waiting for the disk [kB]": self._bag.backlog // 1000,
+            "written [MB]": f"{size / 1e6:.1f}",
+            "files": self._bag.files,
+            "free on the disk [MB]": f"{free / 1e6:.0f}",
+            **self._counts,
         }
-
-
-def _never(_message: bytes) -> None:
-    raise AssertionError("the executor does not see this subscription")
+        return {"bag": Health(*state, values)}

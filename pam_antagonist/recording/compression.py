@@ -14,11 +14,42 @@ else:
     from backports import zstd
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+MAX_MESSAGE = 1 << 20
+"""Largest message of a type that is read [bytes]; the largest of this package has 400."""
+
 _PIECE = 1 << 20  # [bytes]
+_ROOM, _RATIO = 64 << 20, 20  # what a file may unpack to: so many bytes, and so many for each of its own
 
 
 class CompressionError(ValueError):
     """Compressed data that are damaged, or larger than they claimed."""
+
+
+def most_unpacked(size: int) -> int:
+    """Bytes that ``size`` bytes may unpack to; recordings shrink by a factor of 2 to 15."""
+    return _ROOM + _RATIO * size
+
+
+class Room:
+    """What the files of one bag may unpack to, together.
+
+    Args:
+        size: of all of them [bytes].
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._left = most_unpacked(size)
+
+    def take(self, size: int) -> None:
+        """Use some of it.
+
+        Raises:
+            CompressionError: There is not so much.
+        """
+        self._left -= size
+        if self._left < 0:
+            raise CompressionError(f"{self._size} bytes unpack to more than {most_unpacked(self._size)}")
 
 
 def inflate(data: bytes | memoryview, compression: str, size: int) -> bytes:
@@ -50,7 +81,7 @@ def inflate(data: bytes | memoryview, compression: str, size: int) -> bytes:
     return result
 
 
-def inflate_message(data: bytes | memoryview, limit: int = 1 << 26) -> bytes:
+def inflate_message(data: bytes | memoryview, limit: int = MAX_MESSAGE) -> bytes:
     """Unpack one zstd-compressed message of at most ``limit`` bytes.
 
     Raises:

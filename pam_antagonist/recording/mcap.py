@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from zlib import crc32
 
-from .compression import CompressionError, inflate
+from .compression import MAX_MESSAGE, CompressionError, Room, inflate
 from .raw import Channel, Collector, RawTopic
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -49,18 +49,19 @@ class McapContents:
     damage: str | None
 
 
-def scan_mcap(path: Path, types: Collection[str]) -> McapContents:
+def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> McapContents:
     """Read all messages of the given types.
 
     Args:
         path: The file.
         types: Message types whose payloads are wanted; messages of other types are only counted.
+        room: What may be unpacked; None for what this file may unpack to by itself.
     """
     with path.open("rb") as file:
         if path.stat().st_size == 0:
             return McapContents([], "it is empty")
         view = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    scan = _Scan(types)
+    scan = _Scan(types, room or Room(len(view)))
     damage = None
     try:
         if bytes(view[: len(MAGIC)]) != MAGIC:
@@ -76,6 +77,7 @@ def scan_mcap(path: Path, types: Collection[str]) -> McapContents:
 @dataclass
 class _Scan:
     types: Collection[str]
+    room: Room
     schemas: dict[int, tuple[str, str]] = field(default_factory=dict)
     collectors: dict[int, Collector] = field(default_factory=dict)
     chunk_at: int | None = None
@@ -104,6 +106,8 @@ class _Scan:
                 collector = collectors.get(channel)
                 if collector is None:
                     raise Damage(f"a message {self._at(position)} belongs to channel {channel}, which is not declared")
+                if size > MAX_MESSAGE and collector.wanted:
+                    raise Damage(f"a message of {collector.channel.msgtype} {self._at(position)} has {size} bytes")
                 collector.log_ns.append(log_ns)
                 if collector.wanted:
                     collector.pieces.append(view[body + _MESSAGE_HEAD : stop])
@@ -159,6 +163,7 @@ class _Scan:
         (packed,) = struct.unpack_from("<Q", body, at)
         if size > MAX_CHUNK:
             raise Damage(f"the chunk at byte {position} claims {size} bytes, expected {MAX_CHUNK} at most")
+        self.room.take(size)
         if packed != len(body) - at - 8:
             raise Damage(f"the chunk at byte {position} claims {packed} packed bytes, but has {len(body) - at - 8}")
         data = inflate(body[at + 8 :], compression, size)

@@ -9,14 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import yaml
-
 from ..errors import BadInput
+from . import metadata
 
 SEALED = "pam_antagonist.sealed"
 """Name of the note that lists the muscles whose chambers are sealed: "1", "2" or "1 2"."""
-_INFORMATION = "rosbag2_bagfile_information"
-_MAX_METADATA = 64 << 20  # [bytes]
 
 
 def write_notes(path: Path, notes: Mapping[str, str]) -> None:
@@ -27,13 +24,14 @@ def write_notes(path: Path, notes: Mapping[str, str]) -> None:
         notes: Name -> text.
 
     Raises:
-        OSError: The metadata cannot be read or written.
+        BadInput: The metadata cannot be read.
+        OSError: They cannot be written.
     """
-    file = path / "metadata.yaml"
-    content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    information = content[_INFORMATION]
-    information["custom_data"] = {**(information.get("custom_data") or {}), **notes}
-    file.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    information = metadata.read_information(path)
+    if information is None:
+        raise BadInput(f"{path}: has no metadata.yaml, expected a finished bag")
+    information["custom_data"] = {**metadata.custom_data(information), **notes}
+    metadata.write_information(path, information)
 
 
 def read_notes(path: str | Path) -> dict[str, str]:
@@ -46,18 +44,7 @@ def read_notes(path: str | Path) -> dict[str, str]:
         BadInput: The metadata cannot be read.
     """
     path = Path(path)
-    file = (path if path.is_dir() else path.parent) / "metadata.yaml"
-    try:
-        if not file.is_file():
-            return {}
-        if file.stat().st_size > _MAX_METADATA:
-            raise BadInput(f"{file}: {file.stat().st_size} bytes, expected a short text")
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        raise BadInput(f"{file}: cannot be read: {' '.join(str(error).split())[:200]}") from None
-    information = content.get(_INFORMATION) if isinstance(content, dict) else None
-    found = information.get("custom_data") if isinstance(information, dict) else None
-    return {str(name): str(text) for name, text in found.items()} if isinstance(found, dict) else {}
+    return metadata.read_custom_data(path if path.is_dir() else path.parent)
 
 
 def sealed_muscles(path: str | Path) -> tuple[int, ...]:

@@ -71,7 +71,20 @@ def read_bag(
         BadInput: Not a bag, damaged, a topic missing or of another type, no samples, time running backwards, or values
             that cannot be what they should be (gauge pressure, other units).
     """
-    path = Path(path)
+    try:
+        return _read(Path(path), topics, namespace, joint_name, restarts, recover)
+    except MemoryError:
+        raise BadInput(f"{path}: needs more memory than there is; split the recording, or use a larger machine") from None
+
+
+def _read(
+    path: Path,
+    topics: Mapping[str, str] | None,
+    namespace: str | None,
+    joint_name: str | None,
+    restarts: Restarts,
+    recover: bool,
+) -> Recording:
     if restarts not in ("refuse", "last"):
         raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
     bag = read_raw(path, {TOPICS[name].type for name in READ_TOPICS}, recover=recover)

@@ -8,23 +8,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
-
-import yaml
-from rosbags.interfaces import ConnectionExtRosbag2
-from rosbags.rosbag2 import Reader
 
 from ..errors import BadInput
+from . import metadata
 from .cdr import Payloads
-from .compression import ZSTD_MAGIC, CompressionError, inflate_file, inflate_message
+from .compression import ZSTD_MAGIC, CompressionError, Room, inflate_file, inflate_message, most_unpacked
 from .mcap import MAGIC as MCAP_MAGIC
 from .mcap import scan_mcap
-from .raw import Channel, Collector, RawTopic
+from .metadata import one_line
+from .raw import RawTopic
+from .sqlite import MAGIC as SQLITE_MAGIC
+from .sqlite import SqliteDamage, cut_off, read_sqlite
 
-_SQLITE_MAGIC = b"SQLite format 3\0"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _EXPECTED = "expected a folder with metadata.yaml, a .mcap or a .db3 file"
-_MAX_METADATA = 64 << 20  # [bytes]
 MAX_UNPACKED = 4 << 30
 """Largest file that is unpacked from zstd [bytes]."""
 
@@ -48,9 +45,12 @@ class RawBag:
 
 @dataclass(frozen=True)
 class _Files:
+    """Message files of a bag; ``closed`` is False where the recorder did not come to finish them."""
+
     paths: list[Path]
     digests: Mapping[tuple[str, str], str]
     issues: list[str]
+    closed: bool = True
 
 
 def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> RawBag:
@@ -68,14 +68,15 @@ def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> Ra
         files = _locate(path)
         bag = RawBag(path, issues=list(files.issues))
         parts: list[RawTopic] = []
+        room = Room(sum(file.stat().st_size for file in files.paths))
         for file in files.paths:
-            parts.extend(_read_file(bag, file, types, recover))
-    except BadInput:
+            parts.extend(_read_file(bag, file, types, room, recover, files.closed))
+    except (BadInput, MemoryError):
         raise
     except OSError as exc:
         raise BadInput(f"{path}: cannot be read ({exc.strerror or exc})") from exc
     except Exception as exc:  # damaged files make sqlite, zstd and rosbags raise whatever they like
-        raise BadInput(f"{path}: damaged, or not a rosbag2 ({_one_line(exc)})") from exc
+        raise BadInput(f"{path}: damaged, or not a rosbag2 ({one_line(exc)})") from exc
     _merge(bag, parts, files.digests)
     return bag
 
@@ -107,7 +108,9 @@ def bag_hash(path: str | Path) -> str:
 
 def _locate(path: Path) -> _Files:
     """Find the message files of a bag."""
-    if path.name == "metadata.yaml" and path.is_file():
+    if "\0" in str(path):
+        raise BadInput(f"{path}: no bag can have this name")
+    if path.name == metadata.NAME and path.is_file():
         path = path.parent
     if not path.exists():
         raise BadInput(f"{path}: there is no such bag")
@@ -115,54 +118,46 @@ def _locate(path: Path) -> _Files:
         if path.suffix == ".bag":
             raise BadInput(f"{path}: this is a ROS 1 bag, expected a rosbag2; convert it with rosbags-convert")
         return _Files([path], {}, [])
-    metadata = path / "metadata.yaml"
-    if not metadata.exists():
-        found = sorted(file for file in path.iterdir() if file.name.endswith(_SUFFIXES))
+    if not path.is_dir():
+        raise BadInput(f"{path}: neither a file nor a folder, {_EXPECTED}")
+    information = metadata.read_information(path)
+    if information is None:
+        found = [file for file in path.iterdir() if file.name.endswith(_SUFFIXES) and file.is_file()]
         if not found:
             raise BadInput(f"{path}: not a rosbag2, {_EXPECTED}")
-        return _Files(found, {}, [f"{path} has no metadata.yaml, as after a recording that was not closed"])
-    if metadata.stat().st_size > _MAX_METADATA:
-        raise BadInput(f"{metadata}: {metadata.stat().st_size} bytes, expected a short text")
-    try:
-        content = yaml.safe_load(metadata.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as exc:
-        raise BadInput(f"{metadata}: not readable as YAML ({_one_line(exc)})") from exc
-    try:
-        information = content["rosbag2_bagfile_information"]
-        names = [Path(name).name for name in information["relative_file_paths"]]
-        digests = dict(_digests(information))
-    except KeyError as exc:
-        raise BadInput(f"{metadata}: not the metadata of a rosbag2, entry {exc} is missing") from exc
-    except (TypeError, AttributeError) as exc:
-        raise BadInput(f"{metadata}: not the metadata of a rosbag2, an entry is not what it should be") from exc
-    if not names:
-        raise BadInput(f"{metadata}: names no message files under relative_file_paths")
-    for name in names:
-        if not (path / name).is_file():
-            raise BadInput(f"{path}: metadata.yaml names {name}, which is not there")
-    return _Files([path / name for name in names], digests, [])
+        issue = f"{path} has no metadata.yaml, as after a recording that was not closed"
+        return _Files(metadata.in_order(found), {}, [issue], closed=False)
+    names = metadata.file_names(path, information)
+    return _Files([path / name for name in names], metadata.type_digests(path, information), [])
 
 
-def _digests(information: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
-    for entry in information.get("topics_with_message_count") or ():
-        topic = entry["topic_metadata"]
-        yield (str(topic["name"]), str(topic["type"])), str(topic.get("type_description_hash") or "")
+def _read_file(
+    bag: RawBag, file: Path, types: Collection[str], room: Room, recover: bool, closed: bool
+) -> list[RawTopic]:
+    """Read one message file, unpacking it first where needed.
 
-
-def _read_file(bag: RawBag, file: Path, types: Collection[str], recover: bool) -> list[RawTopic]:
-    """Read one message file, unpacking it first where needed."""
+    A recording that was not closed ends somewhere: what is whole is read, and said. In one that was closed, damage is
+    no part of the deal, and reading on is for the user to decide.
+    """
     with _unpacked(file) as (plain, packing_damage):
         with plain.open("rb") as stream:
-            magic = stream.read(len(_SQLITE_MAGIC))
-        if not magic and packing_damage is None:
-            raise BadInput(f"{file}: is empty")
+            magic = stream.read(len(SQLITE_MAGIC))
+        if not magic.strip(b"\0") and packing_damage is None:
+            if closed:
+                raise BadInput(f"{file}: is empty")
+            bag.issues.append(f"{file} holds nothing yet: the recording ended when it was begun")
+            return []
         damage = packing_damage
         if magic.startswith(MCAP_MAGIC):
-            contents = scan_mcap(plain, types)
+            contents = scan_mcap(plain, types, room)
             parts, damage = contents.topics, packing_damage or contents.damage
-        elif magic == _SQLITE_MAGIC and damage is None:
-            damage = _sqlite_cut(plain)
-            parts = [] if damage else _read_sqlite(plain, types)
+        elif magic == SQLITE_MAGIC and damage is None:
+            damage, parts = cut_off(plain), []
+            if damage is None:
+                try:
+                    parts = read_sqlite(plain, types)
+                except SqliteDamage as exc:
+                    damage = str(exc)
             log = file.with_name(f"{file.name}-wal")
             if log.exists() and log.stat().st_size:
                 bag.issues.append(f"{log} holds messages that were not read; let sqlite3 bring them into {file.name}")
@@ -172,6 +167,9 @@ def _read_file(bag: RawBag, file: Path, types: Collection[str], recover: bool) -
             parts = []
     if damage is not None:
         kept = sum(len(part.log_ns) for part in parts)
+        if not closed:
+            bag.issues.append(f"{file} was not closed, {damage}: read the {kept} messages before that")
+            return parts
         if not recover:
             hint = f"{kept} messages stand before that" + (" (--recover reads them)" if kept else "")
             raise BadInput(f"{file}: truncated or damaged, {damage}; {hint}")
@@ -190,43 +188,10 @@ def _unpacked(file: Path) -> Iterator[tuple[Path, str | None]]:
     with TemporaryDirectory() as folder:
         target = Path(folder) / (file.stem if file.suffix in (".zstd", ".zst") else file.name)
         try:
-            damage = inflate_file(file, target, MAX_UNPACKED)
+            damage = inflate_file(file, target, min(MAX_UNPACKED, most_unpacked(file.stat().st_size)))
         except CompressionError as exc:
             raise BadInput(f"{file}: {exc}") from exc
         yield target, damage
-
-
-def _sqlite_cut(file: Path) -> str | None:
-    """Hold the size of an sqlite3 file against the pages its header counts (file format, section 1.3)."""
-    with file.open("rb") as stream:
-        head = stream.read(100)
-    if len(head) < 100:
-        return f"it ends at byte {len(head)}, within its header"
-    page_size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
-    page_size = 65536 if page_size == 1 else page_size
-    trusted = head[24:28] == head[92:96]  # else the count is that of an old library, and may be stale
-    size = file.stat().st_size
-    if trusted and size < page_size * pages:
-        return f"it ends at byte {size} of {page_size * pages}"
-    return None
-
-
-def _read_sqlite(file: Path, types: Collection[str]) -> list[RawTopic]:
-    """Read an sqlite3 file through rosbags, which checks what it opens."""
-    if file.suffix != ".db3":
-        raise BadInput(f"{file}: an sqlite3 bag whose name does not end with .db3, as rosbag2 names it")
-    collectors: dict[int, Collector] = {}
-    with Reader(file) as reader:
-        for connection in reader.connections:
-            encoding = connection.ext.serialization_format if isinstance(connection.ext, ConnectionExtRosbag2) else ""
-            channel = Channel(connection.topic, connection.msgtype, encoding, connection.msgdef.data, connection.digest)
-            collectors[connection.id] = Collector(channel, connection.msgtype in types)
-        for connection, log_ns, data in reader.messages():
-            collector = collectors[connection.id]
-            collector.log_ns.append(log_ns)
-            if collector.wanted:
-                collector.pieces.append(data)
-    return [collector.finish() for collector in collectors.values()]
 
 
 def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str], str]) -> None:
@@ -255,10 +220,8 @@ def unpack_messages(raw: RawTopic) -> RawTopic:
         return raw
     stop = payloads.length.cumsum()
     view = payloads.data.data
-    messages = [inflate_message(view[b - n : b]) for b, n in zip(stop.tolist(), payloads.length.tolist(), strict=True)]
+    messages, room = [], Room(len(view))
+    for end, size in zip(stop.tolist(), payloads.length.tolist(), strict=True):
+        messages.append(inflate_message(view[end - size : end]))
+        room.take(len(messages[-1]))
     return replace(raw, payloads=Payloads.of(messages))
-
-
-def _one_line(exc: BaseException) -> str:
-    """Text of an exception without line breaks."""
-    return " ".join(str(exc).split()) or type(exc).__name__

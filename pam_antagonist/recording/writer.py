@@ -3,36 +3,27 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import queue
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from ..errors import BadInput
+from .bag_files import MODES, PLUGINS, BagFiles, Compression, Storage
 from .cdr import encode
+from .limits import Limits
 from .messages import typestore
 from .recording import ESTIMATE_SHAPES, RecordedEstimate, Recording
 from .topics import DEFAULT_NAMESPACE, TOPICS
 
-Storage = Literal["mcap", "sqlite3"]
-Compression = Literal["none", "chunk", "message", "file"]
-
-_PLUGINS = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-_MODES = {
-    "none": CompressionMode.NONE,
-    "chunk": CompressionMode.STORAGE,
-    "message": CompressionMode.MESSAGE,
-    "file": CompressionMode.FILE,
-}
-_FLUSH_S = 1.0  # what a killed recorder may lose [s]
+_FLUSH_S = 1.0  # what a killed recorder, or one without power, may lose [s]
 _BATCH = 4096  # messages that are handed to the writing thread at once
 
 Item = tuple[str, int, bytes | memoryview]
@@ -44,42 +35,81 @@ class BagWriter:
     All file work is done by a thread of its own. So ``write`` never waits for a disk, and an interrupt, which Python
     raises in the main thread, cannot tear a half-written message: leaving the context writes everything that was
     handed over, whatever the reason for leaving. Once a second all messages so far go to the file as a whole chunk, so
-    that a process that is killed leaves a bag that ``read_bag(..., recover=True)`` reads up to the last second.
+    that a process that is killed leaves a bag that ``read_bag`` reads up to the last second. When a write fails, as on
+    a full disk, the chunks that are whole are kept and closed as well as they can be.
 
     Args:
         path: Bag folder to be made; parents are made as well.
         storage: "mcap" or "sqlite3".
         compression: "chunk" (MCAP only), "message", "file" or "none"; None is "chunk" for MCAP and "none" for sqlite3.
+        limits: When to begin the next file (MCAP only); default: never.
+        durable: Whether what is flushed is to survive a power cut, too; costs a fsync a second.
+        backlog: Bytes that may wait for the disk; beyond them messages are dropped and counted. None: any number.
+
+    Attributes:
+        dropped: Messages that were dropped because the disk did not keep up.
+        kept: After a failed write, the messages that can be read; else None.
 
     Raises:
         BadInput: The path exists already, or cannot be made.
     """
 
-    def __init__(self, path: str | Path, *, storage: Storage = "mcap", compression: Compression | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        storage: Storage = "mcap",
+        compression: Compression | None = None,
+        limits: Limits = Limits(),  # noqa: B008  (frozen)
+        durable: bool = False,
+        backlog: int | None = None,
+    ) -> None:
         self.path = Path(path)
-        if storage not in _PLUGINS:
+        if storage not in PLUGINS:
             raise BadInput(f"storage {storage!r} of {path} is unknown, expected mcap or sqlite3")
         compression = compression or ("chunk" if storage == "mcap" else "none")
-        if compression not in _MODES or (compression == "chunk" and storage != "mcap"):
+        if compression not in MODES or (compression == "chunk" and storage != "mcap"):
             raise BadInput(f"compression {compression!r} of {path} is not possible with {storage}")
+        if storage == "sqlite3" and set("?#%") & set(str(path)):
+            raise BadInput(f"{path}: sqlite3 would take ?, # or % in a name for something else; choose another output")
+        if limits.split and storage != "mcap":
+            raise BadInput(f"{path}: a bag with {storage} storage is one file, expected mcap for several")
         try:
             if self.path.exists() or self.path.is_symlink():
                 raise BadInput(f"{path}: exists already, and nothing is overwritten; choose another output")
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = Writer(self.path, version=9, storage_plugin=_PLUGINS[storage])
-            self._writer.set_compression(_MODES[compression], CompressionFormat.ZSTD)
-        except OSError as exc:
+        except (OSError, ValueError) as exc:
             raise BadInput(f"{path}: cannot be made ({exc})") from exc
+        self._files = BagFiles(self.path, storage, compression, limits, durable)
         self._types: dict[str, str] = {}
         self._queue: queue.SimpleQueue[list[Item] | tuple[str, str] | None] = queue.SimpleQueue()
+        self._limit = backlog
+        self._given = self._written = self.dropped = 0
+        self.kept: int | None = None
         self._opened = threading.Event()
         self._error: BaseException | None = None
+        self._reported = False
         self._thread = threading.Thread(target=self._run, name=f"bag {self.path.name}", daemon=True)
         self._thread.start()
         self._opened.wait()
         if self._error is not None:
             raise BadInput(f"{path}: cannot be made ({self._error})") from self._error
         atexit.register(self.close)
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait for the disk; counted where there is a limit."""
+        return self._given - self._written
+
+    @property
+    def size(self) -> int:
+        """Bytes in the files as of the last flush."""
+        return self._files.size
+
+    @property
+    def files(self) -> int:
+        """Message files that were begun."""
+        return self._files.files
 
     def add_topic(self, topic: str, msgtype: str) -> None:
         """Announce a topic, so that it stands in the bag even if no message ever comes.
@@ -117,16 +147,27 @@ class BagWriter:
         self.add_topic(topic, msgtype)
         self._put([(topic, int(log_ns), data)])
 
-    def write_many(self, items: Sequence[Item]) -> None:
-        """Write messages of announced topics: (topic, time of reception [ns], CDR) each."""
+    def write_many(self, items: Sequence[Item]) -> int:
+        """Write messages of announced topics: (topic, time of reception [ns], CDR) each.
+
+        Returns:
+            How many were taken; the others would have waited beyond the backlog. With a limit, for one thread only.
+        """
         for first in range(0, len(items), _BATCH):
-            self._put(list(items[first : first + _BATCH]))
+            batch = list(items[first : first + _BATCH])
+            if self._limit is not None:
+                if self.backlog > self._limit:
+                    self.dropped += len(items) - first
+                    return first
+                self._given += _size(batch)
+            self._put(batch)
+        return len(items)
 
     def close(self) -> None:
         """Write what is left and finish the files; a second call does nothing.
 
         Raises:
-            OSError: Something could not be written, such as on a full disk.
+            OSError: Something could not be written, such as on a full disk, and no other method has said so.
         """
         interrupt: KeyboardInterrupt | None = None
         self._queue.put(None)
@@ -137,7 +178,7 @@ class BagWriter:
                 interrupt = exc
         atexit.unregister(self.close)
         error, self._error = self._error, None
-        if error is not None:
+        if error is not None and not self._reported:
             raise error
         if interrupt is not None:
             raise interrupt
@@ -152,15 +193,18 @@ class BagWriter:
 
     def _put(self, item: list[Item] | tuple[str, str]) -> None:
         if not self._thread.is_alive():
+            self._reported = True
             raise self._error or ValueError(f"{self.path} is closed")
         self._queue.put(item)
 
     def _run(self) -> None:
         """The thread: open, write what comes, finish."""
+        files = self._files
+        begun = False
         try:
-            self._writer.open()
+            files.open()
+            begun = True
             self._opened.set()
-            connections: dict[str, Connection] = {}
             flushed = time.monotonic()
             unflushed = False
             while True:
@@ -171,29 +215,27 @@ class BagWriter:
                 if item is None:
                     break
                 if isinstance(item, tuple):
-                    connections[item[0]] = self._writer.add_connection(*item, typestore=typestore())
+                    files.add_topic(*item)
                 else:
-                    for topic, log_ns, data in item:
-                        self._writer.write(connections[topic], log_ns, data)
+                    files.write_many(item)
                     unflushed = unflushed or bool(item)
+                    if self._limit is not None:
+                        self._written += _size(item)
                 if unflushed and time.monotonic() - flushed >= _FLUSH_S:
-                    self._flush()
+                    files.flush()
                     flushed, unflushed = time.monotonic(), False
-            self._writer.close()
+            files.close()
         except BaseException as exc:  # handed over to whoever writes or closes
+            if begun:
+                with contextlib.suppress(Exception):  # the first error is the one to report
+                    self.kept = files.rescue()
             self._error = exc
-            self._writer.abort()
         finally:
             self._opened.set()
 
-    def _flush(self) -> None:
-        """Bring everything so far into the file, as far as the storage has a way to do so."""
-        storage: Any = self._writer.storage
-        if hasattr(storage, "close_chunk"):
-            storage.close_chunk()
-            storage.bio.flush()
-        elif hasattr(storage, "conn"):
-            storage.conn.commit()
+
+def _size(items: Sequence[Item]) -> int:
+    return sum(len(data) for _, _, data in items)
 
 
 def write_bag(

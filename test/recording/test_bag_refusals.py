@@ -53,11 +53,11 @@ def test_empty_file(tmp_path: Path, name: str) -> None:
     ("text", "said"),
     [
         ("{", "not readable as YAML"),
-        ("", "not the metadata of a rosbag2"),
+        ("", "not a rosbag2"),
         ("a: 1", "entry 'rosbag2_bagfile_information' is missing"),
         ("rosbag2_bagfile_information: 7", "not the metadata of a rosbag2"),
         ("rosbag2_bagfile_information:\n  relative_file_paths: []", "names no message files"),
-        ("rosbag2_bagfile_information:\n  relative_file_paths: [gone.mcap]", "names gone.mcap, which is not there"),
+        ("rosbag2_bagfile_information:\n  relative_file_paths: [gone.mcap]", "names 'gone.mcap', which is not there"),
         ("rosbag2_bagfile_information:\n  relative_file_paths: [3]", "not the metadata of a rosbag2"),
         ("[" * 1500, "not readable as YAML"),
     ],

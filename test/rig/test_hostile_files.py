@@ -49,8 +49,10 @@ CONTENTS = {
     "deep closed list": ("a: " + "[" * 10_000 + "]" * 10_000, "not valid YAML"),
     "deep mapping": ("a: " + "{a: " * 5_000, "not valid YAML"),
     "deep block mapping": ("".join(" " * k + "a:\n" for k in range(420)), "not valid YAML"),
-    "billion laughs": (laughs(10, 10), "unknown key"),
-    "billion laughs by merging": (laughs_by_merging(10, 10), "not valid YAML"),
+    "billion laughs": (laughs(10, 10), "stand for more than 100000 values"),
+    "billion laughs by merging": (laughs_by_merging(10, 10), "stand for more than 100000 values"),
+    "hexadecimal number of 50,000 digits": (f"geometry: {{radius: 0x{'f' * 50_000}}}\n", ""),
+    "base 60 number of 20,000 digits": (f"name: {':'.join(['1'] * 20_000)}\n", "too large"),
     "a file of 2 MB": ("#" * 2_000_000, "bytes"),
 }
 
@@ -65,12 +67,21 @@ def test_no_rig(tmp_path, refusal, content, word):
     assert time.perf_counter() - began < 20.0
 
 
-def test_billion_laughs_as_a_value(edited, refusal):
+@pytest.mark.parametrize(("levels", "word"), [(10, "stand for more than 100000 values"), (4, "geometry.radius")])
+def test_billion_laughs_as_a_value(edited, refusal, levels, word):
     """The message shows what was found, and must not write it out."""
     began = time.perf_counter()
-    message = refusal(edited(("radius: 0.0365", f"radius: {laughs_in_place(10, 10)}")))
-    assert "geometry.radius" in message
+    message = refusal(edited(("radius: 0.0365", f"radius: {laughs_in_place(levels, 10)}")))
+    assert word in message
+    assert len(message) < 500
     assert time.perf_counter() - began < 20.0
+
+
+@pytest.mark.parametrize("number", ["0x" + "f" * 9_000, "0b" + "1" * 990, ":".join(["59"] * 9_000), "1e999", "-.inf"])
+def test_absurd_numbers(edited, refusal, number):
+    message = refusal(edited(("radius: 0.0365", f"radius: {number}")))
+    assert "geometry.radius" in message or "too large" in message
+    assert len(message) < 500
 
 
 def test_long_value_is_shortened(edited, refusal):
@@ -94,6 +105,14 @@ def test_code_is_not_run(edited, refusal, tmp_path, code):
     assert "not valid YAML" in message
     assert "python/" in message
     assert not touched.exists()
+
+
+@pytest.mark.parametrize(
+    "value", ["!!timestamp x", "!!bool x", "!!int ''", "!!float x", "!!binary é", "!!null x", "!!set 3"]
+)
+def test_tags_that_lie(edited, refusal, value):
+    message = refusal(edited(("radius: 0.0365", f"radius: {value}")))
+    assert "not valid YAML" in message or "geometry.radius" in message
 
 
 def test_binary_file(tmp_path, refusal):

@@ -1,0 +1,262 @@
+"""Message files of a bag while it is written: split, brought to the disk every second, whole after a failure.
+
+rosbags writes a bag of one file. Here each file is such a bag by itself, and their metadata are brought together in
+the end. A file that is cut off, by a power cut or a kill, still has every chunk that was flushed; what is missing then
+is the index at its end and metadata.yaml, which the reader of this package does without.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal
+
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from . import metadata
+from .limits import Limits
+from .messages import typestore
+
+Storage = Literal["mcap", "sqlite3"]
+Compression = Literal["none", "chunk", "message", "file"]
+
+PLUGINS = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
+MODES = {
+    "none": CompressionMode.NONE,
+    "chunk": CompressionMode.STORAGE,
+    "message": CompressionMode.MESSAGE,
+    "file": CompressionMode.FILE,
+}
+
+
+class _File(Writer):
+    """One message file, with metadata of its own until all are brought together."""
+
+    storage: Any
+
+    def __init__(self, folder: Path, name: str | None, plugin: StoragePlugin) -> None:
+        super().__init__(folder / f".{name or folder.name}.new", version=9, storage_plugin=plugin)
+        self._folder, self._name = folder, name
+        self.metapath = folder / f".{name or folder.name}.yaml"
+        self.safe = 0  # bytes that end with a whole chunk
+        self._safe_counts: dict[int, int] = {}
+        self._chunks = 0
+
+    def open(self) -> None:
+        """Make the file; rosbags names it after the folder."""
+        self.storage = self.STORAGE_PLUGINS[self.storage_plugin](self._folder, self.compression_mode)
+        if self._name is not None:
+            target = self.storage.path.with_name(f"{self._name}{self.storage.path.suffix}")
+            self.storage.path = self.storage.path.rename(target)
+
+    def size(self) -> int:
+        """Bytes so far, with those that are about to be written."""
+        if hasattr(self.storage, "chunk"):
+            return int(self.storage.bio.tell() + self.storage.chunk.bio.tell())
+        return int(self.storage.path.stat().st_size)
+
+    def whole_chunks(self) -> None:
+        """Hand complete chunks to the operating system, and remember how far the file is good."""
+        storage = self.storage
+        if hasattr(storage, "chunk") and len(storage.chunks) != self._chunks:
+            storage.bio.flush()
+            self.safe, self._chunks = storage.bio.tell(), len(storage.chunks)
+            pending = {key: len(messages) for key, messages in storage.chunk.msgs.items()}
+            self._safe_counts = {key: count - pending.get(key, 0) for key, count in self.counts.items()}
+
+    def flush(self, durable: bool) -> None:
+        """Bring everything so far into the file, as far as the storage has a way to do so."""
+        storage = self.storage
+        if hasattr(storage, "chunk"):
+            if storage.chunk.bio.tell():
+                storage.close_chunk()
+            self.whole_chunks()
+            storage.bio.flush()
+            if durable:
+                os.fsync(storage.bio.fileno())
+        elif hasattr(storage, "conn"):
+            storage.conn.commit()
+
+    def finish(self, durable: bool) -> dict[str, Any]:
+        """Close the file; returns its metadata."""
+        self.flush(False)  # the index comes after all messages are in the file: it can be done without
+        path = self.storage.path
+        self.close()
+        if durable and path.exists():
+            with path.open("rb") as stream:
+                os.fsync(stream.fileno())
+        information = metadata.read_information(self._folder, self.metapath.name)
+        assert information is not None  # rosbags has just written it
+        self.metapath.unlink()
+        return information
+
+    def rescue(self) -> dict[str, Any] | None:
+        """After a failed write: drop the torn chunk and close what is before it.
+
+        Returns:
+            The file's metadata; None where even the index cannot be written: then the file ends with a whole chunk.
+        """
+        storage = self.storage
+        if storage is None or not hasattr(storage, "chunk"):
+            with suppress(Exception):
+                self.abort()
+            return None
+        with suppress(OSError):
+            storage.bio.close()  # tries once more to write what could not be written
+        self.counts.update(self._safe_counts or dict.fromkeys(self.counts, 0))
+        storage.channel_stats.update(self.counts)
+        storage.chunk.bio = io.BytesIO()
+        storage.chunk.msgs.clear()
+        try:
+            os.truncate(storage.path, self.safe)
+            storage.bio = storage.path.open("r+b")
+            storage.bio.seek(self.safe)
+            return self.finish(False)
+        except Exception:  # no room for the index either
+            with suppress(OSError):
+                storage.bio.close()
+            with suppress(OSError):
+                os.truncate(storage.path, self.safe)
+            for left in (self.metapath, self.metapath.with_suffix(".yaml.tmp")):
+                with suppress(OSError):
+                    left.unlink()
+        return None
+
+
+class BagFiles:
+    """All files of one bag; for one thread.
+
+    Args:
+        path: folder to be made.
+        storage: "mcap" or "sqlite3".
+        compression: see ``MODES``.
+        limits: when to begin the next file (MCAP only).
+        durable: whether what is flushed is to survive a power cut.
+
+    Attributes:
+        files: how many were begun.
+        size: bytes in all of them, as of the last flush; may be read from any thread.
+    """
+
+    def __init__(self, path: Path, storage: Storage, compression: Compression, limits: Limits, durable: bool) -> None:
+        self._path, self._plugin, self._mode = path, PLUGINS[storage], MODES[compression]
+        self._limits, self._durable = limits, durable
+        self._topics: list[tuple[str, str]] = []
+        self._connections: dict[str, Connection] = {}
+        self._done: list[dict[str, Any]] = []
+        self._file: _File
+        self._first: float | None = None
+        self._open = False
+        self.files = self.size = self._finished = 0
+
+    def open(self) -> None:
+        """Make the folder and the first file.
+
+        Raises:
+            OSError: That is not possible.
+        """
+        self._path.mkdir(mode=0o755, parents=True)
+        self._begin()
+        if self._durable:
+            metadata.sync_folder(self._path.parent)
+
+    def add_topic(self, topic: str, msgtype: str) -> None:
+        """Announce a topic."""
+        self._topics.append((topic, msgtype))
+        self._connect(topic, msgtype)
+
+    def write_many(self, items: Sequence[tuple[str, int, bytes | memoryview]]) -> None:
+        """Write messages of announced topics: (topic, time of reception [ns], CDR) each."""
+        for topic, log_ns, data in items:
+            self._file.write(self._connections[topic], log_ns, data)
+        if items and self._first is None:
+            self._first = time.monotonic()
+        self._file.whole_chunks()
+        if self._limits.split and self._full():
+            self._finish()
+            self._begin()
+
+    def flush(self) -> None:
+        """Bring everything so far into the file."""
+        self._file.flush(self._durable)
+        self.size = self._finished + self._file.size()
+
+    def close(self) -> None:
+        """Finish the last file and write metadata.yaml."""
+        self._finish()
+        metadata.write_information(self._path, _together(self._done))
+
+    def rescue(self) -> int:
+        """After a failed write, leave as much as possible.
+
+        Returns:
+            Number of messages in whole chunks.
+        """
+        kept = 0
+        if self._open:
+            last = self._file.rescue()
+            if last is not None:
+                self._done.append(last)
+            else:
+                kept = sum(self._file.counts.values())
+            with suppress(OSError):
+                if last is not None:
+                    metadata.write_information(self._path, _together(self._done))
+        return kept + sum(int(part["message_count"]) for part in self._done)
+
+    def _finish(self) -> None:
+        self._done.append(self._file.finish(self._durable))
+        self._open = False
+        self._finished += sum((self._path / name).stat().st_size for name in self._done[-1]["relative_file_paths"])
+        self.size = self._finished
+
+    def _begin(self) -> None:
+        name = f"{self._path.name}_{len(self._done)}" if self._limits.split else None
+        self._file = _File(self._path, name, self._plugin)
+        self._file.set_compression(self._mode, CompressionFormat.ZSTD)
+        self._file.open()
+        self._open = True
+        self._first = None
+        self.files += 1
+        for topic, msgtype in self._topics:
+            self._connect(topic, msgtype)
+        if self._durable:
+            metadata.sync_folder(self._path)
+
+    def _connect(self, topic: str, msgtype: str) -> None:
+        self._connections[topic] = self._file.add_connection(topic, msgtype, typestore=typestore())
+
+    def _full(self) -> bool:
+        size, duration = self._limits.size, self._limits.duration
+        if size is not None and self._file.size() >= size:
+            return True
+        return duration is not None and self._first is not None and time.monotonic() - self._first >= duration
+
+
+def _together(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Metadata of a bag of several files."""
+    if len(parts) == 1:
+        return parts[0]
+    filled = [part for part in parts if part["message_count"]] or list(parts[:1])
+    start = min(part["starting_time"]["nanoseconds_since_epoch"] for part in filled)
+    end = max(part["starting_time"]["nanoseconds_since_epoch"] + part["duration"]["nanoseconds"] for part in filled)
+    topics = []
+    for index, entry in enumerate(parts[-1]["topics_with_message_count"]):
+        # The order of the topics is that of their announcement in all files; an early file may lack the last ones.
+        lists = [part["topics_with_message_count"] for part in parts]
+        count = sum(listed[index]["message_count"] for listed in lists if index < len(listed))
+        topics.append({**entry, "message_count": count})
+    return {
+        **parts[-1],
+        "relative_file_paths": [name for part in parts for name in part["relative_file_paths"]],
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(part["message_count"] for part in parts),
+        "topics_with_message_count": topics,
+        "files": [entry for part in parts for entry in part["files"]],
+    }

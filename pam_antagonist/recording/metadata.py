@@ -1,0 +1,179 @@
+"""metadata.yaml of a rosbag2: read without trust, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..errors import BadInput
+from ..strict_yaml import load_bounded
+
+NAME = "metadata.yaml"
+INFORMATION = "rosbag2_bagfile_information"
+_MAX_BYTES = 1 << 20  # enough for some thousand files or topics
+_MOST_VALUES = 500_000
+
+
+def read_information(folder: Path, name: str = NAME) -> dict[str, Any] | None:
+    """What metadata.yaml says about a bag.
+
+    Args:
+        folder: of the bag.
+        name: of the file, where it is another.
+
+    Returns:
+        None where there is no such file, or one without content: the recording was not closed.
+
+    Raises:
+        BadInput: Not readable, or not the metadata of a rosbag2.
+    """
+    file = folder / name
+    content = _read(file)
+    if content is None:
+        return None
+    try:
+        information = content[INFORMATION]
+    except KeyError as error:
+        raise BadInput(f"{file}: not the metadata of a rosbag2, entry {error} is missing") from None
+    except (TypeError, IndexError):
+        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry is not what it should be") from None
+    if not isinstance(information, dict):
+        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry is not what it should be")
+    return information
+
+
+def read_custom_data(folder: Path) -> dict[str, str]:
+    """Notes in the metadata, by name; none where it is missing, or of another kind.
+
+    Raises:
+        BadInput: Not readable.
+    """
+    content = _read(folder / NAME)
+    return custom_data(content.get(INFORMATION) if isinstance(content, dict) else None)
+
+
+def _read(file: Path) -> Any:
+    try:
+        if not file.exists():
+            return None
+        if not file.is_file():
+            raise BadInput(f"{file}: not a file, expected the metadata of a rosbag2")
+        size = file.stat().st_size
+        if size > _MAX_BYTES:
+            raise BadInput(f"{file}: {size} bytes, expected a short text")
+        raw = file.read_bytes()
+        if not raw.strip(b"\0 \r\n"):  # a power cut leaves a file without content, or one of zeros
+            return None
+        return load_bounded(raw.decode("utf-8"), _MOST_VALUES)
+    except (yaml.YAMLError, RecursionError, ValueError, TypeError, OverflowError) as error:
+        raise BadInput(f"{file}: not readable as YAML ({one_line(error)})") from None
+    except OSError as error:
+        raise BadInput(f"{file}: cannot be read: {error.strerror or error}") from None
+
+
+def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
+    """Names of the message files, all of them inside of the folder, whatever the metadata says.
+
+    Raises:
+        BadInput: There are none, or they are not names.
+    """
+    where = folder / NAME
+    if "relative_file_paths" not in information:
+        raise BadInput(f"{where}: not the metadata of a rosbag2, entry 'relative_file_paths' is missing")
+    listed = information["relative_file_paths"]
+    if not isinstance(listed, list) or not all(isinstance(name, str) and Path(name).name for name in listed):
+        raise BadInput(f"{where}: not the metadata of a rosbag2, an entry is not what it should be")
+    if not listed:
+        raise BadInput(f"{where}: names no message files under relative_file_paths")
+    names = [Path(name).name for name in listed]  # rosbag2 itself once wrote the folder's name in front
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise BadInput(f"{where}: names {twice[:80]!r} twice under relative_file_paths")
+    for name in names:
+        if "\0" in name or not (folder / name).is_file():
+            raise BadInput(f"{folder}: metadata.yaml names {name[:80]!r}, which is not there")
+    return names
+
+
+def type_digests(folder: Path, information: Mapping[str, Any]) -> dict[tuple[str, str], str]:
+    """(topic, message type) -> RIHS01 hash of the type, "" where the metadata have none.
+
+    Raises:
+        BadInput: The list of topics is no such list.
+    """
+    try:
+        return dict(_digests(information))
+    except KeyError as error:
+        raise BadInput(f"{folder / NAME}: not the metadata of a rosbag2, entry {error} is missing") from None
+    except (TypeError, AttributeError):
+        raise BadInput(f"{folder / NAME}: not the metadata of a rosbag2, an entry is not what it should be") from None
+
+
+def _digests(information: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
+    for entry in information.get("topics_with_message_count") or ():
+        topic = entry["topic_metadata"]
+        texts = topic["name"], topic["type"], topic.get("type_description_hash") or ""
+        if not all(isinstance(text, str) for text in texts):
+            raise TypeError
+        yield (texts[0], texts[1]), texts[2]
+
+
+def custom_data(information: Any) -> dict[str, str]:
+    """Notes, by name."""
+    found = information.get("custom_data") if isinstance(information, dict) else None
+    if not isinstance(found, dict):
+        return {}
+    plain = (str, int, float, bool)  # nothing that another value hides in
+    return {str(name): str(text) for name, text in found.items() if isinstance(name, plain) and isinstance(text, plain)}
+
+
+def write_information(folder: Path, information: Mapping[str, Any]) -> None:
+    """Write metadata.yaml: after a power cut there is the old file or the new one.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    part = folder / f".{NAME}.part"
+    text = yaml.safe_dump({INFORMATION: dict(information)}, sort_keys=False, allow_unicode=True)
+    try:
+        with part.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(folder / NAME)
+    except OSError:
+        with suppress(OSError):
+            part.unlink()
+        raise
+    sync_folder(folder)
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names in a folder survive a power cut, where the file system knows how."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def in_order(files: list[Path]) -> list[Path]:
+    """Files of a bag in the order of their numbers: bag_2 before bag_10."""
+
+    def key(path: Path) -> tuple[str, int, str]:
+        match = re.match(r"(.*)_(\d{1,9})(\.[a-z0-9.]+)$", path.name)
+        return (match[1], int(match[2]), path.name) if match else (path.name, -1, path.name)
+
+    return sorted(files, key=key)
+
+
+def one_line(error: BaseException) -> str:
+    """Text of an exception without line breaks."""
+    return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,0 +1,122 @@
+"""sqlite3 files of rosbag2, read without trust.
+
+A database is a program of sorts: views, checks and generated columns compute what they show, and pages that point to
+one another can hold a few bytes forever. So only plain tables are read, every page is looked at once before, and the
+work is limited by the size of the file. Journals beside the file are left alone: nothing is ever written.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+from collections.abc import Collection
+from contextlib import closing
+from pathlib import Path
+from urllib.parse import quote
+
+from .raw import Channel, Collector, RawTopic
+
+MAGIC = b"SQLite format 3\0"
+
+_COMPUTED = re.compile(r"\b(check|generated|virtual|as|where|collate)\b", re.IGNORECASE)
+_EVERY = 100_000  # steps of the database's machine between two looks at the budget
+_STEPS_A_BYTE, _STEPS = 20, 10_000_000  # a row of ten bytes takes some twenty steps
+_NEEDED = {"topics": ("id", "name", "type", "serialization_format"), "messages": ("topic_id", "timestamp", "data")}
+
+
+class SqliteDamage(Exception):
+    """A file that is no sound rosbag2 database; the text says why."""
+
+
+def cut_off(file: Path) -> str | None:
+    """Hold the size of an sqlite3 file against the pages its header counts (file format, section 1.3)."""
+    with file.open("rb") as stream:
+        head = stream.read(100)
+    if len(head) < 100:
+        return f"it ends at byte {len(head)}, within its header"
+    page_size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+    page_size = 65536 if page_size == 1 else page_size
+    trusted = head[24:28] == head[92:96]  # else the count is that of an old library, and may be stale
+    size = file.stat().st_size
+    if trusted and size < page_size * pages:
+        return f"it ends at byte {size} of {page_size * pages}"
+    return None
+
+
+def read_sqlite(file: Path, types: Collection[str]) -> list[RawTopic]:
+    """Read all messages of the given types.
+
+    Args:
+        file: The file.
+        types: Message types whose payloads are wanted; messages of other types are only counted.
+
+    Raises:
+        SqliteDamage: Damaged, or not the database of a rosbag2.
+    """
+    size = file.stat().st_size
+    budget = _STEPS + _STEPS_A_BYTE * size
+    spent = 0
+
+    def tick() -> int:
+        nonlocal spent
+        spent += _EVERY
+        return int(spent > budget)
+
+    uri = f"file:{quote(str(file.absolute()))}?mode=ro&immutable=1"
+    try:
+        with closing(sqlite3.connect(uri, uri=True)) as database:
+            database.set_progress_handler(tick, _EVERY)
+            database.execute("PRAGMA trusted_schema = OFF")
+            database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+            _check(database)
+            return _read(database, types, size)
+    except sqlite3.Error as exc:
+        why = "it is not what a rosbag2 database is" if "interrupt" in str(exc) else str(exc)
+        raise SqliteDamage(" ".join(why.split())) from None
+
+
+def _check(database: sqlite3.Connection) -> None:
+    """Only plain tables, each page in one place."""
+    for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
+        if kind in ("table", "index") and _COMPUTED.search(str(sql or "").partition("(")[2] or str(sql or "")):
+            raise SqliteDamage(f"its {kind} {str(name)[:40]!r} computes something, expected plain columns")
+        if kind == "view" and name in _NEEDED:
+            raise SqliteDamage(f"its {name!r} is a view, expected a table")
+    for table, needed in _NEEDED.items():
+        if missing := set(needed) - set(_columns(database, table)):
+            raise SqliteDamage(f"its table {table!r} has no column {sorted(missing)[0]!r}, expected a rosbag2 database")
+    (verdict,) = database.execute("PRAGMA quick_check(1)").fetchone()
+    if verdict != "ok":
+        raise SqliteDamage(" ".join(str(verdict).split())[:200])
+
+
+def _columns(database: sqlite3.Connection, table: str) -> list[str]:
+    return [str(row[1]) for row in database.execute(f"PRAGMA table_info({table})")]
+
+
+def _read(database: sqlite3.Connection, types: Collection[str], size: int) -> list[RawTopic]:
+    definitions: dict[str, str] = {}
+    if {"topic_type", "encoded_message_definition"} <= set(_columns(database, "message_definitions")):
+        rows = database.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
+        definitions = {str(name): str(text or "") for name, text in rows}
+    digest = "type_description_hash" if "type_description_hash" in _columns(database, "topics") else "''"
+    collectors: dict[int, Collector] = {}
+    for key, topic, msgtype, encoding, digest_text in database.execute(
+        f"SELECT id, name, type, serialization_format, {digest} FROM topics"
+    ):
+        if not isinstance(key, int) or not all(isinstance(text, str) for text in (topic, msgtype, encoding)):
+            raise SqliteDamage("a row of its table 'topics' is not what it should be")
+        channel = Channel(topic, msgtype, encoding, definitions.get(msgtype, ""), str(digest_text or ""))
+        collectors[key] = Collector(channel, msgtype in types)
+    total = 0
+    for key, log_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"):
+        collector = collectors.get(key) if isinstance(key, int) else None
+        if collector is None or not isinstance(log_ns, int) or not isinstance(data, bytes) or log_ns < 0:
+            raise SqliteDamage("a row of its table 'messages' is not what it should be")
+        total += len(data) + 1
+        if total > size:
+            raise SqliteDamage("its messages are larger than the file")
+        collector.log_ns.append(log_ns)
+        if collector.wanted:
+            collector.pieces.append(data)
+    return [collector.finish() for collector in collectors.values()]

@@ -1,0 +1,114 @@
+"""Nodes are heard on this machine only, unless somebody asked for more."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.nodes.network import stay_on_this_machine
+from pam_antagonist.nodes.processes import Processes, free_domain
+from pam_antagonist.paths import config_dir
+
+
+def test_nobody_asked() -> None:
+    environment = {"PATH": "/bin", "ROS_STATIC_PEERS": ""}
+    assert stay_on_this_machine(environment)
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF"),
+        ("ROS_STATIC_PEERS", "192.168.0.7"),
+        ("ROS_LOCALHOST_ONLY", "0"),
+        ("ROS_DISCOVERY_SERVER", "127.0.0.1:11811"),
+    ],
+)
+def test_somebody_did(name: str, value: str) -> None:
+    environment = {name: value}
+    assert not stay_on_this_machine(environment)
+    assert environment == {name: value}
+
+
+def test_the_local_profile_is_the_other_one_on_the_loopback_interface() -> None:
+    comment = re.compile(r"<!--.*?-->", re.DOTALL)
+    texts = [comment.sub("", (config_dir() / name).read_text()) for name in ("fastdds.xml", "fastdds_local.xml")]
+    white_list = re.compile(r"\s*<interfaceWhiteList>\s*<address>127\.0\.0\.1</address>\s*</interfaceWhiteList>")
+    assert len(white_list.findall(texts[1])) == 1
+    assert white_list.sub("", texts[1]) == texts[0]
+
+
+def receiving(pid: int) -> set[str]:
+    """Local addresses of the UDP sockets with the ports of DDS that a process has."""
+    inodes = {os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()}
+    found = set()
+    for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
+        fields = line.split()
+        address, port = fields[1].split(":")
+        if f"socket:[{fields[9]}]" in inodes and int(port, 16) in range(7000, 33000):
+            found.add(".".join(str(byte) for byte in reversed(bytes.fromhex(address))))
+    return found
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(("range_", "addresses"), [("LOCALHOST", {"127.0.0.1"}), ("SUBNET", {"0.0.0.0"})])
+def test_where_nodes_listen(
+    range_: str, addresses: set[str], tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", range_)
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    with Processes(tmp_path) as processes:
+        process = processes.start("controller")
+        end = time.monotonic() + 60.0
+        while not receiving(process.popen.pid):
+            processes.check()
+            assert time.monotonic() < end, "the node has no sockets"
+            time.sleep(0.1)
+        time.sleep(0.5)
+        assert receiving(process.popen.pid) == addresses
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("range_", ["LOCALHOST", "SUBNET"])
+def test_a_domain_in_use_is_not_free(
+    range_: str, tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even when the participant that came first has left again."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", range_)
+    used = int(os.environ["ROS_DOMAIN_ID"])
+    monkeypatch.setattr("random.shuffle", lambda domains: domains.sort(key=lambda number: number != used))
+    assert free_domain() == used
+    with Processes(tmp_path) as processes:
+        for name in ("controller", "record"):
+            process = processes.start(name, ["--out", str(tmp_path / "bag")] if name == "record" else [])
+            end = time.monotonic() + 60.0
+            while not receiving(process.popen.pid):
+                processes.check()
+                assert time.monotonic() < end, "the node has no sockets"
+                time.sleep(0.1)
+        assert free_domain() != used
+        processes.stop("controller")
+        assert free_domain() != used
+    assert free_domain() == used
+
+
+@pytest.mark.ros
+def test_security_that_is_not_there_is_refused_in_one_line(tmp_path: Path, domain: None) -> None:
+    (tmp_path / "enclaves").mkdir()
+    asked = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-m", "pam_antagonist", "controller"],
+        env={**os.environ, **asked}, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert done.returncode == 2, done.stderr
+    assert len(errors) == 1 and "ecurity" in errors[0]
+    assert "Traceback" not in done.stderr

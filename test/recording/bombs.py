@@ -1,0 +1,158 @@
+"""Bags that were built to break what reads them: small files that claim, unpack to, or compute without end."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+from backports import zstd
+from fake_bags import FLUID
+
+from pam_antagonist.recording.mcap import MAGIC
+
+
+def mcap(*bodies: bytes) -> bytes:
+    def text(value: str) -> bytes:
+        return struct.pack("<I", len(value)) + value.encode()
+
+    def record(opcode: int, body: bytes) -> bytes:
+        return struct.pack("<BQ", opcode, len(body)) + body
+
+    schema = record(3, struct.pack("<H", 1) + text(FLUID) + text("ros2msg") + text(""))
+    channels = [
+        record(4, struct.pack("<HH", k, 1) + text(f"/pam/pressure_{k}") + text("cdr") + struct.pack("<I", 0))
+        for k in (1, 2)
+    ]
+    head = MAGIC + record(1, text("ros2") + text("x")) + schema + b"".join(channels)
+    return head + b"".join(bodies) + record(2, bytes(20)) + MAGIC
+
+
+def bomb_chunk(data: bytes, packer: str, claimed: int | None = None) -> bytes:
+    packed = zstd.compress(data, 3) if packer == "zstd" else lz4.frame.compress(data)
+    head = struct.pack("<QQQI", 0, 0, len(data) if claimed is None else claimed, 0)
+    head += struct.pack("<I", len(packer)) + packer.encode() + struct.pack("<Q", len(packed))
+    return struct.pack("<BQ", 6, len(head) + len(packed)) + head + packed
+
+
+def message(channel: int, data: bytes) -> bytes:
+    return struct.pack("<BQHIQQ", 5, 22 + len(data), channel, 0, 5, 5) + data
+
+
+def many_chunks(folder: Path) -> Path:
+    """Chunks within the limit for one, without end: 40 × 120 MB from 160 kB, each one message."""
+    one = bomb_chunk(message(1, bytes(120_000_000)), "zstd")
+    (folder / "bag.mcap").write_bytes(mcap(one * 40))
+    return folder / "bag.mcap"
+
+
+def many_messages(folder: Path) -> Path:
+    """The same of small messages."""
+    one = bomb_chunk(message(1, bytes(100)) * 200_000, "zstd")
+    (folder / "bag.mcap").write_bytes(mcap(one * 12))
+    return folder / "bag.mcap"
+
+
+def many_files(folder: Path) -> Path:
+    """The same in many files."""
+    data = mcap(bomb_chunk(message(1, bytes(900_000)) * 120, "lz4"))
+    for k in range(12):
+        (folder / f"bag_{k}.mcap").write_bytes(data)
+    return folder
+
+
+def bomb_in_bomb(folder: Path) -> Path:
+    """A packed file of packed chunks."""
+    one = bomb_chunk(message(1, bytes(900_000)) * 120, "zstd")
+    (folder / "bag.mcap.zstd").write_bytes(zstd.compress(mcap(one * 2000), 3))
+    return folder / "bag.mcap.zstd"
+
+
+def packed_messages(folder: Path) -> Path:
+    """Messages that are packed one by one."""
+    one = message(1, zstd.compress(bytes(1_000_000), 3)) + message(2, zstd.compress(bytes(1_000_000), 3))
+    (folder / "bag.mcap").write_bytes(mcap(one * 3000))
+    return folder / "bag.mcap"
+
+
+def laughing_metadata(folder: Path) -> Path:
+    lines = ["rosbag2_bagfile_information:", "  custom_data:", "    a0: &a0 [ha, ha]"]
+    lines += [f"    a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 12)]
+    (folder / "metadata.yaml").write_text("\n".join(lines) + "\n  relative_file_paths: [bag.mcap]\n")
+    (folder / "bag.mcap").write_bytes(mcap())
+    return folder
+
+
+def merging_metadata(folder: Path) -> Path:
+    lines = ["a0: &a0 {x: 1}"] + [f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}" for k in range(1, 12)]
+    (folder / "metadata.yaml").write_text("\n".join(lines))
+    return folder
+
+
+def database(folder: Path, *statements: str) -> Path:
+    path = folder / "bag.db3"
+    topics = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
+    messages = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+    with sqlite3.connect(path) as connection:
+        for statement in statements:
+            connection.execute(statement.replace("TOPICS", topics).replace("MESSAGES", messages))
+        connection.execute(f"INSERT INTO topics VALUES (1, '/pam/pressure_1', '{FLUID}', 'cdr')")
+        connection.execute(f"INSERT INTO topics VALUES (2, '/pam/pressure_2', '{FLUID}', 'cdr')")
+    connection.close()
+    return path
+
+
+def endless_view(folder: Path) -> Path:
+    rows = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS id, 1 AS topic_id, "
+    return database(folder, "TOPICS", f"CREATE VIEW messages AS {rows} i AS timestamp, x'00' AS data FROM n")
+
+
+def generated_column(folder: Path) -> Path:
+    columns = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB AS (hex(zeroblob(400000000)))"
+    return database(
+        folder, "TOPICS", f"CREATE TABLE messages({columns})",
+        "INSERT INTO messages(topic_id, timestamp) VALUES (1, 1), (1, 2), (1, 3)",
+    )  # fmt: skip
+
+
+def expensive_check(folder: Path) -> Path:
+    columns = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB CHECK (length(hex({}))>0)"
+    return database(
+        folder, "TOPICS", f"CREATE TABLE messages({columns.format('zeroblob(400000000)')})",
+        "PRAGMA ignore_check_constraints = ON", "INSERT INTO messages VALUES (1, 1, 1, x'00'), (2, 1, 1, x'00')",
+    )  # fmt: skip
+
+
+def tree_of_one_page(folder: Path) -> Path:
+    """A table whose inner page names one and the same leaf hundreds of times, and that page itself as well."""
+    path = database(folder, "TOPICS", "MESSAGES")
+    with sqlite3.connect(path) as connection:
+        connection.executemany("INSERT INTO messages VALUES (?, 1, 5, x'00')", ((k,) for k in range(200_000)))
+        (root,) = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+        (size,) = connection.execute("PRAGMA page_size").fetchone()
+    connection.close()
+    data = bytearray(path.read_bytes())
+    at = (root - 1) * size
+    assert data[at] == 5  # an inner page
+    (cells,) = struct.unpack_from(">H", data, at + 3)
+    inner = struct.unpack_from(">I", data, at + struct.unpack_from(">H", data, at + 12)[0])[0]
+    for page in (root, inner):
+        base = (page - 1) * size
+        (count,) = struct.unpack_from(">H", data, base + 3)
+        for k in range(count):
+            (cell,) = struct.unpack_from(">H", data, base + 12 + 2 * k)
+            data[base + cell : base + cell + 4] = struct.pack(">I", inner)
+    path.write_bytes(data)
+    assert cells > 0
+    return path
+
+
+BOMBS: dict[str, Callable[[Path], Path]] = {
+    function.__name__: function
+    for function in (
+        many_chunks, many_messages, many_files, bomb_in_bomb, packed_messages, laughing_metadata, merging_metadata,
+        endless_view, generated_column, expensive_check, tree_of_one_page,
+    )
+}  # fmt: skip

@@ -1,0 +1,256 @@
+"""YAML and CSV that somebody broke, or built to break what reads them: a value or one line, in time and in memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.static_table import read_force_map, read_volumes
+from pam_antagonist.paper.scenario import load_scenario
+from pam_antagonist.paths import config_dir
+from pam_antagonist.recording.csv_import import read_csv
+from pam_antagonist.recording.csv_map import load_map
+from pam_antagonist.rig import load_rig
+
+DEEP = bool(os.environ.get("PAM_PROOF"))
+EXAMPLES = settings(
+    max_examples=1500 if DEEP else 25,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+FILES: dict[str, tuple[Path, Callable[[str], Any]]] = {
+    "rig": (config_dir() / "rigs" / "shin2022.yaml", load_rig),
+    "sealed": (config_dir() / "rigs" / "sealed_joint.yaml", load_rig),
+    "map": (config_dir() / "maps" / "example.yaml", load_map),
+    "scenario": (config_dir() / "scenarios" / "paper.yaml", lambda path: load_scenario(path.removesuffix(".yaml"))),
+}
+VALUES = [
+    "", "~", "[]", "{}", "yes", "1e308", "-1e308", "1e-320", "1e999", ".nan", "-.inf", "0x" + "f" * 5000, "9" * 400,
+    "1:59:59", "2001-13-45", "2001-01-01", "'\\0'", '"\\0"', '"\\ud800"', "\x00", "\x1b[2J", "../../etc/passwd",
+    "/proc/self/mem", "!!python/name:os.system", "!!python/object/apply:os.system [id]", "&a [*a]", "*a", "[" * 900,
+    "{a: " * 900, "{<<: 3}", "{<<: [1]}", "!!set {a}", "!!binary x", "!!float x", "!!int ''", "!!timestamp x", "=",
+    "? a", "- - -", "- 1\n- 2", "|\n  x", ">-\n  " + "x" * 3000, "'" + "x" * 5000 + "'", "\ufeff", "\u2028", "{1: 2}",
+]  # fmt: skip
+EDITS = st.lists(
+    st.one_of(
+        st.tuples(st.just("value"), st.integers(0, 10**4), st.sampled_from(VALUES)),
+        st.tuples(st.just("key"), st.integers(0, 10**4), st.sampled_from(VALUES)),
+        st.tuples(st.just("drop"), st.integers(0, 10**4), st.just("")),
+        st.tuples(st.just("twice"), st.integers(0, 10**4), st.just("")),
+        st.tuples(st.just("indent"), st.integers(0, 10**4), st.just("   ")),
+        st.tuples(st.just("bytes"), st.integers(0, 10**4), st.binary(min_size=1, max_size=6)),
+        st.tuples(st.just("cut"), st.integers(0, 10**4), st.just("")),
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+def edited(text: str, edits: list[tuple[str, int, Any]]) -> bytes:
+    lines: list[Any] = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    raw = None
+    for kind, where, what in edits:
+        if not lines:
+            break
+        at = where % len(lines)
+        key, colon, value = lines[at].partition(":")
+        if kind == "value":
+            lines[at] = f"{key}: {what}"
+        elif kind == "key":
+            lines[at] = key[: len(key) - len(key.lstrip())] + what + colon + value
+        elif kind == "drop":
+            del lines[at]
+        elif kind == "twice":
+            lines.insert(at, lines[at])
+        elif kind == "indent":
+            lines[at] = what + lines[at]
+        elif kind == "cut":
+            lines[at:] = [lines[at][: where % 17]]
+        else:
+            raw = (where, what)
+    data = "\n".join(lines).encode("utf-8", "surrogatepass")
+    if raw is not None and data:
+        at = raw[0] % len(data)
+        data = data[:at] + raw[1] + data[at + len(raw[1]) :]
+    return data
+
+
+def refused(read: Callable[[], Any]) -> bool:
+    """Whether something is refused, which takes one line."""
+    began = time.monotonic()
+    try:
+        read()
+    except BadInput as error:
+        said = " ".join(str(error).splitlines())
+        assert len(said) < 3000 and "Traceback" not in said
+        result = True
+    else:
+        result = False
+    assert time.monotonic() - began < 20.0
+    return result
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_damaged_yaml(tmp_path: Path, name: str) -> None:
+    source, load = FILES[name]
+    text, path = source.read_text(encoding="utf-8"), tmp_path / "file.yaml"
+
+    @EXAMPLES
+    @given(EDITS)
+    def run(edits: list[tuple[str, int, Any]]) -> None:
+        path.write_bytes(edited(text, edits))
+        refused(lambda: load(str(path)))
+
+    run()
+    assert [file.name for file in tmp_path.iterdir()] == ["file.yaml"]
+
+
+CELLS = [
+    "", " ", "nan", "inf", "-inf", "1e999", "1e-400", "1_000", "0x10", "١٢", "1,5", "--", "NaN", '"', '""', '"1', "'1'",
+    "1" * 5000, "=cmd()", "\x00", "\ufeff", "\r", "\t", ";", "1;2;3", "2026-01-01", "12:00:00", "1e308", "-1e308", "é",
+]  # fmt: skip
+CSV = st.lists(
+    st.one_of(
+        st.tuples(st.just("cell"), st.integers(0, 10**4), st.sampled_from(CELLS)),
+        st.tuples(st.just("cut"), st.integers(0, 10**4), st.just("")),
+        st.tuples(st.just("drop"), st.integers(0, 10**4), st.just("")),
+        st.tuples(st.just("insert"), st.integers(0, 10**4), st.binary(min_size=1, max_size=40)),
+        st.tuples(st.just("bytes"), st.integers(0, 10**4), st.binary(min_size=1, max_size=8)),
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+def edited_csv(text: str, edits: list[tuple[str, int, Any]]) -> bytes:
+    data = text.encode()
+    for kind, where, what in edits:
+        at = where % (len(data) + 1)
+        if kind == "cell":
+            begin = max(data.rfind(b",", 0, at), data.rfind(b"\n", 0, at)) + 1
+            end = min((k for k in (data.find(b",", at), data.find(b"\n", at)) if k >= 0), default=len(data))
+            data = data[:begin] + what.encode() + data[max(begin, end) :]
+        elif kind == "cut":
+            data = data[:at]
+        elif kind == "drop":
+            data = data[:at] + data[at + 20 :]
+        elif kind == "insert":
+            data = data[:at] + what + data[at:]
+        else:
+            data = data[:at] + what + data[at + len(what) :]
+    return data
+
+
+@pytest.mark.parametrize("name", ["recording", "force_map", "volumes"])
+def test_damaged_csv(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "file.csv"
+    if name == "recording":
+        rows = [f"{k * 0.001:.3f},{300 + k},{500 - k},{4.5 + 0.1 * (k % 7)},5.5,{k % 11},0.1,0" for k in range(30)]
+        text = "t,p1,p2,u1,u2,angle,torque,load\n" + "\n".join(rows) + "\n"
+        found = load_map(str(config_dir() / "maps" / "example.yaml"))
+
+        def load() -> Any:
+            return read_csv(path, found)
+    elif name == "force_map":
+        rows = [f"{0.2 - 0.001 * k},{100 + 50 * (k % 6)},{10 * k}" for k in range(30)]
+        text = "length [m],pressure [kPa],force [N]\n" + "\n".join(rows) + "\n"
+
+        def load() -> Any:
+            return read_force_map(path, 101_325.0)
+    else:
+        rows = [f"{0.2 - 0.001 * k},{1e-4 + 1e-6 * k}" for k in range(30)]
+        text = "length [m],volume [m3]\n" + "\n".join(rows) + "\n"
+
+        def load() -> Any:
+            return read_volumes(path)
+
+    @EXAMPLES
+    @given(CSV)
+    def run(edits: list[tuple[str, int, Any]]) -> None:
+        path.write_bytes(edited_csv(text, edits))
+        refused(load)
+
+    run()
+
+
+def one_line(folder: Path) -> bytes:
+    return b"1," * 30_000_000
+
+
+def one_cell(folder: Path) -> bytes:
+    return b"t,p1,p2,u1,u2,angle,torque,load\n" + b"1" * 60_000_000
+
+
+def one_quote(folder: Path) -> bytes:
+    return b't,p1,p2,u1,u2,angle,torque,load\n"' + b"1,2\n" * 15_000_000
+
+
+def many_columns(folder: Path) -> bytes:
+    return b"t,p1,p2,u1,u2,angle,torque,load" + b",x" * 400_000 + b"\n" + (b"1," * 400_008 + b"\n") * 20
+
+
+def empty_lines(folder: Path) -> bytes:
+    return b"t,p1,p2,u1,u2,angle,torque,load\n" + b"\n" * 1_000_000
+
+
+CHILD = """
+import json, resource, sys, time
+sys.path[:0] = {path!r}
+from pathlib import Path
+from pam_antagonist.errors import BadInput
+from pam_antagonist.paths import config_dir
+from pam_antagonist.recording.csv_import import read_csv
+from pam_antagonist.recording.csv_map import load_map
+found = load_map(str(config_dir() / "maps" / "example.yaml"))
+used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + (1 << 30), used + (1 << 30)))
+began = time.monotonic()
+try:
+    read_csv(sys.argv[1], found)
+    said = "read"
+except BadInput as error:
+    said = str(error)
+seconds = time.monotonic() - began
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(json.dumps([said, seconds, int(peak.split()[1]) / 1024]))
+"""
+
+
+@pytest.mark.parametrize("make", [one_line, one_cell, one_quote, many_columns, empty_lines])
+def test_csv_bombs(tmp_path: Path, make: Callable[[Path], bytes]) -> None:
+    """In a process of its own that may not have more than 1 GB."""
+    path = tmp_path / "file.csv"
+    path.write_bytes(make(tmp_path))
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD.format(path=sys.path), str(path)],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    said, seconds, megabytes = json.loads(done.stdout)
+    assert said != "read" and len(said) < 1000
+    assert seconds < 60.0 and megabytes < 1000.0
+    print(f"{make.__name__}: {seconds:.2f} s, {megabytes:.0f} MB: {said}")
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "/dev/stdin", "/proc/self/mem", "fifo", "folder", "a\0b", "x" * 300])
+@pytest.mark.parametrize("load", [load_rig, load_map], ids=["rig", "map"])
+def test_files_that_are_no_files(tmp_path: Path, name: str, load: Callable[[str], Any]) -> None:
+    os.mkfifo(tmp_path / "fifo.yaml")
+    (tmp_path / "folder.yaml").mkdir()
+    path = tmp_path / f"{name}.yaml"
+    if name.startswith("/"):
+        path = tmp_path / "link.yaml"
+        path.symlink_to(name)
+    assert refused(lambda: load(str(path)))
