@@ -49,6 +49,7 @@ setup(
         "numpy>=1.26,<3",
         "plotly>=5.15",
         "pydantic>=1.10,<3",
+        "pyserial>=3.5",
         "PyYAML>=6",
         "rosbags>=0.11.9,<0.12",
         "scipy>=1.11",
@@ -56,12 +57,15 @@ setup(
         "typing_extensions>=4.5",
     ],
     extras_require={
+        # Fits of close_loop on the workers of a scheduler.
+        "dask": ["dask>=2023.5", "distributed>=2023.5"],
         # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`.
         "test": [
             "filterpy>=1.4.5,<3",
             "hypothesis>=6.80",
             "mypy==2.4.1",
             "pytest>=7.4",
+            "pytest-xdist>=3.5",
             "ruff==0.17.5",
             "types-PyYAML",
         ],

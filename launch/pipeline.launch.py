@@ -2,7 +2,7 @@
 
 ros2 launch pam_antagonist pipeline.launch.py
 ros2 launch pam_antagonist pipeline.launch.py namespace:=left/elbow parameters:=/path/to/parameters.yaml \
-    source:=bridge bridge_package:=my_rig bridge_executable:=adc_bridge
+    source:=bridge
 """
 
 from pathlib import Path
@@ -29,19 +29,6 @@ def require_parameters(context: LaunchContext) -> None:
         raise FileNotFoundError(f"parameters:={path}: no such file; expected a YAML file with parameters of the nodes")
 
 
-def require_bridge(context: LaunchContext) -> None:
-    """Refuse ``source:=bridge`` without one.
-
-    Raises:
-        ValueError: package or executable is not named.
-    """
-    if LaunchConfiguration("source").perform(context) != "bridge":
-        return
-    for name in ("bridge_package", "bridge_executable"):
-        if not LaunchConfiguration(name).perform(context):
-            raise ValueError(f"source:=bridge needs {name}:= as well; expected the node that talks to your hardware")
-
-
 def generate_launch_description() -> LaunchDescription:
     """The nodes and their arguments."""
     arguments = [
@@ -52,8 +39,10 @@ def generate_launch_description() -> LaunchDescription:
             description="who publishes pressures and valve voltages and takes commands: plant, the simulated joint; "
             "bridge, the node of bridge_package and bridge_executable; none, something that is started elsewhere",
         ),
-        DeclareLaunchArgument("bridge_package", default_value="", description="package of the bridge to your hardware"),
-        DeclareLaunchArgument("bridge_executable", default_value="", description="its executable"),
+        DeclareLaunchArgument(
+            "bridge_package", default_value=PACKAGE, description="package of the bridge to your hardware"
+        ),
+        DeclareLaunchArgument("bridge_executable", default_value="bridge", description="its executable"),
         DeclareLaunchArgument(
             "parameters",
             default_value=str(config_dir() / "pipeline.yaml"),
@@ -77,7 +66,6 @@ def generate_launch_description() -> LaunchDescription:
         [
             *arguments,
             OpaqueFunction(function=require_parameters),
-            OpaqueFunction(function=require_bridge),
             node("plant", condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), "plant"))),
             node(
                 "bridge",

@@ -38,7 +38,11 @@ COMMANDS: dict[str, Command] = {
     "paper": Command("pam_antagonist.cli.paper:main", "every experiment of the paper on a simulated joint"),
     "benchmark": Command("pam_antagonist.cli.benchmark:main", "measure the speed of estimator, pipeline and replay"),
     "battery": Command("pam_antagonist.cli.battery:main", "how often the diagnosis is right, on simulated joints"),
+    "device_emulator": Command(
+        "pam_antagonist.cli.device_emulator:main", "a microcontroller that is not there, with a simulated joint"
+    ),
     "plant": Command("pam_antagonist.nodes.plant:main", "a simulated joint that publishes what its sensors show"),
+    "bridge": Command("pam_antagonist.nodes.bridge:main", "from a microcontroller on a serial port to topics and back"),
     "estimator": Command("pam_antagonist.nodes.estimator:main", "the joint's angle and torque from two pressures"),
     "controller": Command("pam_antagonist.nodes.controller:main", "angle or torque control on the estimate"),
     "record": Command("pam_antagonist.nodes.recorder:main", "write all topics into a rosbag2 (MCAP) bag"),

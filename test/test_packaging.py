@@ -20,13 +20,13 @@ import yaml
 
 import pam_antagonist
 from pam_antagonist.__main__ import COMMANDS
-from pam_antagonist.nodes import controller, estimator, plant
+from pam_antagonist.nodes import bridge, controller, estimator, plant
 from pam_antagonist.nodes.parameters import DIAGNOSTICS_PERIOD, Parameter
 from pam_antagonist.paths import config_dir
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH_FILE = ROOT / "launch" / "pipeline.launch.py"
-TABLES = {node.__name__.rsplit(".", 1)[1]: node.PARAMETERS for node in (plant, estimator, controller)}
+TABLES = {node.__name__.rsplit(".", 1)[1]: node.PARAMETERS for node in (plant, bridge, estimator, controller)}
 
 # import name -> rosdep key; None: rosdep has no key, and the nodes do without.
 ROSDEP = {
@@ -37,6 +37,7 @@ ROSDEP = {
     "pydantic": "python3-pydantic",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
+    "serial": "python3-serial",
     "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
     "filterpy": "python3-filterpy-pip",
@@ -113,7 +114,10 @@ def test_package_xml_names_every_import() -> None:
 def test_setup_py_names_every_import_that_is_not_ros() -> None:
     requirements = metadata.requires("pam_antagonist")
     assert requirements is not None
-    declared = {re.split(r"[^A-Za-z0-9_-]", text)[0].lower().replace("pyyaml", "yaml") for text in requirements}
+    declared = {
+        re.split(r"[^A-Za-z0-9_-]", text)[0].lower().replace("pyyaml", "yaml").replace("pyserial", "serial")
+        for text in requirements
+    }
     assert imported(*(ROOT / "pam_antagonist").rglob("*.py")) & set(ROSDEP) <= declared
 
 
@@ -121,6 +125,8 @@ def test_installed_versions_are_within_the_declared_ranges() -> None:
     requirements = pytest.importorskip("packaging.requirements")
     for text in metadata.requires("pam_antagonist") or []:
         requirement = requirements.Requirement(text)
+        if requirement.marker is not None and "dask" in str(requirement.marker):
+            continue  # an option that ./run does not install
         assert metadata.version(requirement.name) in requirement.specifier, text
 
 
@@ -180,6 +186,8 @@ def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
     assert [node["executable"] for node in (plant, *always)] == ["plant", "estimator", "controller"]
     assert all(node["package"] == "pam_antagonist" and node["executable"] in COMMANDS for node in (plant, *always))
     assert (bridge["package"], bridge["executable"]) == ("bridge_package", "bridge_executable")
+    assert arguments["bridge_package"]["default_value"] == "pam_antagonist"
+    assert arguments["bridge_executable"]["default_value"] in COMMANDS
     assert all(node["namespace"] == "namespace" and node["parameters"] == ["parameters"] for node in nodes)
     assert [node.get("condition") for node in nodes] == [("source", "plant"), ("source", "bridge"), None, None]
     assert set(arguments) == {"source", "parameters", "namespace", "bridge_package", "bridge_executable"}
@@ -193,15 +201,6 @@ def test_launch_file_refuses_parameters_that_are_not_there(launch_file: dict[str
     assert require({"parameters": str(config_dir() / "pipeline.yaml")}) is None
     with pytest.raises(FileNotFoundError, match="no such file"):
         require({"parameters": str(tmp_path / "absent.yaml")})
-
-
-def test_launch_file_wants_to_know_the_bridge(launch_file: dict[str, Any]) -> None:
-    require = launch_file["require_bridge"]
-    named = {"source": "bridge", "bridge_package": "my_rig", "bridge_executable": "adc"}
-    assert require(named) is None
-    assert require({"source": "plant", "bridge_package": "", "bridge_executable": ""}) is None
-    with pytest.raises(ValueError, match="bridge_executable"):
-        require({**named, "bridge_executable": ""})
 
 
 # ------------------------------------------------------------------------------------------------ colcon

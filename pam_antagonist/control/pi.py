@@ -50,6 +50,8 @@ class Status(Enum):
     BAD_REFERENCE = "reference not usable: safe voltages"
     LATE = "estimate late: safe voltages"
     NOT_FINITE = "estimate not finite: safe voltages"
+    STOPPED = "stopped: safe voltages"
+    DISABLED = "disabled: safe voltages once, then silent"
 
     @property
     def safe(self) -> bool:

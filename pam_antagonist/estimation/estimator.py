@@ -15,6 +15,9 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
 from pam_antagonist.rig import Rig, Tuning
 
+_FASTEST = 100.0  # a joint that could be set to [rad/s]
+_PRESSURES = (50e3, 2e6)  # absolute, likewise [Pa]; gauge pressures near the atmosphere's are below
+
 
 @dataclass(frozen=True)
 class Counts:
@@ -175,6 +178,51 @@ class Estimator:
     def reset(self) -> None:
         """Forget the estimate; the next sample with both pressures and voltages starts the filter."""
         self._clock[:] = 0
+
+    def set_state(
+        self, stamp_ns: int, angle: float, velocity: float, pressure: tuple[float, float], voltage: tuple[float, float]
+    ) -> None:
+        """Put the filter into a state, with the covariance of a start; it goes on from there with the next sample.
+
+        States that effects add are as at a start. The filter counts as started at the stamp, but a replay cannot know
+        the state: it starts by itself there.
+
+        Args:
+            stamp_ns: at which the joint is in that state [ns]; later samples are predicted from it.
+            angle: [rad].
+            velocity: [rad/s].
+            pressure: of the muscles (2,), absolute [Pa].
+            voltage: on the valves (2,) [V].
+
+        Raises:
+            BadInput: a value that is not finite or not physical, or another angle than that of a locked joint.
+        """
+        p = self._settings[0][0]
+        locked = p[par.LOCKED] != 0.0
+        bound = min(float(p[par.INDEX["joint.stop"]]), 0.5 * math.pi)
+        at = float(self._settings[5][3])
+        if locked and not (angle == at and velocity == 0.0):
+            raise BadInput(
+                f"angle {angle:g} rad, velocity {velocity:g} rad/s: expected {at:g} and 0, the joint is locked"
+            )
+        if not abs(angle) <= bound:
+            raise BadInput(f"angle {angle:g} rad: expected within ±{bound:g} rad")
+        if not abs(velocity) <= _FASTEST:
+            raise BadInput(f"velocity {velocity:g} rad/s: expected within ±{_FASTEST:g} rad/s")
+        low, high = _PRESSURES
+        for value in pressure:
+            if not low <= value <= high:
+                raise BadInput(f"pressure {value:g} Pa: expected {low:g} to {high:g} Pa, absolute")
+        if not all(math.isfinite(value) for value in voltage):
+            raise BadInput(f"voltage {list(voltage)}: expected two finite numbers")
+        x, covariance, cross, held = self._memory[:4]
+        inputs = np.array(voltage, dtype=np.float64)
+        x[:] = dynamics.initial_state(angle, pressure[0], pressure[1], inputs, p)
+        x[dynamics.VELOCITY] = velocity
+        covariance[:] = np.diag(self._settings[1])
+        cross[:] = 0.0
+        held[:] = inputs
+        self._clock[:] = kernels.running_since(stamp_ns)
 
     @property
     def counts(self) -> Counts:

@@ -310,3 +310,8 @@ def process_all(stamps, pressures, voltages, memory, settings, work, rows, state
 def started_ns(clock: Any) -> int | None:
     """Stamp of the sample that the running filter was started with, None before the first."""
     return int(clock[_STARTED]) if clock[_RUNNING] else None
+
+
+def running_since(stamp_ns: int) -> tuple[int, int, int, int]:
+    """The clock (CLOCK_SIZE,) of a filter that was started at a stamp [ns]."""
+    return 1, stamp_ns, stamp_ns, 0

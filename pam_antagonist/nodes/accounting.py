@@ -77,7 +77,9 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
         return None
     first = max(stamp[0] for stamp in stamps.values())
     last = min(stamp[-1] for stamp in stamps.values())
-    expected = max(0, round((last - first) / (sample_period * 1e9)) + 1)
+    # Counted from stamp to stamp: a device's period is a sample period on its own clock, which drifts against ours.
+    between = samples[(samples >= first) & (samples <= last)]
+    expected = round(np.rint(np.diff(between) / (sample_period * 1e9)).sum()) + 1 if first <= last else 0
     inside = {stage: int(np.count_nonzero((stamp >= first) & (stamp <= last))) for stage, stamp in stamps.items()}
     late = 0
     if recording.estimate is not None:

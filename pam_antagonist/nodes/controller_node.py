@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from std_srvs.srv import SetBool, Trigger
 
 from pam_antagonist.control import Command, Gains, Mode, PiController, Status, VoltageLimits
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.filter import RESTART_AFTER_NS
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.controller import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
-from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.node import PamNode, take
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
+from pam_antagonist.safety import EstimateSupervision, Following, safe_action
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
 
 _GAIN_NAMES = tuple(parameter.name for parameter in PARAMETERS if not parameter.read_only)
-_CHECKS = 4  # looks at the time-out within it
+_CHECKS = 4  # looks at the time-out, and at the valves, within it
 
 
 def _gains(values: Mapping[str, Any], mode: Mode) -> Gains:
@@ -32,40 +36,135 @@ class ControllerNode(PamNode):
 
     def __init__(self) -> None:
         super().__init__("controller", PARAMETERS)
+
+    def configure(self) -> None:
+        """A controller at rest."""
         values = self.values
         rig = load_rig(values["rig"])
+        self._limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
+        self._action = safe_action(
+            values["safe_action"], self._limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
+        )
         self._pi = PiController(
             {mode: _gains(values, mode) for mode in Mode},
             sample_period=rig.sample_period,
-            limits=VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max),
-            safe_voltage=tuple(values["safe_voltage"]),
+            limits=self._limits,
+            safe_voltage=self._action.hold,
             resume_time=values["resume_time"],
             blend_time=values["blend_time"],
+        )
+        self._supervision = EstimateSupervision(
+            values["stop_angle"],
+            values["stop_angle_time"],
+            values["nis_limit"],
+            values["nis_time"],
+            values["blind_time"],
+            rig.sample_period,
         )
         self._largest = {Mode.ANGLE: values["max_angle"], Mode.TORQUE: values["max_torque"]}
         self._max_age = round(values["max_age"] * 1e9)
         self._resume = round(values["resume_time"] * 1e9)
         self._mode: Mode | None = None
         self._reference = math.nan
-        self._complaint = ""
+        self._complaint = self._stopped = ""
+        self._enabled: bool = values["start_enabled"]
+        self._estimate_ns = 0
+        self._safe_since_ns: int | None = None
         self._heard_ns: int | None = None
         self._stamp = 0
+        self._voltage = self._action.hold
+        self._following = Following(self._action.hold)
         self._silent = False
-        self._commands = 0
+        self._commands = self._jumps = self._jumps_before = self._astray_before = 0
         self._statuses = dict.fromkeys(Status, 0)
         self._last = Status.NO_REFERENCE
         self._latency, self._rate = Window(), Rate()
         self._output = wire.Outgoing(self, ValveCommand, TOPICS["valve_command"].relative, "valves", wire.VALVES)
-        self._estimate = wire.Incoming(wire.ESTIMATE_FOR_CONTROL)
+        self._estimate, self._valves = wire.Incoming(wire.ESTIMATE_FOR_CONTROL), wire.Incoming(wire.VALVES)
         self.add_on_set_parameters_callback(self._on_parameters)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self.create_service(Trigger, "~/clear_stop", self._on_clear)
         self.start_diagnostics(rig.name)
 
+    def cleanup(self) -> None:
+        """Nothing may be retuned any more."""
+        self.remove_on_set_parameters_callback(self._on_parameters)
+
     def activate(self) -> None:
-        """Listen, and watch over those who are listened to."""
+        """Listen, and watch over those who are listened to; a reference from before does not count any more."""
+        self._mode, self._reference, self._complaint = None, math.nan, ""
+        self._heard_ns = None
+        self._pi.stop()
+        self._supervision.reset()
         name = TOPICS["joint_estimate"].relative
         self.create_subscription(JointEstimate, name, self._on_estimate, qos.STREAM, raw=True)
         self.create_subscription(JointReference, TOPICS["reference"].relative, self._on_reference, qos.REFERENCE)
-        self.steady_timer(self.values["max_age"] / _CHECKS, self._watch)
+        self._valve_state = self.collect(ValveCommand, TOPICS["valve_state"].relative, qos.GLANCE)
+        self.create_timer(self.values["max_age"] / _CHECKS, self._watch, clock=self._steady)
+
+    def deactivate(self) -> None:
+        """Leave the valves at the safe voltages, and be silent."""
+        if self._enabled:
+            self._send(self._pi.safe(Status.DISABLED), self._stamp + 1)
+
+    def close(self) -> None:
+        """The same at the end."""
+        if self.active:
+            self.deactivate()
+
+    # ---------------------------------------------------------------- services
+
+    def _on_enable(self, request: Any, response: Any) -> Any:
+        """Command, from the voltages that are on the valves; or do not, so that somebody else may."""
+        wanted = bool(request.data)
+        response.success = True
+        if not self.active:
+            response.success, response.message = False, "the node is not active: activate it first"
+            return response
+        response.message = f"was {'enabled' if wanted else 'disabled'} already"
+        if wanted and not self._enabled:
+            self._from_the_valves()
+            self._supervision.reset()
+            self._enabled = True
+            response.message = f"enabled, from {self._voltage[0]:.3f} and {self._voltage[1]:.3f} V"
+        elif not wanted and self._enabled:
+            self._send(self._pi.safe(Status.DISABLED), self._stamp + 1)
+            self._enabled = False
+            response.message = "disabled: safe voltages once, then silent"
+        return response
+
+    def _on_clear(self, _request: Any, response: Any) -> Any:
+        recent = self._heard_ns is not None and self.now_ns() - self._heard_ns <= self._max_age
+        response.success, response.message = True, "was not stopped"
+        if self._stopped and recent and self._supervision.present:
+            response.success, response.message = False, f"still so: {self._supervision.present}"
+        elif self._stopped:
+            response.message = f"cleared: {self._stopped}"
+            self._stopped = ""
+            self._supervision.reset()
+            self._from_the_valves()
+            self.get_logger().warning(response.message)
+        return response
+
+    def _stop(self, reason: str) -> None:
+        if not self._stopped:
+            self._stopped = reason
+            self.get_logger().error(f"stopped: {reason}")
+
+    def _look(self) -> None:
+        """See what is on the valves."""
+        for data, _ in take(self._valve_state):
+            _, first, second = self._valves(data)
+            if math.isfinite(first) and math.isfinite(second):
+                self._following.saw((self._limits.clip(first), self._limits.clip(second)), time.monotonic_ns())
+
+    def _from_the_valves(self) -> None:
+        """Start anew from what is on the valves, or, where nobody tells, from what was commanded last."""
+        self._look()
+        self._voltage = self._following.on_valves(time.monotonic_ns()) or self._voltage
+        self._pi.stop(self._voltage)
+
+    # ---------------------------------------------------------------- samples
 
     def _on_reference(self, message: JointReference) -> None:
         """Hold it; what cannot be used leads to safe voltages until a better one comes."""
@@ -87,14 +186,26 @@ class ControllerNode(PamNode):
         self._reference = math.nan if complaint else message.value
 
     def _on_estimate(self, data: bytes) -> None:
-        stamp, angle, torque, flags = self._estimate(data)
+        stamp, angle, torque, nis, flags = self._estimate(data)
         now = self.now_ns()
+        if stamp < self._estimate_ns - RESTART_AFTER_NS:  # the clock was set back, and the filter has started again
+            self._jumps += 1
+            self._pi.stop(self._voltage)
+        self._estimate_ns = stamp
         self._heard_ns = now
         self._silent = False
+        self._latency.add(now - stamp)
+        if not self._enabled:
+            return
+        reason = self._supervision.check(stamp, angle, nis, flags)
+        if reason:
+            self._stop(reason)
+        if self._stopped:
+            self._send(self._pi.safe(Status.STOPPED), stamp)
+            return
         late = now - stamp > self._max_age or bool(flags & JointEstimate.LATE)
         value = torque if self._mode is Mode.TORQUE else angle
         self._send(self._pi.step(self._mode, self._reference, value, late=late), stamp)
-        self._latency.add(now - stamp)
 
     def _watch(self) -> None:
         """Safe voltages at every look as long as estimates stay away.
@@ -102,7 +213,8 @@ class ControllerNode(PamNode):
         They are stamped just after the last sample that was answered, a nanosecond apart: so the stamps never
         decrease, also when the missing estimates come after all, and none of these commands passes for a sample's.
         """
-        if self._heard_ns is None:
+        self._look()
+        if self._heard_ns is None or not self._enabled:
             return
         now = self.now_ns()
         silent = now - self._heard_ns
@@ -112,10 +224,24 @@ class ControllerNode(PamNode):
             if silent > self._resume:
                 self._pi.stop()
             self._silent = True
-            self._send(self._pi.safe(Status.LATE), self._stamp + 1)
+            self._send(self._pi.safe(Status.STOPPED if self._stopped else Status.LATE), self._stamp + 1)
+        elif self._following.astray(self._voltage, time.monotonic_ns()):
+            # Stopped, or somebody else's: once it obeys again, it must not jump to what has been adding up here.
+            self._from_the_valves()
 
     def _send(self, command: Command, stamp_ns: int) -> None:
-        self._output.send(stamp_ns, *command.voltage)
+        voltage = command.voltage
+        if not command.status.safe:
+            self._safe_since_ns = None
+        else:
+            now = time.monotonic_ns()
+            if self._safe_since_ns is None:
+                self._safe_since_ns = now
+            voltage = self._action.voltage(now - self._safe_since_ns)
+            if voltage != command.voltage and not self._pi.running:
+                self._pi.stop(voltage)
+        self._output.send(stamp_ns, *voltage)
+        self._voltage = voltage
         self._stamp = stamp_ns
         self._commands += 1
         self._statuses[command.status] += 1
@@ -138,15 +264,21 @@ class ControllerNode(PamNode):
         self.values = values
         return SetParametersResult(successful=True)
 
-    def close(self) -> None:
-        """Leave the valves at the safe voltages."""
-        self._send(self._pi.safe(Status.LATE), self._stamp + 1)
-
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         rate = self._rate.take(self._commands, steady_ns)
         statuses, self._statuses = self._statuses, dict.fromkeys(Status, 0)
         safe = sum(count for status, count in statuses.items() if status.safe)
-        if self._heard_ns is None:
+        jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps
+        astray, self._astray_before = self._following.astray_count - self._astray_before, self._following.astray_count
+        if self._stopped:
+            output = Health(Level.ERROR, f"stopped: {self._stopped}; clear_stop clears it")
+        elif not self._enabled:
+            output = Health(Level.WARN, "disabled: silent")
+        elif jumps:
+            output = Health(Level.WARN, "the stamps jumped backwards: started again")
+        elif astray:
+            output = Health(Level.ERROR, "the valves do not get what is commanded: stopped, or not the only commander")
+        elif self._heard_ns is None:
             output = Health(Level.WARN, "no estimate has come yet")
         elif self._silent:
             output = Health(Level.ERROR, "estimates have stopped: safe voltages")
@@ -166,6 +298,9 @@ class ControllerNode(PamNode):
                     "mode": self._mode.name.lower() if self._mode is not None else "none",
                     "reference [rad or N m]": self._reference,
                     "integral term [V]": f"{self._pi.integral:.4f}",
+                    "cause of a stop is there": self._supervision.present or "no",
+                    "jumps backwards": self._jumps,
+                    "times not obeyed": self._following.astray_count,
                     **{status.value: count for status, count in statuses.items() if count},
                     **self._latency.take().as_values("age of the estimate", "ms", 1e6),
                 },

@@ -17,6 +17,7 @@ measured angle or torque.
 
 subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand)
 publishes:   joint_estimate (pam_antagonist_msgs/JointEstimate), joint_states (sensor_msgs/JointState)
+services:    ~/reset (std_srvs/Trigger), ~/set_state (pam_antagonist_msgs/SetState), and those of a lifecycle node
 """
 
 PARAMETERS = (
@@ -24,7 +25,12 @@ PARAMETERS = (
     JOINT,
     LOCK_ANGLE,
     FRAME,
-    Parameter("tuning", "default", "name of one of the rig's filter tunings"),
+    Parameter(
+        "tuning",
+        "default",
+        "name of one of the rig's filter tunings; a new one starts the filter again",
+        read_only=False,
+    ),
     Parameter("pairing_timeout", 0.02, "time that a sample waits for a topic that stays away [s]", 0.001, 1.0),
     Parameter("max_age", 0.02, "age beyond which an estimate is flagged LATE [s]", 0.001, 10.0),
 )

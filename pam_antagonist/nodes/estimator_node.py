@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from sensor_msgs.msg import FluidPressure, JointState
+from std_srvs.srv import Trigger
 
+from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.estimator import PARAMETERS
@@ -16,8 +20,11 @@ from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VALVES, Sample,
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
 from pam_antagonist_msgs.msg import JointEstimate, ValveCommand
+from pam_antagonist_msgs.srv import SetState
 
 _CHECKS = 2  # looks for samples that wait in vain, within the time that they may
+
+_TUNING = next(parameter for parameter in PARAMETERS if parameter.name == "tuning")
 
 
 class EstimatorNode(PamNode):
@@ -25,25 +32,39 @@ class EstimatorNode(PamNode):
 
     def __init__(self) -> None:
         super().__init__("estimator", PARAMETERS)
+
+    def configure(self) -> None:
+        """A filter that waits for its first sample."""
         values = self.values
-        rig = load_rig(values["rig"])
+        self._rig = rig = load_rig(values["rig"])
         # Loads or compiles the filter, so that the first sample does not wait for it.
-        self._estimator = Estimator(rig, values["tuning"], values["joint"], values["lock_angle"])
+        self._estimator = self._make(values["tuning"])
         self._pairing = SamplePairing(values["pairing_timeout"], self.now_ns)
         self._max_age = round(values["max_age"] * 1e9)
         self._published = self._late = self._late_before = 0
         self._latency, self._nis, self._rate = Window(), Window(), Rate()
-        self._before = (self._estimator.counts, self._pairing.counts.incomplete)
+        self._last: Sample | None = None
+        self._before = (self._estimator.counts, self._pairing.counts.incomplete, 0)
         frame = values["frame_id"]
         name = TOPICS["joint_estimate"].relative
         self._estimates = wire.Outgoing(self, JointEstimate, name, frame, wire.ESTIMATE)
         body, self._state_values = wire.joint_state(JOINT_NAME, velocity=True)
         self._states = wire.Outgoing(self, JointState, TOPICS["joint_states"].relative, frame, body)
         self._pressure, self._valves = wire.Incoming(wire.PRESSURE), wire.Incoming(wire.VALVES)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetState, "~/set_state", self._on_set_state)
+        self.add_on_set_parameters_callback(self._on_parameters)
         self.start_diagnostics(rig.name)
 
+    def cleanup(self) -> None:
+        """Nothing may be retuned any more."""
+        self.remove_on_set_parameters_callback(self._on_parameters)
+
     def activate(self) -> None:
-        """Listen."""
+        """Listen. What was before is too long ago to go on from."""
+        self._estimator.reset()
+        self._pairing.reset()
+        self._last = None
         for kind, topic, callback in (
             (FluidPressure, "pressure_1", self._on_pressure_1),
             (FluidPressure, "pressure_2", self._on_pressure_2),
@@ -51,6 +72,47 @@ class EstimatorNode(PamNode):
         ):
             self.create_subscription(kind, TOPICS[topic].relative, callback, qos.STREAM, raw=True)
         self.steady_timer(self.values["pairing_timeout"] / _CHECKS, lambda: self._take(self._pairing.expire()))
+
+    def _make(self, tuning: str) -> Estimator:
+        return Estimator(self._rig, tuning, self.values["joint"], self.values["lock_angle"])
+
+    def _on_reset(self, _request: Any, response: Any) -> Any:
+        self._estimator.reset()
+        response.success, response.message = True, "the filter starts with the next complete sample"
+        self.get_logger().info(f"reset: {response.message}")
+        return response
+
+    def _on_set_state(self, request: Any, response: Any) -> Any:
+        last = self._last
+        try:
+            if last is None:
+                raise BadInput("no sample has come that the state could belong to: expected pressures and valve_state")
+            pressure = (float(request.pressure[0]), float(request.pressure[1]))
+            voltage = (last.voltage_1, last.voltage_2)
+            self._estimator.set_state(last.stamp_ns, request.angle, request.velocity, pressure, voltage)
+        except BadInput as error:
+            response.success, response.message = False, str(error)
+        else:
+            response.success = True
+            response.message = (
+                f"angle {request.angle:.4f} rad, velocity {request.velocity:.4f} rad/s, "
+                f"pressures {pressure[0]:.0f} and {pressure[1]:.0f} Pa"
+            )
+            self.get_logger().info(f"state set: {response.message}")
+        return response
+
+    def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
+        """Take another tuning; the filter starts again with the next sample."""
+        for parameter in changed:
+            if parameter.name == "tuning":
+                try:
+                    tuning = _TUNING.check(parameter.value)
+                    self._estimator = self._make(str(tuning))
+                except BadInput as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+                self.values["tuning"] = tuning
+                self._before = (self._estimator.counts, *self._before[1:])
+        return SetParametersResult(successful=True)
 
     def _on_pressure_1(self, data: bytes) -> None:
         stamp_ns, pressure, _ = self._pressure(data)
@@ -66,6 +128,8 @@ class EstimatorNode(PamNode):
 
     def _take(self, samples: list[Sample]) -> None:
         for sample in samples:
+            if not math.isnan(sample.voltage_1 + sample.voltage_2):
+                self._last = sample
             row = self._estimator.step(*sample)
             if row is None:
                 continue
@@ -88,12 +152,14 @@ class EstimatorNode(PamNode):
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         rate = self._rate.take(self._published, steady_ns)
         pairing, counts = self._pairing.counts, self._estimator.counts
-        counts_before, incomplete_before = self._before
-        self._before = (counts, pairing.incomplete)
+        counts_before, incomplete_before, jumps_before = self._before
+        self._before = (counts, pairing.incomplete, pairing.restarts)
         late, self._late_before = self._late - self._late_before, self._late
         incomplete = pairing.incomplete - incomplete_before
         nis = self._nis.take()
-        if rate == 0.0 or self._published == 0:
+        if pairing.restarts > jumps_before:
+            filtering = Health(Level.WARN, "the stamps jumped backwards: the filter started again")
+        elif rate == 0.0 or self._published == 0:
             filtering = Health(Level.WARN, "no samples")
         elif late or incomplete:
             filtering = Health(Level.WARN, f"{late} late and {incomplete} incomplete samples")

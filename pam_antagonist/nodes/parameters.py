@@ -90,6 +90,43 @@ FRAME = Parameter("frame_id", "joint", "frame of the joint in the messages")
 SAFE_VOLTAGE = Parameter(
     "safe_voltage", [5.5, 5.5], "voltages of both valves while there is nothing to go by [V]", 0.0, 10.0
 )
+SAFE_ACTION = Parameter(
+    "safe_action",
+    "hold",
+    "what safe means: hold keeps safe_voltage; vent goes on from there, slowly, to vent_voltage",
+    choices=("hold", "vent"),
+)
+VENT_VOLTAGE = Parameter("vent_voltage", [0.0, 0.0], "voltages at which both valves let the air out [V]", 0.0, 10.0)
+VENT_RATE = Parameter("vent_rate", 1.0, "largest change of each voltage on the way to vent_voltage [V/s]", 0.01, 1e3)
+SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE)
+"""What every node that may give the valves safe voltages has to know."""
+
+# 2 V/ms: a full stroke in 5 ms, about what a proportional valve itself takes for it. So it costs no control, and a
+# single command that makes no sense moves a valve by a fifth of its range at most.
+VALVE_OWNER = (
+    *SAFETY,
+    Parameter("command_timeout", 0.02, "time without a command until the valves become safe [s]", 0.002, 1.0),
+    Parameter("max_slew", 2000.0, "largest change of a valve's voltage by commands [V/s]", 1.0, 1e6),
+    Parameter(
+        "max_pressure",
+        [0.0, 0.0],
+        "absolute pressure of each muscle that stops the valves; 0: 1.1 times the rig's supply pressure [Pa]",
+        0.0,
+        1e7,
+    ),
+    Parameter("over_pressure_time", 0.005, "how long it has to be above that to stop them [s]", 0.001, 1.0),
+    Parameter("missing_time", 0.02, "how long a pressure may be missing or not finite [s]", 0.001, 1.0),
+    Parameter(
+        "frozen_time",
+        0.0,
+        "how long a pressure may be exactly the same [s]; 0: longer than its sensor's noise allows, at least 0.05",
+        0.0,
+        60.0,
+    ),
+)
+"""What a node that owns the valves, the plant or a bridge, has beside that: see docs/safety.md."""
+
+AUTOSTART = Parameter("autostart", True, "whether the node configures and activates itself, without anybody's asking")
 DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)
 
 

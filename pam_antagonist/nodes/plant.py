@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pam_antagonist.nodes.parameters import FRAME, JOINT, LOCK_ANGLE, RIG, SAFE_VOLTAGE, Parameter
+from pam_antagonist.nodes.parameters import FRAME, JOINT, LOCK_ANGLE, RIG, VALVE_OWNER, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -12,11 +12,14 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """
 Simulated joint with two pneumatic muscles, in place of a real one: the physics of the rig in real time at its sample
-period, with finer steps, parameters off their declared values, sensor noise and quantisation.
+period, with finer steps, parameters off their declared values, sensor noise and quantisation. It obeys one commander;
+commands are clamped and slew-limited, and the valves become safe when commands stay away or a pressure is not what it
+may be (docs/safety.md).
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
+services:    ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 
 PARAMETERS = (
@@ -24,13 +27,12 @@ PARAMETERS = (
     JOINT,
     LOCK_ANGLE,
     FRAME,
-    SAFE_VOLTAGE,
+    *VALVE_OWNER,
     Parameter("seed", 0, "of the scatter of the parameters and of the sensor noise [-]", 0, 2**31 - 1),
     Parameter("mismatch", 0.0, "relative standard deviation of the parameters from the rig's [-]", 0.0, 0.29),
     Parameter("noise", True, "whether the sensors have noise and steps"),
     Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),
     Parameter("initial_pressure", [450e3, 450e3], "pressures at the start, absolute [Pa]", 5e4, 2e6),
-    Parameter("command_timeout", 0.02, "time without a command until the valves get safe_voltage [s]", 0.002, 1.0),
     Parameter(
         "wait_for_subscribers", 0, "the first sample waits until the pressures and valve_state have so many [-]", 0, 16
     ),

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from sensor_msgs.msg import FluidPressure, JointState
 
-from pam_antagonist.control import VoltageLimits
 from pam_antagonist.model.plant import Plant
-from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import JOINT_NAME, PamNode
 from pam_antagonist.nodes.plant import PARAMETERS
+from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
 from pam_antagonist_msgs.msg import ValveCommand
 
 _BURST = 25  # samples in a row while catching up, before commands are looked at again
-_JUMP = 1.0  # difference between clock and samples that is not caught up with [s]
+_JUMP = 1.0  # lateness of the samples that is not caught up with [s]
+_JUMP_BACK = 0.5  # by which the clock may be behind the samples, which then wait for it: as the estimator takes it [s]
 _SETTLE = 0.3  # time that subscribers have to find the publishers, after these have found them [s]
 
 
@@ -31,11 +31,13 @@ class PlantNode(PamNode):
 
     def __init__(self) -> None:
         super().__init__("plant", PARAMETERS)
+
+    def configure(self) -> None:
+        """A joint at rest."""
         values = self.values
         rig = load_rig(values["rig"])
         self._period = round(rig.sample_period * 1e9)
-        self._limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
-        self._safe = self._limits.check("parameter safe_voltage:", tuple(values["safe_voltage"]))
+        self.port = ValvePort(self, rig, noisy=values["noise"])
         self._plant = Plant(
             rig,
             joint=values["joint"],
@@ -47,14 +49,11 @@ class PlantNode(PamNode):
             initial_pressure=tuple(values["initial_pressure"]),
         )
         # Compiles, or loads, what a step needs; a plant of its own, so that the real one starts at rest.
-        Plant(rig, joint=values["joint"], lock_angle=values["lock_angle"]).step(self._safe)
-        self._timeout = round(values["command_timeout"] * 1e9)
-        self._command: tuple[float, float] | None = None
-        self._command_ns = 0
+        Plant(rig, joint=values["joint"], lock_angle=values["lock_angle"]).step((5.0, 5.0))
         self._next: int | None = None
         self._found_ns: int | None = None
-        self._samples = self._commands = self._refused = self._without = self._jumps = 0
-        self._lateness, self._rate, self._command_rate = Window(), Rate(), Rate()
+        self._samples = self._jumps = self._jumps_before = 0
+        self._lateness, self._rate = Window(), Rate()
         self._variance = rig.sensors.pressure_std**2 if values["noise"] else 0.0
         body, self._joint_values = wire.joint_state(JOINT_NAME, velocity=False)
         self._pressures = tuple(
@@ -64,31 +63,25 @@ class PlantNode(PamNode):
         self._valves = wire.Outgoing(self, ValveCommand, TOPICS["valve_state"].relative, "valves", wire.VALVES)
         name = TOPICS["measured_joint_states"].relative
         self._joint = wire.Outgoing(self, JointState, name, values["frame_id"], body)
-        self._from_command = wire.Incoming(wire.VALVES)
+        self.steady_timer(self._period * 1e-9, self._tick)
         self.start_diagnostics(rig.name)
 
     def activate(self) -> None:
-        """Take commands and let time pass."""
-        name = TOPICS["valve_command"].relative
-        self.create_subscription(ValveCommand, name, self._on_command, qos.COMMAND, raw=True)
-        self.steady_timer(self._period * 1e-9, self._tick)
+        """Take commands, let time pass, and tell of it."""
+        self.port.listen()
 
-    def _on_command(self, data: bytes) -> None:
-        _, first, second = self._from_command(data)
-        if not (math.isfinite(first) and math.isfinite(second)):
-            self._refused += 1  # as if it had not come: the time-out takes care
-            return
-        self._commands += 1
-        self._command = (self._limits.clip(first), self._limits.clip(second))
-        self._command_ns = self.now_ns()
+    def deactivate(self) -> None:
+        """Safe voltages, and silence; a joint cannot be stopped, so its time goes on."""
+        self.port.rest()
 
     def _tick(self) -> None:
         now = self.now_ns()
         if self._next is None:
-            if now == 0 or not self._may_start(now):
+            if now == 0 or not self.active or not self._may_start(now):
                 return
             self._next = now
-        if abs(now - self._next) > _JUMP * 1e9:
+        self.port.poll(now)
+        if not -_JUMP_BACK * 1e9 <= now - self._next <= _JUMP * 1e9:
             self._jumps += 1
             self.get_logger().warning(
                 f"the clock is {(now - self._next) * 1e-9:+.3f} s off the samples: they go on from the clock"
@@ -117,46 +110,34 @@ class PlantNode(PamNode):
 
     def _sample(self, stamp_ns: int) -> None:
         """Advance by one period, which ends at the stamp, and publish."""
-        voltage = self._command
-        if voltage is None or stamp_ns - self._command_ns > self._timeout:
-            voltage = self._safe
-            self._without += 1
-        sample = self._plant.step(voltage)
+        sample = self._plant.step(self.port.output(stamp_ns).voltage)
+        self.port.supervise(stamp_ns, *sample.pressure)
+        self._samples += 1
+        if not self.active:
+            return
         for output, pressure in zip(self._pressures, sample.pressure, strict=True):
             output.send(stamp_ns, pressure, self._variance)
         self._valves.send(stamp_ns, *sample.voltage)
         self._joint.send(stamp_ns, *self._joint_values(sample.angle, sample.torque))
-        self._samples += 1
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         lateness = self._lateness.take()
         rate = self._rate.take(self._samples, steady_ns)
-        commands = self._command_rate.take(self._commands, steady_ns)
-        without, self._without = self._without, 0
+        jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps
         if self._next is None:
-            sampling = Health(Level.WARN, "waits for the clock or for subscribers")
+            level, message = Level.WARN, "waits for the clock or for subscribers"
+        elif jumps:
+            level, message = Level.WARN, "the clock jumped: the samples went on from it"
         else:
-            sampling = Health(Level.OK, "running")
-        message = f"safe voltages for {without} samples: no command in time" if without else "obeyed"
-        return {
-            "sampling": Health(
-                sampling.level,
-                sampling.message,
-                {
-                    "rate [Hz]": f"{rate:.1f}",
-                    "samples": self._samples,
-                    "clock jumps": self._jumps,
-                    **lateness.as_values("lateness", "ms", 1e6),
-                },
-            ),
-            "commands": Health(
-                Level.WARN if without else Level.OK,
-                message,
-                {
-                    "rate [Hz]": f"{commands:.1f}",
-                    "samples at safe voltages": without,
-                    "refused, not finite": self._refused,
-                    "commanders": self.count_publishers(TOPICS["valve_command"].relative),
-                },
-            ),
-        }
+            level, message = Level.OK, "running"
+        sampling = Health(
+            level,
+            message,
+            {
+                "rate [Hz]": f"{rate:.1f}",
+                "samples": self._samples,
+                "clock jumps": self._jumps,
+                **lateness.as_values("lateness", "ms", 1e6),
+            },
+        )
+        return {"sampling": sampling, **self.port.health(steady_ns)}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import signal
@@ -20,7 +19,7 @@ from pam_antagonist.nodes.spin import PARENT_VARIABLE, PRIORITY_VARIABLE
 _START_LIMIT = 90.0  # for the nodes to start, which may have to compile first [s]
 _KILL_AFTER = 5.0  # time a process has to end by itself [s]
 _DOMAINS = 100  # with ports below those that Linux gives away by itself
-_FIRST_PORT, _PORTS_A_DOMAIN = 7410, 250
+_FIRST_PORT, _PORTS_A_DOMAIN, _PARTICIPANTS = 7410, 250, 20
 _PRIORITY, _RECORDER_PRIORITY = 2, 1  # of the real-time scheduler; the recorder has long queues
 
 
@@ -58,11 +57,20 @@ def free_domain() -> int:
     domains = list(range(1, _DOMAINS + 1))
     random.shuffle(domains)
     for domain in domains:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial, contextlib.suppress(OSError):
-            # where DDS puts the first participant of a domain (RTPS, section 9.6.1.1)
-            trial.bind(("", _FIRST_PORT + _PORTS_A_DOMAIN * domain))
+        # Where DDS puts the participants of a domain (RTPS, section 9.6.1.1). The first of them may have left again.
+        ports = (_FIRST_PORT + _PORTS_A_DOMAIN * domain + 2 * k for k in range(_PARTICIPANTS))
+        if all(_unused(port) for port in ports):
             return domain
     raise ProcessFailed(f"each of the ROS domains 1 to {_DOMAINS} is in use on this machine; set ROS_DOMAIN_ID")
+
+
+def _unused(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.bind(("", port))
+        except OSError:
+            return False
+    return True
 
 
 def ros_arguments(parameters: Mapping[str, object], remappings: Mapping[str, str]) -> list[str]:

@@ -4,8 +4,8 @@
   come from any shared machine, and what was sent meanwhile is to arrive late, flagged, rather than never. Subscribers
   that prefer the latest value match it with best effort.
 * ``RECORD``: what the recorder subscribes with: as ``STREAM``, five seconds deep.
-* ``COMMAND``: what the valves listen to. Reliable, depth 1: of several commands only the newest counts, and a
-  time-out watches over it.
+* ``COMMAND``: what the valves listen to. Reliable; of several commands of one publisher only the newest counts, and a
+  time-out watches over it. Deep enough that a second publisher cannot push the first one's commands out unseen.
 * ``REFERENCE``: reliable, depth 1, volatile, so that any publisher matches; it is held until the next one.
 * ``GLANCE``: best effort, depth 1, for displays that look at the latest value now and then.
 """
@@ -26,7 +26,7 @@ def _profile(depth: int, reliable: bool = True) -> QoSProfile:
 
 STREAM = _profile(1000)
 RECORD = _profile(5000)
-COMMAND = _profile(1)
+COMMAND = _profile(100)
 REFERENCE = _profile(1)
 GLANCE = _profile(1, reliable=False)
 DIAGNOSTICS = _profile(10)

@@ -17,7 +17,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.parameters import DIAGNOSTICS_PERIOD, Parameter, help_text
+from pam_antagonist.nodes.network import local_only, secured, stay_on_this_machine
+from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
 from pam_antagonist.paths import config_dir
 
 if TYPE_CHECKING:
@@ -90,9 +91,10 @@ def run_node(
 
 def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
     """What ``--help`` prints."""
+    parameters = help_text((*table, AUTOSTART, DIAGNOSTICS_PERIOD))
     return (
         f"usage: {name} [OPTIONS] [--ros-args [-p PARAMETER:=VALUE]... [--params-file FILE] [-r __ns:=/NAMESPACE]"
-        f" [-r TOPIC:=OTHER]...]\n\n{description.strip()}\n\nparameters:\n{help_text((*table, DIAGNOSTICS_PERIOD))}\n\n"
+        f" [-r TOPIC:=OTHER]...]\n\n{description.strip()}\n\nparameters:\n{parameters}\n\n"
         "The namespace is /pam unless it is remapped. SIGINT (Ctrl-C) or SIGTERM ends the node with status 0."
     )
 
@@ -107,7 +109,13 @@ def _run(create: Callable[[Any], PamNode], arguments: list[str], name: str, opti
         print(needs, file=sys.stderr)
         return 1
     try:
-        node = create(_initialise(arguments, name, options))
+        given = _initialise(arguments, name, options)
+        try:
+            node = create(given)
+        except Exception as error:
+            if secured() and "secur" in str(error).lower():
+                raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_said(error)}") from None
+            raise
         try:
             spin(node, stop)
         finally:
@@ -128,25 +136,29 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
+    stay_on_this_machine()
     tune_middleware()
     try:
         left = remove_ros_args(args=arguments)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
-        # rcl adds the places in its own source code, which help nobody here.
-        said = re.sub(r",? at /\S+:\d+", "", one_line(error))
-        raise BadInput(f"{name}: {said}") from None
+        raise BadInput(f"{name}: {_said(error)}") from None
     return options(left)
+
+
+def _said(error: BaseException) -> str:
+    """What ROS says; rcl adds the places in its own source code, which help nobody here."""
+    return re.sub(r",? at /\S+:\d+", "", one_line(error))
 
 
 def tune_middleware() -> None:
     """Have Fast DDS, before it starts in this process, take config/fastdds.xml unless there is another profile.
 
-    Other middlewares ignore it.
+    Where nodes are to stay on this machine, that is config/fastdds_local.xml. Other middlewares ignore it.
     """
     if _PROFILES_VARIABLE in os.environ:
         return
-    profiles = config_dir() / "fastdds.xml"
+    profiles = config_dir() / ("fastdds_local.xml" if local_only() else "fastdds.xml")
     if profiles.is_file():
         os.environ[_PROFILES_VARIABLE] = str(profiles)
     else:
@@ -166,9 +178,9 @@ def spin(node: PamNode, stop: _Stop) -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
-    _hurry()
+    hurry()
     try:
-        node.activate()
+        node.start()
         while stop.signal is None and not node.finished and rclpy.ok():
             executor.spin_once(timeout_sec=_WAIT)
             if parent and os.getppid() != parent:
@@ -180,7 +192,7 @@ def spin(node: PamNode, stop: _Stop) -> None:
         executor.shutdown()
 
 
-def _hurry() -> None:
+def hurry() -> None:
     """Ask the real-time scheduler for a priority, if there is one to ask for.
 
     A node that has a millisecond must not queue behind what else the machine is busy with. Only root gets it, or who

@@ -36,8 +36,8 @@ ESTIMATE_VALUES = 24
 ESTIMATE: Body = (("iI", 4), (f"{8 * ESTIMATE_VALUES}s", 8), ("BB", 1))
 """``pam_antagonist_msgs/JointEstimate``: started (s, ns), its numbers as they lie in memory, subsystem, flags."""
 
-ESTIMATE_FOR_CONTROL: Body = (("8x", 4), ("d8xd", 8), (f"{8 * (ESTIMATE_VALUES - 3)}xxB", 1))
-"""The same; angle, torque and flags of it."""
+ESTIMATE_FOR_CONTROL: Body = (("8x", 4), ("d8xd", 8), (f"{8 * (ESTIMATE_VALUES - 4)}xdxB", 1))
+"""The same; angle, torque, normalised innovation squared and flags of it."""
 
 _HEADER = "4siII"  # encoding, stamp, length of the frame's name
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"

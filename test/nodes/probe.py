@@ -7,6 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import FluidPressure, JointState
@@ -15,6 +19,8 @@ from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.spin import tune_middleware
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
+
+_ANSWER = 20.0  # longest time for a service, which may have to compile [s]
 
 TYPES = {
     "pressure_1": FluidPressure,
@@ -25,6 +31,7 @@ TYPES = {
     "joint_states": JointState,
     "measured_joint_states": JointState,
     "reference": JointReference,
+    "diagnostics": DiagnosticArray,
 }
 
 
@@ -42,11 +49,15 @@ class Probe:
             for topic in topics
         }
         self._publishers: dict[str, Any] = {}
+        self._caller: Node | None = None
+        self._clients: dict[str, Any] = {}
 
     def __enter__(self) -> Probe:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._caller is not None:
+            self._caller.destroy_node()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
 
@@ -87,6 +98,34 @@ class Probe:
 
     def refer(self, mode: int, value: float) -> None:
         self.publisher("reference").publish(JointReference(mode=mode, value=value))
+
+    def call(self, kind: Any, name: str, **fields: Any) -> Any:
+        """The answer of a service below ``/pam``."""
+        if self._caller is None:  # a node of its own: an executor would take the probe's messages
+            options = {"context": self._context, "start_parameter_services": False}
+            self._caller = Node("caller", namespace="/pam", **options)
+            self._executor = SingleThreadedExecutor(context=self._context)
+        if name not in self._clients:
+            self._clients[name] = self._caller.create_client(kind, name)
+        client = self._clients[name]
+        assert client.wait_for_service(_ANSWER), f"there is no service {name}"
+        future = client.call_async(kind.Request(**fields))
+        self._executor.add_node(self._caller)
+        try:
+            self._executor.spin_until_future_complete(future, _ANSWER)
+        finally:
+            self._executor.remove_node(self._caller)
+        assert future.done(), f"{name} does not answer"
+        return future.result()
+
+    def transition(self, node: str, label: str) -> bool:
+        """Ask a node for a transition, as ``ros2 lifecycle set`` does; whether it came about."""
+        request = Transition(label=label)
+        return bool(self.call(ChangeState, f"{node}/change_state", transition=request).success)
+
+    def state(self, node: str) -> str:
+        """The state of a node's life cycle."""
+        return str(self.call(GetState, f"{node}/get_state").current_state.label)
 
     def now_ns(self) -> int:
         return int(self.node.get_clock().now().nanoseconds)

@@ -19,6 +19,7 @@ def node(ros: None) -> Iterator[Any]:
     from pam_antagonist.nodes.controller_node import ControllerNode
 
     node = ControllerNode()
+    node.trigger_activate()
     published: list[tuple[int, tuple[float, float]]] = []
 
     def note(data: bytes) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from pam_antagonist.nodes import controller, estimator, plant, recorder
+from pam_antagonist.nodes import bridge, controller, estimator, plant, recorder
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
 
-NODES = {"plant": plant, "estimator": estimator, "controller": controller}
+NODES = {"plant": plant, "bridge": bridge, "estimator": estimator, "controller": controller}
 
 
 @pytest.mark.parametrize("name", [*NODES, "recorder"])
@@ -48,6 +48,11 @@ def test_help_names_topics_and_every_parameter(name: str, capsys: pytest.Capture
         (plant, ["-r", "__ns:=/1pam"], ["plant", "remap rule", "/1pam"]),
         (plant, ["-r", "__node:=1plant"], ["plant", "1plant"]),
         (plant, ["--params-file", "/no/such/file.yaml"], ["plant", "/no/such/file.yaml"]),
+        (bridge, ["-p", "hardware:=exmaple"], ["unknown hardware 'exmaple'", "example"]),
+        (bridge, ["-p", "hardware:=/no/such.yaml"], ["/no/such.yaml", "no such hardware file"]),
+        (bridge, ["-p", "baud:=0"], ["baud", "from 9600"]),
+        (bridge, ["-p", "pressure_rest:=[1.0e5, 0.0]"], ["pressure_rest", "100000.0"]),
+        (bridge, ["-p", "use_sim_time:=true"], ["use_sim_time", "hardware does not follow simulated time"]),
         (estimator, ["-p", "tuning:=perfect"], ["tuning 'perfect'", "default", "published"]),
         (estimator, ["-p", "max_age:=-1.0"], ["max_age", "-1.0"]),
         (controller, ["-p", "angle_proportional:=-5.0"], ["angle_proportional", "-5.0"]),
@@ -91,6 +96,9 @@ def test_arguments_that_are_not_for_ros_are_refused(
         (["--out", "bag", "--duration", "0"], "--duration"),
         (["--out", "bag", "--duration", "nan"], "--duration"),
         (["--out", "bag", "--compress"], "--compress"),
+        (["--out", "bag", "--max-size", "0"], "--max-size 0.0: expected a number of megabytes above 0.1"),
+        (["--out", "bag", "--max-duration", "-1"], "--max-duration"),
+        (["--out", "bag", "--max-duration", "inf"], "--max-duration"),
     ],
 )
 def test_recorder_refuses_its_arguments_in_one_line(
@@ -120,6 +128,7 @@ def test_recorder_says_in_one_line_that_the_disk_is_full(
     from pam_antagonist.nodes.recorder_node import RecorderNode
 
     node = RecorderNode(Options(tmp_path / "bag", None))
+    node.start()
 
     def full(items: object) -> None:
         raise OSError(28, "No space left on device")
@@ -145,7 +154,7 @@ def test_a_signal_ends_every_node_quickly_with_status_0(number: int, tmp_path: P
             processes.check()
             # the services of a node come last but one; then it spins
             names = set(probe.node.get_node_names())
-            return {*NODES, "recorder"} <= names and probe.node.count_publishers("/diagnostics") == 4
+            return {*NODES, "recorder"} <= names and probe.node.count_publishers("/diagnostics") == len(NODES) + 1
 
         probe.until(there, 60.0, "a start")
         probe.wait(0.3)

@@ -58,6 +58,7 @@ def make(ros: None) -> Iterator[Callable[..., Any]]:
                 pass
 
         node = Node()
+        node.trigger_activate()
         outputs = {"p1": node._pressures[0], "p2": node._pressures[1], "valves": node._valves, "joint": node._joint}
         node.sent = {}
         for name, output in outputs.items():
@@ -79,7 +80,7 @@ def command(node: Any, first: float, second: float) -> None:
 
     from pam_antagonist_msgs.msg import ValveCommand
 
-    node._on_command(serialize_message(ValveCommand(voltage=[first, second])))
+    node.port.accept(serialize_message(ValveCommand(voltage=[first, second])), node.now_ns())
 
 
 def tick(node: Any, milliseconds: float) -> None:
@@ -163,13 +164,63 @@ def test_valves_are_safe_before_commands_and_after_the_time_out(make: Callable[.
 
 
 def test_commands_are_clipped_and_those_without_a_number_are_not_obeyed(make: Callable[..., Any]) -> None:
-    node = make()
+    node = make(max_slew=1e5)
     command(node, 12.0, -3.0)
     tick(node, 1.0)
     command(node, math.nan, 5.0)
     tick(node, 1.0)
     assert [tuple(message.voltage) for message in node.sent["valves"]] == [(10.0, 0.0), (10.0, 0.0)]
     assert node.health(1)["commands"].values["refused, not finite"] == 1
+
+
+@pytest.mark.parametrize(
+    ("sick", "after", "words"),
+    [
+        (lambda k, p: math.nan, 20, "pressure 2 is missing or not finite"),
+        (lambda k, p: 4.4e5, 50, "pressure 2 is frozen at 440000.0 Pa"),
+        (lambda k, p: 8e5 + k, 5, "above 781.0 kPa"),
+    ],
+)
+def test_a_sick_pressure_stops_the_valves_until_it_is_well_and_cleared(
+    make: Callable[..., Any], sick: Callable[[int, float], float], after: int, words: str
+) -> None:
+    from std_srvs.srv import Trigger
+
+    node = make(safe_voltage=[5.0, 5.2])
+    step, state = node._plant.step, {"sick": False, "k": 0}
+
+    def measure(voltage: tuple[float, float]) -> Any:
+        sample = step(voltage)
+        state["k"] += 1
+        second = sick(state["k"], sample.pressure[1]) if state["sick"] else sample.pressure[1]
+        return sample._replace(pressure=(sample.pressure[0], second))
+
+    def clear() -> Any:
+        return node.port._on_clear(Trigger.Request(), Trigger.Response())
+
+    def run(count: int) -> list[tuple[float, float]]:
+        node.sent["valves"].clear()
+        for _ in range(count):
+            command(node, 6.0, 4.9)
+            tick(node, 1.0)
+        return [tuple(message.voltage) for message in node.sent["valves"]]
+
+    node._plant.step = measure
+    assert set(run(100)) == {(6.0, 4.9)}
+    state["sick"] = True
+    voltages = run(100)
+    first = voltages.index((5.0, 5.2))
+    assert after <= first <= after + 3 and set(voltages[first:]) == {(5.0, 5.2)}
+    answer = clear()
+    assert not answer.success and words in answer.message
+    health = node.health(1)["safety"]
+    assert health.level == 2 and words in health.message
+    state["sick"] = False
+    assert set(run(50)) == {(5.0, 5.2)}
+    answer = clear()
+    assert answer.success and words in answer.message
+    assert set(run(10)) == {(6.0, 4.9)}
+    assert node.health(2)["safety"].level == 0
 
 
 def test_first_sample_waits_for_subscribers_and_gives_them_time(make: Callable[..., Any]) -> None:
@@ -211,7 +262,7 @@ def test_simulated_time_drives_the_samples(domain: None) -> None:
         with Probe("pressure_1") as probe:
             node = PlantNode()
             executor = make_executor(node)
-            node.activate()
+            node.trigger_activate()
             clock = probe.node.create_publisher(Clock, "/clock", qos.DIAGNOSTICS)
             probe.until(lambda: clock.get_subscription_count() > 0, 10.0, "a subscriber of /clock")
             for k in range(100):

@@ -104,7 +104,10 @@ def test_unpacked_is_what_was_serialised(ros: None, frame: str) -> None:
     assert wire.Incoming(wire.VALVES)(valves) == (STAMP, 1.25, 9.5)
     message, row = estimate(frame)
     taken = wire.Incoming(wire.ESTIMATE_FOR_CONTROL)(serialize_message(message))
-    assert taken == (STAMP, row["angle"], row["torque"], 9)
+    assert taken[:3] == (STAMP, row["angle"], row["torque"]) and taken[4:] == (9,)
+    assert math.isnan(row["nis"]) and math.isnan(taken[3])
+    message.nis = 2.5
+    assert wire.Incoming(wire.ESTIMATE_FOR_CONTROL)(serialize_message(message))[3] == 2.5
 
 
 def test_the_other_byte_order_is_understood() -> None:

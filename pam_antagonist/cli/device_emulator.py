@@ -1,0 +1,176 @@
+"""``device_emulator``: a microcontroller on a serial port that is not there, with a simulated joint behind it."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+
+if TYPE_CHECKING:
+    from pam_antagonist.hardware.line_faults import LineFault
+
+_DESCRIPTION = """\
+Stand in for the microcontroller of a rig: the reference firmware on a pseudo-terminal, with the physics behind it.
+
+It prints the path of its port, then speaks the protocol of docs/hardware.md at the rig's sample rate until it is
+stopped by Ctrl-C or SIGTERM. The bridge node, or your own host program, opens that path as any serial port.
+"""
+_EXAMPLES = """\
+examples:
+  device_emulator --rig shin2022 --link /tmp/pam_device
+  device_emulator --rig shin2022 --link /tmp/pam_device --fault flip=0.01 --fault unplug@5-7 --log voltages.csv
+then, in another terminal:
+  bridge --ros-args -p port:=/tmp/pam_device
+
+faults, KIND[=VALUE][@BEGIN[-END]] with times in s after the first command:
+"""
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    from pam_antagonist.hardware.line_faults import KINDS
+
+    kinds = "\n".join(f"  {kind.ljust(8)} {meaning}" for kind, meaning in KINDS.items())
+    out = common.Parser("device_emulator", _DESCRIPTION, _EXAMPLES + kinds)
+    common.add_rig(out)
+    common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
+    out.add_argument(
+        "--hardware", default="example", metavar="FILE", help="calibration of its sensors (default: example)"
+    )
+    out.add_argument("--link", type=Path, metavar="PATH", help="link to the port, so that its name stays the same")
+    out.add_argument("--seed", type=int, default=0, help="of everything that is random (default: 0)")
+    out.add_argument(
+        "--mismatch", type=float, default=0.0, metavar="X", help="relative scatter of the parameters (default: 0)"
+    )
+    out.add_argument("--no-noise", action="store_true", help="exact sensors")
+    out.add_argument("--drift", type=float, default=0.0, metavar="PPM", help="of its clock [ppm] (default: 0)")
+    out.add_argument(
+        "--first-us", type=int, default=0, metavar="US", help="its counter of 32 bits at power-on [us] (default: 0)"
+    )
+    out.add_argument("--log", type=Path, metavar="FILE", help="CSV file of the voltages on the valves, row by change")
+    out.add_argument(
+        "--fault", action="append", default=[], metavar="FAULT", help="what goes wrong, see below; several may be given"
+    )
+    out.add_argument("--flip", type=float, metavar="SHARE", help="the same as --fault flip=SHARE")
+    out.add_argument("--drop", type=float, metavar="SHARE", help="the same as --fault drop=SHARE")
+    out.add_argument("--silent-after", type=float, metavar="S", help="the same as --fault silent@S")
+    out.add_argument("--freeze-sensor", metavar="MUSCLE@S", help="the same as --fault freeze=MUSCLE@S, such as 1@2.5")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    from pam_antagonist.hardware.calibration import Converter, load_calibration
+    from pam_antagonist.hardware.emulator import DeviceClock, Emulator, Port, VoltageLog
+    from pam_antagonist.hardware.firmware import Firmware, Settings
+    from pam_antagonist.hardware.line_faults import FaultPlan
+    from pam_antagonist.hardware.protocol import Feature
+    from pam_antagonist.model.plant import Plant
+    from pam_antagonist.nodes.spin import hurry
+    from pam_antagonist.rig import load_rig
+
+    faults = _faults(arguments)
+    if arguments.seed < 0:
+        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
+    if not abs(arguments.drift) <= 500.0:
+        raise BadInput(f"--drift {arguments.drift:g}: expected ppm within ±500; a crystal has 10 to 100")
+    if not 0 <= arguments.first_us < 1 << 32:
+        raise BadInput(f"--first-us {arguments.first_us}: expected 0 to {(1 << 32) - 1}")
+    rig = load_rig(arguments.rig)
+    calibration = load_calibration(arguments.hardware)
+    angle = common.lock_angle(arguments) or 0.0
+    plant = Plant(
+        rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise
+    )
+    # Compiles, or loads, what a step needs, in a plant of its own: the real one starts at rest.
+    Plant(rig, arguments.joint, angle).step((5.5, 5.5))
+    features = Feature(0)
+    for there, feature in (
+        (calibration.encoder, Feature.ENCODER),
+        (calibration.torque, Feature.TORQUE),
+        (calibration.unit == "V" or None, Feature.VOLTS),
+    ):
+        features |= feature if there is not None else Feature(0)
+    settings = Settings(
+        name="emulator",
+        features=features,
+        period_us=round(rig.sample_period * 1e6),
+        voltage_min=rig.valves.voltage_min,
+        voltage_max=rig.valves.voltage_max,
+    )
+    stopping = _Stop()
+    with ExitStack() as stack:
+        log = None if arguments.log is None else stack.enter_context(_log(arguments.log))
+        emulator = Emulator(
+            plant,
+            Converter(calibration),
+            Firmware(settings),
+            FaultPlan(faults, arguments.seed),
+            VoltageLog(log),
+            lambda: Port(arguments.link),
+            DeviceClock(arguments.drift * 1e-6, arguments.first_us),
+        )
+        stack.callback(emulator.close)
+        print(f"{arguments.link or emulator.path}", flush=True)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, stopping)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        hurry()
+        emulator.run(stopping.asked)
+    print(f"{emulator.ticks} samples, {emulator.missed} missed", file=sys.stderr)
+    return common.DONE
+
+
+class _Stop:
+    """Set by a signal, or when the process that this one is to end with is gone."""
+
+    def __init__(self) -> None:
+        from pam_antagonist.nodes.spin import PARENT_VARIABLE
+
+        self._parent = int(os.environ.get(PARENT_VARIABLE, "0"))
+        self._stopped = False
+
+    def __call__(self, _number: int, _frame: object) -> None:
+        self._stopped = True
+
+    def asked(self) -> bool:
+        """Whether to stop."""
+        return self._stopped or bool(self._parent and os.getppid() != self._parent)
+
+
+def _log(path: Path) -> TextIO:
+    try:
+        return path.open("x", encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"--log {path}: cannot be made: {error.strerror}; expected the name of a new file") from None
+
+
+def _faults(arguments: argparse.Namespace) -> list[LineFault]:
+    from pam_antagonist.hardware.line_faults import parse_fault
+
+    texts = list(arguments.fault)
+    texts += [f"flip={arguments.flip!r}"] if arguments.flip is not None else []
+    texts += [f"drop={arguments.drop!r}"] if arguments.drop is not None else []
+    texts += [f"silent@{arguments.silent_after!r}"] if arguments.silent_after is not None else []
+    texts += [f"freeze={arguments.freeze_sensor}"] if arguments.freeze_sensor is not None else []
+    return [parse_fault(text) for text in texts]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,214 @@
+"""From readings to SI units: a YAML file for each set of sensors, checked like a rig file.
+
+A pressure is ``gain * reading + offset``, to which the atmosphere's is added where it is gauge; or it is
+``gain * (reading - at_rest)`` plus the atmosphere's, where ``at_rest`` is what the sensor shows with the muscle open.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Optional  # (pydantic 1 evaluates annotations on Python 3.10)
+
+from pydantic import Field
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.device import DeviceInfo
+from pam_antagonist.paths import config_dir
+from pam_antagonist.strict_yaml import Strict, read_mapping, validated
+
+EXAMPLE = "example"
+_HIGHEST_PRESSURE = 2.1e6  # what is above is no pneumatic muscle's [Pa]
+
+
+class PressureChannel(Strict):
+    """A pressure sensor."""
+
+    gain: float = Field(description="of the sensor [Pa per V or code], not 0")
+    offset: Optional[float] = Field(None, description="pressure at reading 0, gauge or absolute as in reference [Pa]")  # noqa: UP045
+    at_rest: Optional[float] = Field(None, description="reading with the muscle open to the air [V or code]")  # noqa: UP045
+    reference: Literal["gauge", "absolute"] = Field(description="whether offset counts from the atmosphere or vacuum")
+    lowest: float = Field(description="least reading of a sensor that works [V or code]; below: wire broken")
+    highest: float = Field(description="largest one [V or code]; above: short circuit")
+
+
+class EncoderChannel(Strict):
+    """An incremental encoder at the joint."""
+
+    counts: float = Field(ge=4.0, lt=1e9, description="a turn of the joint, after quadrature [counts]")
+    zero: int = Field(0, ge=-(2**31), lt=2**31, description="count at angle 0, where both muscles are equally long")
+    sign: Literal[-1, 1] = Field(1, description="-1 where counts fall while muscle 1 gets shorter")
+
+
+class TorqueChannel(Strict):
+    """A torque meter: gain * reading + offset."""
+
+    gain: float = Field(description="[N m per V or code], not 0")
+    offset: float = Field(0.0, description="torque at reading 0 [N m]")
+    lowest: float = Field(description="least reading of a meter that works [V or code]")
+    highest: float = Field(description="largest one [V or code]")
+
+
+class Calibration(Strict):
+    """What the sensors behind a device are. Read one with :func:`load_calibration`."""
+
+    name: str
+    unit: Literal["V", "code"] = Field(description="of the readings: V, or codes of the converter")
+    atmosphere: float = Field(gt=50e3, lt=120e3, description="pressure of the surroundings, absolute [Pa]")
+    pressure_1: PressureChannel
+    pressure_2: PressureChannel
+    encoder: Optional[EncoderChannel] = Field(None, description="or none")  # noqa: UP045
+    torque: Optional[TorqueChannel] = Field(None, description="or none")  # noqa: UP045
+
+
+def calibration_names() -> list[str]:
+    """Names of the files that come with the package."""
+    return sorted(path.stem for path in (config_dir() / "hardware").glob("*.yaml"))
+
+
+def load_calibration(name_or_path: str | Path) -> Calibration:
+    """Read and check a calibration.
+
+    Args:
+        name_or_path: the path of a YAML file, or the name of one in ``config/hardware`` (``example``).
+
+    Raises:
+        BadInput: not there, not readable, an unknown or missing key, or values that no sensor has.
+    """
+    path = _locate(str(name_or_path))
+    content = read_mapping(path, "hardware", "config/hardware/example.yaml")
+    found = validated(Calibration, content, str(path))
+    for complaint in _complaints(found):
+        raise BadInput(f"{path}: {complaint}")
+    return found
+
+
+def _locate(name: str) -> Path:
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    names = calibration_names()
+    if name not in names:
+        close = difflib.get_close_matches(name, names, 1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise BadInput(f"unknown hardware {name!r}: expected a .yaml file or one of {', '.join(names)}{hint}")
+    return config_dir() / "hardware" / f"{name}.yaml"
+
+
+def _complaints(found: Calibration) -> Iterator[str]:
+    """What the schema cannot see."""
+    for name in ("pressure_1", "pressure_2", "torque"):
+        channel = getattr(found, name)
+        if channel is None:
+            continue
+        if channel.gain == 0.0:
+            yield f"{name}.gain is 0: expected the sensor's gain"
+        if not channel.lowest < channel.highest:
+            yield f"{name}: lowest is {channel.lowest:g} and highest {channel.highest:g}: expected lowest < highest"
+    for name, channel in (("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2)):
+        if (channel.offset is None) == (channel.at_rest is None):
+            yield f"{name}: expected either offset or at_rest"
+        if channel.at_rest is not None and not channel.lowest <= channel.at_rest <= channel.highest:
+            yield (
+                f"{name}.at_rest is {channel.at_rest:g}: expected a reading of a sensor that works, "
+                f"{channel.lowest:g} to {channel.highest:g}"
+            )
+        low, high = sorted(_absolute(channel, found.atmosphere, end) for end in (channel.lowest, channel.highest))
+        if high > _HIGHEST_PRESSURE or high < found.atmosphere or low < -found.atmosphere:
+            yield (
+                f"{name}: readings from lowest to highest mean {low:g} to {high:g} Pa absolute: expected what "
+                f"covers the atmosphere's pressure and ends below {_HIGHEST_PRESSURE:g} Pa; is gain in Pa?"
+            )
+
+
+def _absolute(channel: PressureChannel, atmosphere: float, reading: float) -> float:
+    if channel.at_rest is not None:
+        return channel.gain * (reading - channel.at_rest) + atmosphere
+    offset = channel.offset or 0.0
+    return channel.gain * reading + offset + (atmosphere if channel.reference == "gauge" else 0.0)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    gain: float
+    offset: float
+    lowest: float
+    highest: float
+
+    def value(self, reading: float) -> float:
+        """In SI units; NaN for a reading that no sensor in order shows."""
+        if not self.lowest <= reading <= self.highest:  # as well where it is no number
+            return math.nan
+        return self.gain * reading + self.offset
+
+    def reading(self, value: float) -> float:
+        """The reading that means a value."""
+        return (value - self.offset) / self.gain
+
+
+class Converter:
+    """Readings to SI units, and back.
+
+    Args:
+        calibration: of the sensors.
+        rest: added to both pressures (2,) [Pa]: what they are off by, as measured at rest.
+    """
+
+    def __init__(self, calibration: Calibration, rest: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.calibration = calibration
+        self.rest = rest
+        self._pressures = tuple(
+            _Linear(channel.gain, _absolute(channel, calibration.atmosphere, 0.0), channel.lowest, channel.highest)
+            for channel in (calibration.pressure_1, calibration.pressure_2)
+        )
+        torque, encoder = calibration.torque, calibration.encoder
+        self._torque = None if torque is None else _Linear(torque.gain, torque.offset, torque.lowest, torque.highest)
+        self._step = math.nan if encoder is None else encoder.sign * 2.0 * math.pi / encoder.counts
+        self._zero = 0 if encoder is None else encoder.zero
+
+    def check(self, info: DeviceInfo) -> None:
+        """Make sure that the device has what the calibration is for.
+
+        Raises:
+            BadInput: other units, or a channel that the device does not have.
+        """
+        name = self.calibration.name
+        if info.unit != self.calibration.unit:
+            raise BadInput(f"calibration {name} is for readings in {self.calibration.unit}, not in {info.unit}")
+        for channel, there in (("encoder", info.encoder), ("torque", info.torque)):
+            if getattr(self.calibration, channel) is not None and not there:
+                raise BadInput(f"calibration {name} has {channel}, but {info.name} has no such channel")
+
+    def pressure(self, readings: tuple[float, float]) -> tuple[float, float]:
+        """Both pressures, absolute [Pa]; NaN where the sensor is out of order."""
+        first, second = self._pressures
+        return first.value(readings[0]) + self.rest[0], second.value(readings[1]) + self.rest[1]
+
+    def angle(self, encoder: int | None) -> float | None:
+        """Angle [rad], None without an encoder."""
+        if encoder is None or self.calibration.encoder is None:
+            return None
+        # counters of 32 bits wrap
+        return ((encoder - self._zero + 2**31) % 2**32 - 2**31) * self._step
+
+    def torque(self, reading: float | None) -> float | None:
+        """Torque [N m], None without a meter, NaN where it is out of order."""
+        return None if reading is None or self._torque is None else self._torque.value(reading)
+
+    def readings(self, pressure: tuple[float, float], angle: float, torque: float) -> tuple[float, float, int, float]:
+        """What the sensors show, without an end at ``lowest`` and ``highest``: for a device to practise on.
+
+        Args:
+            pressure: of both muscles, absolute [Pa].
+            angle: of the joint [rad].
+            torque: of the muscles [N m].
+
+        Returns:
+            Readings of both pressures, counts of the encoder, reading of the torque meter; 0 where there is none.
+        """
+        first, second = (channel.reading(value) for channel, value in zip(self._pressures, pressure, strict=True))
+        counts = 0 if self.calibration.encoder is None else round(angle / self._step) + self._zero
+        return first, second, counts, 0.0 if self._torque is None else self._torque.reading(torque)

@@ -1,0 +1,276 @@
+"""A device to practise on: the reference firmware on a pseudo-terminal, with the physics behind its sensors.
+
+The host cannot tell it from a microcontroller on a serial port, apart from what USB adds to the delay.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import time
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.calibration import Converter
+from pam_antagonist.hardware.firmware import Firmware, Readings
+from pam_antagonist.hardware.line_faults import FaultPlan
+from pam_antagonist.hardware.protocol import Status
+from pam_antagonist.model.plant import Plant
+
+_LONGEST_CATCH_UP = 1.0  # [s]; what is beyond is left out, with the overrun flag
+_LOG_FLUSH = 0.05  # [s]
+LOG_HEADER = "time_ns,device_us,event,voltage_1,voltage_2,safe"
+
+
+class Port:
+    """A pseudo-terminal with a link to it that keeps its name.
+
+    Args:
+        link: made, and removed with the port; None: none.
+
+    Raises:
+        BadInput: the link cannot be made, or something else is there.
+    """
+
+    def __init__(self, link: Path | None) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self._link = link
+        if link is not None:
+            self._make_link(link)
+
+    def _make_link(self, link: Path) -> None:
+        if link.exists() and not link.is_symlink():
+            raise BadInput(f"{link}: exists, and is no link; expected the name of a link to make")
+        try:
+            link.unlink(missing_ok=True)
+            link.symlink_to(self.path)
+        except OSError as error:
+            raise BadInput(f"{link}: cannot be made: {error.strerror}") from None
+
+    def wait(self, seconds: float) -> bytes:
+        """What the host sends, as soon as it does; nothing after the time."""
+        ready, _, _ = select.select([self._master], [], [], max(seconds, 0.0))
+        if ready:
+            with suppress(OSError):
+                return os.read(self._master, 65_536)
+        return b""
+
+    def send(self, data: bytes) -> None:
+        """To the host; what does not fit, because it does not read, is lost."""
+        with suppress(OSError):
+            os.write(self._master, data)
+
+    def close(self) -> None:
+        """As if pulled out."""
+        if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self.path:
+            self._link.unlink()
+        os.close(self._slave)
+        os.close(self._master)
+
+
+class VoltageLog:
+    """What the valves had and when: a CSV file with a row for every change.
+
+    Columns: time since 1970 [ns], device's clock [µs], event (``voltage``, or a fault that begins or ends, as ``+flip``
+    and ``-flip``), both voltages [V], 1 where they are the safe ones for want of a valid command.
+
+    Args:
+        file: takes the rows; None: nowhere.
+    """
+
+    def __init__(self, file: TextIO | None) -> None:
+        self._file = file
+        self._last: tuple[tuple[float, float], bool] | None = None
+        self._waiting, self._flushed = False, 0.0
+        if file is not None:
+            file.write(LOG_HEADER + "\n")
+
+    def voltage(self, device_us: int, voltage: tuple[float, float], safe: bool) -> None:
+        """The valves have these voltages from now on."""
+        if (voltage, safe) != self._last:
+            turned = self._last is None or self._last[1] != safe
+            self._last = voltage, safe
+            self._row(device_us, "voltage", turned)
+        elif self._waiting and time.monotonic() - self._flushed > _LOG_FLUSH:
+            self._flush()
+
+    def event(self, device_us: int, name: str) -> None:
+        """Something else happened."""
+        self._row(device_us, name, at_once=True)
+
+    def _row(self, device_us: int, event: str, at_once: bool) -> None:
+        if self._file is None:
+            return
+        voltage, safe = self._last or ((math.nan, math.nan), False)
+        self._file.write(f"{time.time_ns()},{device_us},{event},{voltage[0]!r},{voltage[1]!r},{int(safe)}\n")
+        self._waiting = True
+        if at_once or time.monotonic() - self._flushed > _LOG_FLUSH:
+            self._flush()
+
+    def _flush(self) -> None:
+        assert self._file is not None
+        self._file.flush()
+        self._waiting, self._flushed = False, time.monotonic()
+
+
+@dataclass(frozen=True)
+class DeviceClock:
+    """Its oscillator.
+
+    Attributes:
+        drift: how much faster than the host's it runs [-].
+        first_us: counter at power-on [µs].
+    """
+
+    drift: float = 0.0
+    first_us: int = 0
+
+
+class Emulator:
+    """The device: its clock, firmware, sensors and port.
+
+    Args:
+        plant: the joint behind it.
+        converter: says what the sensors show.
+        firmware: the logic.
+        faults: what goes wrong.
+        log: of the voltages.
+        open_port: gives a port, also after one was pulled out.
+        clock: its oscillator.
+
+    Attributes:
+        ticks: samples so far.
+        missed: samples that were left out because this process stood still for too long.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        converter: Converter,
+        firmware: Firmware,
+        faults: FaultPlan,
+        log: VoltageLog,
+        open_port: Callable[[], Port],
+        clock: DeviceClock | None = None,
+    ) -> None:
+        self._plant = plant
+        self._converter = converter
+        self._firmware = firmware
+        self._faults = faults
+        self._log = log
+        self._open_port = open_port
+        self._clock = clock or DeviceClock()
+        self._port: Port | None = open_port()
+        self._frozen: dict[int, float] = {}
+        self._first_command_s: float | None = None
+        self.ticks = 0
+        self.missed = 0
+
+    @property
+    def path(self) -> str:
+        """Of the port; empty while there is none."""
+        return "" if self._port is None else self._port.path
+
+    def run(self, stopping: Callable[[], bool]) -> None:
+        """Sample by the clock until told to stop."""
+        period = self._firmware.settings.period_us * 1e-6 / (1.0 + self._clock.drift)
+        start = time.monotonic()
+        index = 0  # of the next sample, those that were missed counted
+        while not stopping():
+            self._listen(start + (index + 1) * period, start)
+            overrun = Status(0)
+            late = int((time.monotonic() - start) / period) - (index + 1)
+            if late * period > _LONGEST_CATCH_UP:
+                self.missed += late
+                index += late
+                overrun = Status.OVERRUN
+            index += 1
+            self._tick(index, overrun)
+        self.close()
+
+    def close(self) -> None:
+        """Pull the port out."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _us(self, since_start: float) -> int:
+        """The device's clock."""
+        return (self._clock.first_us + int(since_start * (1.0 + self._clock.drift) * 1e6)) % (1 << 32)
+
+    def _listen(self, until: float, start: float) -> None:
+        """Wait for the next tick, and hear what the host says as it comes."""
+        while (left := until - time.monotonic()) > 0.0:
+            if self._port is None:
+                time.sleep(left)
+                return
+            data = self._faults.damaged(self._port.wait(left))
+            if data and not self._faults.has("deaf"):
+                self._send(self._firmware.receive(data, self._us(time.monotonic() - start)))
+
+    def _tick(self, index: int, overrun: Status) -> None:
+        firmware = self._firmware
+        period_us = firmware.settings.period_us
+        now_us = (self._clock.first_us + index * period_us) % (1 << 32)
+        self._plan(now_us)
+        if self._port is not None and not self._faults.has("deaf"):
+            # What lay there while this process stood still.
+            data = self._faults.damaged(self._port.wait(0.0))
+            if data:
+                self._send(firmware.receive(data, now_us))
+        sample = self._plant.step(firmware.voltage)
+        pressures = (float(sample.pressure[0]), float(sample.pressure[1]))
+        first, second, counts, torque = self._converter.readings(pressures, float(sample.angle), float(sample.torque))
+        fault = overrun | (Status.STOPPED if self._faults.has("stop") else Status(0))
+        readings = Readings(self._shown(1, first), self._shown(2, second), counts, torque, fault)
+        self._send(firmware.tick(now_us, readings), lossy=True)
+        self._log.voltage(now_us, firmware.voltage, firmware.safe)
+        if not firmware.safe and self._first_command_s is None:
+            self._first_command_s = time.monotonic()
+        self.ticks += 1
+
+    def _plan(self, now_us: int) -> None:
+        """Let faults begin and end; their time counts from the first command."""
+        if self._first_command_s is None:
+            return
+        begun, ended = self._faults.at(time.monotonic() - self._first_command_s)
+        for kind in ended:
+            self._log.event(now_us, f"-{kind}")
+            self._frozen.clear()
+            if kind == "unplug":
+                self._port = self._open_port()
+        for kind in begun:
+            self._log.event(now_us, f"+{kind}")
+            if kind == "unplug":
+                self.close()
+        if "stall" in begun:
+            while self._faults.has("stall"):
+                time.sleep(1e-3)
+                ended = self._faults.at(time.monotonic() - self._first_command_s)[1]
+            self._log.event(now_us, "-stall")
+
+    def _shown(self, channel: int, reading: float) -> float:
+        """What a pressure sensor shows, in order or not."""
+        if self._faults.hits("nan", channel):
+            return math.nan
+        if self._faults.hits("broken", channel):
+            return 0.0
+        if self._faults.hits("freeze", channel):
+            return self._frozen.setdefault(channel, reading)
+        return reading
+
+    def _send(self, data: bytes, lossy: bool = False) -> None:
+        if not data or self._port is None or self._faults.has("silent"):
+            return
+        if lossy and self._faults.dropped():
+            return
+        self._port.send(self._faults.damaged(data))

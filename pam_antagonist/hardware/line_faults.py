@@ -1,0 +1,122 @@
+"""What goes wrong with a device and its line, on purpose and at chosen times."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pam_antagonist.errors import BadInput
+
+KINDS = {
+    "flip": "share of the bytes, both ways, of which one bit is turned",
+    "drop": "share of the frames from the device that are left out",
+    "silent": "the device sends nothing, and goes on with everything else",
+    "deaf": "the device hears nothing",
+    "unplug": "the port is gone; afterwards there is a new one",
+    "freeze": "pressure sensor 1 or 2 shows what it showed before",
+    "nan": "reading of pressure sensor 1 or 2 is no number",
+    "broken": "pressure sensor 1 or 2 shows 0",
+    "stall": "the device stands still, as while its program is debugged",
+    "stop": "the emergency stop at the device is pressed",
+}
+"""Name -> what happens."""
+
+_SHARES = ("flip", "drop")
+_CHANNELS = ("freeze", "nan", "broken")
+
+
+@dataclass(frozen=True)
+class LineFault:
+    """One fault.
+
+    Attributes:
+        kind: one of ``KINDS``.
+        value: share (0 to 1) or number of the channel; 0 where there is nothing to choose.
+        begin: [s] after the first command.
+        end: [s], infinite for good.
+    """
+
+    kind: str
+    value: float
+    begin: float
+    end: float
+
+
+def parse_fault(text: str) -> LineFault:
+    """A fault as written on the command line: ``KIND[=VALUE][@BEGIN[-END]]``, such as ``flip=0.01@2-3``.
+
+    Raises:
+        BadInput: no such fault, or numbers that make no sense.
+    """
+    head, at, times = text.partition("@")
+    kind, equals, number = head.partition("=")
+    if kind not in KINDS:
+        raise BadInput(f"fault {text!r}: expected one of {', '.join(KINDS)}")
+    value = _number(text, number) if equals else 0.0
+    if (kind in _SHARES or kind in _CHANNELS) != bool(equals):
+        raise BadInput(f"fault {text!r}: expected {kind}{'' if equals else '=VALUE'}: {KINDS[kind]}")
+    if kind in _SHARES and not 0.0 <= value <= 1.0:
+        raise BadInput(f"fault {text!r}: expected a share from 0 to 1")
+    if kind in _CHANNELS and value not in (1.0, 2.0):
+        raise BadInput(f"fault {text!r}: expected muscle 1 or 2")
+    first, _, last = times.partition("-")
+    begin = _number(text, first) if at else 0.0
+    end = _number(text, last) if last else math.inf
+    if not 0.0 <= begin < end:
+        raise BadInput(f"fault {text!r}: expected times [s] from 0, the end after the begin")
+    return LineFault(kind, value, begin, end)
+
+
+def _number(text: str, number: str) -> float:
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise BadInput(f"fault {text!r}: {number!r} is no number")
+    return value
+
+
+class FaultPlan:
+    """Which faults there are at a time.
+
+    Args:
+        faults: all of them.
+        seed: of what is left to chance.
+    """
+
+    def __init__(self, faults: Sequence[LineFault], seed: int) -> None:
+        self._faults = tuple(faults)
+        self._random = random.Random(seed)
+        self._now: dict[str, tuple[float, ...]] = {}
+
+    def at(self, time: float) -> tuple[list[str], list[str]]:
+        """Go on to a time [s]; names of faults that begin, and of those that end."""
+        now: dict[str, tuple[float, ...]] = {}
+        for fault in self._faults:
+            if fault.begin <= time < fault.end:
+                now[fault.kind] = (*now.get(fault.kind, ()), fault.value)
+        before, self._now = self._now, now
+        return [kind for kind in now if kind not in before], [kind for kind in before if kind not in now]
+
+    def has(self, kind: str) -> bool:
+        """Whether there is such a fault now."""
+        return kind in self._now
+
+    def hits(self, kind: str, channel: int) -> bool:
+        """Whether a channel (1 or 2) has such a fault now."""
+        return channel in self._now.get(kind, ())
+
+    def dropped(self) -> bool:
+        """Whether the next frame gets lost."""
+        return self._random.random() < max(self._now.get("drop", (0.0,)))
+
+    def damaged(self, data: bytes) -> bytes:
+        """Bytes as they come out of the line."""
+        share = max(self._now.get("flip", (0.0,)))
+        if share == 0.0:
+            return data
+        chance = self._random.random
+        return bytes(byte ^ (1 << self._random.randrange(8)) if chance() < share else byte for byte in data)

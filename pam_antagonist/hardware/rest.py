@@ -1,0 +1,56 @@
+"""What pressure sensors show with the muscles open to the air, where the pressure is known."""
+
+from __future__ import annotations
+
+import statistics
+from collections import deque
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.calibration import Converter
+
+_SAMPLES = 1000
+_FARTHEST = 30e3  # a sensor that is further off is broken, or the muscle is not open [Pa]
+_LOUDEST = 3e3  # standard deviation, above which air still moves [Pa]
+
+
+class RestMeasurement:
+    """The last thousand samples of both pressures.
+
+    Args:
+        converter: what they come from, with what it adds to them now.
+    """
+
+    def __init__(self, converter: Converter) -> None:
+        self._converter = converter
+        self._pressures: deque[tuple[float, float]] = deque(maxlen=_SAMPLES)
+
+    def add(self, pressure: tuple[float, float]) -> None:
+        """Take one sample (2,) absolute [Pa]."""
+        self._pressures.append(pressure)
+
+    def clear(self) -> None:
+        """Forget them: from here on they are converted in another way."""
+        self._pressures.clear()
+
+    def result(self) -> tuple[float, float]:
+        """What has to be added to both pressures (2,) [Pa], so that they are the atmosphere's.
+
+        Raises:
+            BadInput: too few samples yet, or pressures that are not those of open muscles.
+        """
+        if len(self._pressures) < _SAMPLES:
+            raise BadInput(f"sensors at rest: {len(self._pressures)} samples so far, expected {_SAMPLES}")
+        first, second = (self._one(muscle) for muscle in (0, 1))
+        return first, second
+
+    def _one(self, muscle: int) -> float:
+        values = [pressure[muscle] - self._converter.rest[muscle] for pressure in self._pressures]
+        off = statistics.fmean(values) - self._converter.calibration.atmosphere
+        if not abs(off) <= _FARTHEST:  # as well where it is no number
+            raise BadInput(
+                f"sensors at rest: pressure {muscle + 1} is {off:+.0f} Pa off the atmosphere's, expected at most "
+                f"{_FARTHEST:g}: is the muscle open to the air?"
+            )
+        if statistics.pstdev(values) > _LOUDEST:
+            raise BadInput(f"sensors at rest: pressure {muscle + 1} still moves: wait until it stands")
+        return -off

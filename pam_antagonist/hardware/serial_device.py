@@ -1,0 +1,227 @@
+"""The host's end of the protocol: a device behind a transport."""
+
+from __future__ import annotations
+
+import math
+import random
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+
+from pam_antagonist.hardware import protocol
+from pam_antagonist.hardware.clock import Unwrapped
+from pam_antagonist.hardware.device import SEQUENCES, DeviceInfo, RawSample
+from pam_antagonist.hardware.frames import FrameReader, frame
+from pam_antagonist.hardware.protocol import Command, Feature, Goodbye, Hello, Result, Status, Telemetry, Welcome
+from pam_antagonist.hardware.transport import DeviceLost, Transport
+from pam_antagonist.safety import SafeAction
+
+_HELLO_EVERY = 0.1  # [s]
+_HELLO_FOR = 3.0  # boards that restart when their port is opened need two seconds [s]
+_NO_COMMAND_YET = 0xFFFF
+
+
+class SerialDevice:
+    """A microcontroller that speaks the protocol.
+
+    Args:
+        open_transport: gives a fresh transport; called again after the device was lost.
+        hello_for_s: how long a device may take to answer [s].
+        seed: of the session numbers; None: another one every time.
+
+    Attributes:
+        sessions: handshakes so far.
+        damaged: frames from the device that were damaged.
+        strange: good frames that made no sense here.
+        telemetry: the newest one; None before the first.
+    """
+
+    def __init__(
+        self, open_transport: Callable[[], Transport], hello_for_s: float = _HELLO_FOR, seed: int | None = None
+    ) -> None:
+        self._open = open_transport
+        self._hello_for_s = hello_for_s
+        self._random = random.Random(seed)
+        self._transport: Transport | None = None
+        self._frames = FrameReader()
+        self._closed = False
+        self.sessions = 0
+        self.strange = 0
+        self.telemetry: Telemetry | None = None
+        self._features = Feature(0)
+        self._session = 0
+        self._trips = self._trips_before = 0
+        self._round_trips: deque[int] = deque(maxlen=1000)
+        self._begin(0)
+
+    def _begin(self, session: int) -> None:
+        self._session = session
+        self._clock = Unwrapped()
+        self._sequence = 0
+        self._sent: dict[int, int] = {}  # sequence number of a command -> when it was sent [ns]
+        self._acknowledged: int | None = None
+        self.telemetry = None
+
+    @property
+    def damaged(self) -> int:
+        """Frames from the device that were damaged."""
+        return self._frames.damaged
+
+    def start(self, action: SafeAction) -> DeviceInfo:
+        """See :meth:`Device.start`: opens the transport unless it is open, and shakes hands.
+
+        Raises:
+            DeviceLost: no port, no answer, another version, or safe voltages that the device refuses.
+        """
+        self._closed = False
+        if self._transport is None:
+            self._transport = self._open()
+            self._frames.reset()
+        self._begin((self._session + self._random.randrange(1, SEQUENCES)) % SEQUENCES)
+        vent, rate = (action.hold, 0.0) if action.vent is None else (action.vent, action.rate)
+        hello = frame(protocol.pack(Hello(protocol.VERSION, self._session, *action.hold, *vent, rate)))
+        end = time.monotonic() + self._hello_for_s
+        while time.monotonic() < end and not self._closed:
+            self._write(b"\0" + hello)  # the zero ends whatever somebody had begun to send
+            until = time.monotonic() + _HELLO_EVERY
+            while (left := until - time.monotonic()) > 0.0:
+                for payload in self._frames.feed(self._read(left)):
+                    info = self._answer(payload)
+                    if info is not None:
+                        self.sessions += 1
+                        return info
+        self._drop()
+        raise DeviceLost("no answer to the greeting: is this its port, and does its firmware run?")
+
+    def _answer(self, payload: bytes) -> DeviceInfo | None:
+        """What a welcome says; None for anything else."""
+        if payload[0] != protocol.Kind.WELCOME:
+            return None
+        version = protocol.version_of(payload)
+        if version != protocol.VERSION:
+            raise DeviceLost(f"it speaks version {version} of the protocol, expected {protocol.VERSION}")
+        welcome = protocol.unpack(payload)
+        if not isinstance(welcome, Welcome) or welcome.session != self._session:
+            return None
+        if welcome.result == Result.OTHER_VERSION:
+            raise DeviceLost(f"it does not speak version {protocol.VERSION} of the protocol")
+        if welcome.result != Result.ACCEPTED:
+            low, high = welcome.voltage_min, welcome.voltage_max
+            raise DeviceLost(f"it refuses the safe voltages: its outputs go from {low:g} to {high:g} V")
+        self._features = Feature(welcome.features)
+        return DeviceInfo(
+            name=protocol.text_name(welcome.name),
+            unit="V" if self._features & Feature.VOLTS else "code",
+            encoder=bool(self._features & Feature.ENCODER),
+            torque=bool(self._features & Feature.TORQUE),
+            period_ns=welcome.period_us * 1000,
+            watchdog_ns=welcome.watchdog_us * 1000,
+            voltage_min=welcome.voltage_min,
+            voltage_max=welcome.voltage_max,
+        )
+
+    def samples(self, timeout_s: float) -> list[RawSample]:
+        """See :meth:`Device.samples`.
+
+        Raises:
+            DeviceLost: the transport is gone, or the device's clock went back: it has started anew.
+        """
+        data = self._read(timeout_s)
+        if not data:
+            return []
+        arrival = time.monotonic_ns()
+        out = []
+        for payload in self._frames.feed(data):
+            message = protocol.unpack(payload)
+            if not isinstance(message, Telemetry):
+                self.strange += message is None
+                continue
+            out.append(self._sample(message, arrival))
+        return out
+
+    def _sample(self, telemetry: Telemetry, arrival_ns: int) -> RawSample:
+        time_us = self._clock(telemetry.time_us)
+        if time_us is None:
+            raise DeviceLost("its clock went back: it has started anew")
+        if self.telemetry is None:
+            self._trips_before = telemetry.watchdog_trips
+        self._trips += (telemetry.watchdog_trips - self._trips_before) % SEQUENCES
+        self._trips_before = telemetry.watchdog_trips
+        self.telemetry = telemetry
+        self._time(telemetry, arrival_ns)
+        return RawSample(
+            telemetry.sequence,
+            time_us * 1000,
+            arrival_ns,
+            (telemetry.pressure_1, telemetry.pressure_2),
+            (telemetry.voltage_1, telemetry.voltage_2),
+            telemetry.encoder if self._features & Feature.ENCODER else None,
+            telemetry.torque if self._features & Feature.TORQUE else None,
+            Status(telemetry.status),
+        )
+
+    def _time(self, telemetry: Telemetry, arrival_ns: int) -> None:
+        """Way there and back of the newest command, without the time that it lay at the device."""
+        if telemetry.command_age_us == _NO_COMMAND_YET or telemetry.command == self._acknowledged:
+            return
+        self._acknowledged = telemetry.command
+        sent = self._sent.get(telemetry.command)
+        if sent is not None:
+            self._round_trips.append(arrival_ns - sent - telemetry.command_age_us * 1000)
+
+    def command(self, voltage: tuple[float, float]) -> None:
+        """See :meth:`Device.command`. Before the first sample there is nothing to answer to, and nothing is sent."""
+        if self.telemetry is None:
+            return
+        self._sequence = sequence = (self._sequence + 1) % SEQUENCES
+        self._sent[sequence] = time.monotonic_ns()
+        self._sent.pop((sequence - 64) % SEQUENCES, None)
+        self._write(frame(protocol.pack(Command(self._session, sequence, self.telemetry.sequence, *voltage))))
+
+    def close(self) -> None:
+        """See :meth:`Device.close`: says goodbye, so that the device need not wait for its watchdog."""
+        self._closed = True
+        if self._transport is not None:
+            with suppress(DeviceLost):
+                self._write(frame(protocol.pack(Goodbye(self._session))))
+            self._drop()
+
+    def counters(self) -> Mapping[str, float]:
+        """See :meth:`Device.counters`."""
+        trips = sorted(self._round_trips)
+        self._round_trips.clear()
+        newest = self.telemetry
+        return {
+            "damaged frames from the device": self.damaged,
+            "damaged frames at the device": math.nan if newest is None else newest.damaged,
+            "commands refused by the device": math.nan if newest is None else newest.refused,
+            "strange frames": self.strange,
+            "watchdog trips of the device": self._trips,
+            "round trip median [ms]": trips[len(trips) // 2] * 1e-6 if trips else math.nan,
+            "round trip largest [ms]": trips[-1] * 1e-6 if trips else math.nan,
+            "sessions": self.sessions,
+        }
+
+    def _read(self, timeout_s: float) -> bytes:
+        if self._transport is None:
+            raise DeviceLost("it was closed")
+        try:
+            return self._transport.read(timeout_s)
+        except DeviceLost:
+            self._drop()
+            raise
+
+    def _write(self, data: bytes) -> None:
+        if self._transport is None:
+            raise DeviceLost("it was closed")
+        try:
+            self._transport.write(data)
+        except DeviceLost:
+            self._drop()
+            raise
+
+    def _drop(self) -> None:
+        transport, self._transport = self._transport, None
+        if transport is not None:
+            transport.close()

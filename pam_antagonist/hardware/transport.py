@@ -1,0 +1,100 @@
+"""How bytes get to a device and back: one small interface, and the serial port."""
+
+from __future__ import annotations
+
+import os
+import select
+from typing import Protocol
+
+from pam_antagonist.errors import BadInput
+
+
+class DeviceLost(Exception):
+    """The device cannot be reached, or is not what was expected. The message says why, in one line."""
+
+
+class Transport(Protocol):
+    """Bytes to and from a device."""
+
+    def fileno(self) -> int:
+        """What ``select`` waits for."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come, as soon as there is something; nothing after the time [s].
+
+        Raises:
+            DeviceLost: unplugged.
+        """
+
+    def write(self, data: bytes) -> None:
+        """Send, without waiting: what does not fit into the line's buffer is left out, never sent late.
+
+        Raises:
+            DeviceLost: unplugged.
+        """
+
+    def close(self) -> None:
+        """Let go of it. Twice does no harm."""
+
+
+class SerialTransport:
+    """A serial port, opened by pyserial: exclusively, raw, eight bits, no parity, one stop bit, no flow control.
+
+    Args:
+        port: such as ``/dev/ttyACM0``, or a link below ``/dev/serial/by-id`` that stays the same.
+        baud: of a port that has one; USB devices ignore it.
+
+    Raises:
+        DeviceLost: not there, in use by another program, or no serial port.
+        BadInput: a rate that the port does not have.
+    """
+
+    def __init__(self, port: str, baud: int = 921_600) -> None:
+        import serial
+
+        try:
+            self._serial = serial.Serial(port, baud, timeout=0, write_timeout=0, exclusive=True)
+        except ValueError as error:
+            raise BadInput(f"{port} with {baud} baud: {error}") from None
+        except (OSError, EOFError) as error:  # SerialException is an OSError
+            raise DeviceLost(f"{port} cannot be opened: {_reason(error)}") from None
+        self._port = port
+        self._fd: int = self._serial.fileno()
+
+    def fileno(self) -> int:
+        """File descriptor of the port."""
+        return self._fd
+
+    def read(self, timeout_s: float) -> bytes:
+        """See :meth:`Transport.read`."""
+        try:
+            ready, _, _ = select.select([self._fd], [], [], timeout_s)
+            if not ready:
+                return b""
+            data = os.read(self._fd, 65_536)
+        except (OSError, ValueError) as error:
+            raise DeviceLost(f"{self._port} is gone: {_reason(error)}") from None
+        if not data:  # ready, and nothing there: what Linux says about a port that was pulled out
+            raise DeviceLost(f"{self._port} is gone: end of file")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See :meth:`Transport.write`."""
+        try:
+            os.write(self._fd, data)
+        except BlockingIOError:
+            pass
+        except (OSError, ValueError) as error:
+            raise DeviceLost(f"{self._port} is gone: {_reason(error)}") from None
+
+    def close(self) -> None:
+        """See :meth:`Transport.close`."""
+        try:
+            self._serial.close()
+        except (OSError, ValueError):  # it is gone anyway
+            pass
+
+
+def _reason(error: BaseException) -> str:
+    text = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+    return " ".join(text.split())[:200]

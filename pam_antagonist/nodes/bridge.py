@@ -1,0 +1,55 @@
+"""Executable ``bridge``: its parameters and its way into the node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from pam_antagonist.nodes.parameters import FRAME, RIG, VALVE_OWNER, Parameter
+from pam_antagonist.nodes.spin import run_node
+
+if TYPE_CHECKING:
+    from pam_antagonist.hardware.device import Device
+    from pam_antagonist.nodes.bridge_node import BridgeNode
+
+DESCRIPTION = """
+Bridge to real hardware: a microcontroller on a serial port that reads two pressures and drives two valves, by the
+protocol of docs/hardware.md. Samples are stamped by the device's clock, mapped to ROS time. The bridge obeys one
+commander; commands are clamped and slew-limited, and the valves become safe when commands stay away or a pressure is
+not what it may be (docs/safety.md). The device does that by itself, 20 ms after the bridge has fallen silent.
+A device that is unplugged is opened again when it is back.
+
+publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
+             measured/joint_states (sensor_msgs/JointState: encoder and torque meter where there are some, for
+             validation only)
+subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
+services:    ~/clear_stop (std_srvs/Trigger); ~/measure_rest (std_srvs/Trigger: with both muscles open to the air, takes
+             what the sensors show for the atmosphere's pressure); and those of a lifecycle node
+"""
+
+PARAMETERS = (
+    RIG,
+    FRAME,
+    *VALVE_OWNER,
+    Parameter("port", "/dev/ttyACM0", "serial port of the device; better a link in /dev/serial/by-id"),
+    Parameter("baud", 921_600, "of a port that has a rate; USB devices ignore it [1/s]", 9600, 20_000_000),
+    Parameter("hardware", "example", "calibration: a name in config/hardware, or path of a YAML file"),
+    Parameter("pressure_rest", [0.0, 0.0], "added to the pressures; what ~/measure_rest has found [Pa]", -50e3, 50e3),
+    Parameter("device_timeout", 3.0, "time that the device may take to answer the greeting [s]", 0.1, 30.0),
+)
+
+
+def main(argv: list[str] | None = None, device: Callable[[], Device] | None = None) -> int:
+    """Run the node; see ``bridge --help``.
+
+    Args:
+        argv: arguments; default: those of the process.
+        device: makes the hardware; default: the serial port that the parameters name.
+    """
+
+    def create(_options: None) -> BridgeNode:
+        from pam_antagonist.nodes.bridge_node import BridgeNode
+
+        return BridgeNode(device)
+
+    return run_node(create, argv, name="bridge", description=DESCRIPTION, table=PARAMETERS)

@@ -1,0 +1,220 @@
+"""The bridge to real hardware."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from sensor_msgs.msg import FluidPressure, JointState
+from std_srvs.srv import Trigger
+
+from pam_antagonist.control import VoltageLimits
+from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.calibration import Converter, load_calibration
+from pam_antagonist.hardware.device import Device
+from pam_antagonist.hardware.link import Link, Sample, Wanted
+from pam_antagonist.hardware.protocol import Status
+from pam_antagonist.hardware.rest import RestMeasurement
+from pam_antagonist.hardware.serial_device import SerialDevice
+from pam_antagonist.hardware.transport import SerialTransport
+from pam_antagonist.nodes import bridge_health, wire
+from pam_antagonist.nodes.bridge import PARAMETERS
+from pam_antagonist.nodes.health import Health
+from pam_antagonist.nodes.messages import set_stamp
+from pam_antagonist.nodes.node import JOINT_NAME, PamNode
+from pam_antagonist.nodes.valve_port import ValvePort
+from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.rig import load_rig
+from pam_antagonist.safety import safe_action
+from pam_antagonist_msgs.msg import ValveCommand
+
+_DEVICE_STOPS = (
+    (Status.STOPPED, "the emergency stop at the device"),
+    (Status.OUTPUT_FAULT, "the device could not put the voltages on the valves"),
+)
+
+
+class _SharedPort(ValvePort):
+    """A port that two threads use: that of the device, and the executor's.
+
+    Args:
+        lock: of everything in it.
+        others: as :class:`ValvePort`.
+    """
+
+    def __init__(self, lock: threading.RLock, *others: Any) -> None:
+        self._lock = lock
+        super().__init__(*others)
+
+    def _on_clear(self, request: Any, response: Any) -> Any:
+        with self._lock:
+            return super()._on_clear(request, response)
+
+
+class BridgeNode(PamNode):
+    """Publishes what a device samples, and gives it the commander's voltages as far as the rules let them through.
+
+    One thread reads the device, publishes, takes commands and sends them on, so that nothing that the executor has to
+    do delays them. A command goes to the device when it comes; without one, what the guard says goes out every period,
+    so that the device's watchdog acts for want of this process only.
+
+    Args:
+        device: makes the hardware; None: the serial port of the parameters.
+    """
+
+    def __init__(self, device: Callable[[], Device] | None = None) -> None:
+        self._make_device = device or self._serial_device
+        self._lock = threading.RLock()
+        super().__init__("bridge", PARAMETERS)
+
+    def _serial_device(self) -> Device:
+        port, baud = self.values["port"], self.values["baud"]
+        return SerialDevice(lambda: SerialTransport(port, baud), self.values["device_timeout"])
+
+    def configure(self) -> None:
+        """Everything but the device.
+
+        Raises:
+            BadInput: simulated time, which no hardware follows, or a rig or calibration that cannot be used.
+        """
+        values = self.values
+        if self.get_parameter("use_sim_time").value:
+            raise BadInput(
+                "use_sim_time is true: hardware does not follow simulated time; replay a bag without a bridge"
+            )
+        rig = load_rig(values["rig"])
+        first, second = values["pressure_rest"]
+        self._converter = Converter(load_calibration(values["hardware"]), (first, second))
+        self.port = _SharedPort(self._lock, self, rig)
+        limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
+        action = safe_action(
+            values["safe_action"], limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
+        )
+        wanted = Wanted(round(rig.sample_period * 1e9), limits.minimum, limits.maximum, action)
+        self._device = self._make_device()
+        self._link = Link(self._device, self._converter, wanted, self.now_ns, self._deliver, self._attend)
+        self._health = bridge_health.BridgeHealth(self._link, self._device)
+        self._variance = rig.sensors.pressure_std**2
+        self._period_ns = wanted.period_ns
+        self._sent_ns = self._commands_sent = 0
+        self._session = 0
+        self._told = ""
+        self._rest = RestMeasurement(self._converter)
+        self._pressures = tuple(
+            wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
+            for i in (1, 2)
+        )
+        self._valves = wire.Outgoing(self, ValveCommand, TOPICS["valve_state"].relative, "valves", wire.VALVES)
+        self._joint = JointOutput(self, values["frame_id"])
+        self.create_service(Trigger, "~/measure_rest", self._on_measure_rest)
+        self.start_diagnostics(rig.name)
+
+    def activate(self) -> None:
+        """Open the device, and take commands."""
+        self.port.listen()
+        self._link.start()
+
+    def deactivate(self) -> None:
+        """Let go of the device, which has its safe voltages from then on."""
+        with self._lock:
+            self.port.rest()
+        self._link.stop()
+
+    def close(self) -> None:
+        """The end, whatever the state."""
+        link = getattr(self, "_link", None)
+        if link is not None:
+            link.stop()
+
+    # ---------------------------------------------------------------- thread of the device
+
+    def _attend(self) -> None:
+        now = time.monotonic_ns()
+        with self._lock:
+            if self._session != self._link.counts.sessions:
+                self._session = self._link.counts.sessions
+                # What was asked for while there was no device is not for this one.
+                self.port.guard.set_active(False)
+                self.port.poll(now)
+                self.port.guard.set_active(True)
+            self.port.poll(now)
+            commands = self.port.guard.counts.commands
+            if commands == self._commands_sent and now - self._sent_ns < self._period_ns:
+                return
+            voltage = self.port.output(now).voltage
+        self._commands_sent, self._sent_ns = commands, now
+        self._device.command(voltage)
+
+    def _deliver(self, sample: Sample) -> None:
+        for output, pressure in zip(self._pressures, sample.pressure, strict=True):
+            output.send(sample.stamp_ns, pressure, self._variance)
+        self._valves.send(sample.stamp_ns, *sample.voltage)
+        self._joint.send(sample)
+        with self._lock:
+            self.port.supervise(sample.stamp_ns, *sample.pressure)
+            for flag, reason in _DEVICE_STOPS:
+                if sample.status & flag:
+                    self.port.stop(reason)
+            self._rest.add(sample.pressure)
+
+    # ---------------------------------------------------------------- thread of the executor
+
+    def _on_measure_rest(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            try:
+                first, second = self._rest.result()
+            except BadInput as error:
+                response.success, response.message = False, str(error)
+                return response
+            self._converter.rest = (first, second)
+            self._rest.clear()
+        response.success = True
+        response.message = f"in use now; keep it as parameter pressure_rest: [{first:.1f}, {second:.1f}]"
+        self.get_logger().warning(f"sensors at rest: {response.message}")
+        return response
+
+    def health(self, steady_ns: int) -> Mapping[str, Health]:
+        self._link.check()
+        self._tell(self._link.trouble)
+        with self._lock:
+            port = self.port.health(steady_ns)
+        return {**self._health.parts(steady_ns), **port}
+
+    def _tell(self, trouble: str) -> None:
+        """Into the log, once for each trouble."""
+        if trouble == self._told or not self.active:
+            return
+        self._told = trouble
+        if trouble:
+            self.get_logger().error(f"no device: {trouble}")
+        else:
+            self.get_logger().info("the device is there")
+
+
+class JointOutput:
+    """``measured/joint_states`` with the channels that there are; nothing where there is none.
+
+    Args:
+        node: publishes.
+        frame_id: in every header.
+    """
+
+    def __init__(self, node: PamNode, frame_id: str) -> None:
+        name = TOPICS["measured_joint_states"].relative
+        body, self._values = wire.joint_state(JOINT_NAME, velocity=False)
+        self._both = wire.Outgoing(node, JointState, name, frame_id, body)
+        self._message = JointState()
+        self._message.header.frame_id = frame_id
+        self._message.name = [JOINT_NAME]
+
+    def send(self, sample: Sample) -> None:
+        """Publish angle and torque of a sample."""
+        if sample.angle is not None and sample.torque is not None:
+            self._both.send(sample.stamp_ns, *self._values(sample.angle, sample.torque))
+        elif sample.angle is not None or sample.torque is not None:
+            set_stamp(self._message.header.stamp, sample.stamp_ns)
+            self._message.position = [] if sample.angle is None else [sample.angle]
+            self._message.effort = [] if sample.torque is None else [sample.torque]
+            self._both.publisher.publish(self._message)

@@ -1,0 +1,206 @@
+"""From ``valve_command`` to the valves, for whichever node owns them: the plant, or a bridge to hardware.
+
+The rules are in :mod:`pam_antagonist.safety`; this is their wiring. A node that owns valves has ``VALVE_OWNER`` among
+its parameters, makes a port in ``configure``, calls :meth:`ValvePort.listen` in ``activate`` and
+:meth:`ValvePort.rest` in ``deactivate``, and for each sample :meth:`ValvePort.poll`, :meth:`ValvePort.supervise` and
+:meth:`ValvePort.output`::
+
+    port.poll(now_ns)
+    voltage = port.output(now_ns).voltage      # on the valves, and into valve_state
+    ...
+    port.supervise(stamp_ns, pressure_1, pressure_2)
+
+Any thread may do that, one at a time; the service and :meth:`ValvePort.health` belong to the executor's, so two threads
+need a lock around both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from std_srvs.srv import Trigger
+
+from pam_antagonist.control import VoltageLimits
+from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes.health import Health, Level, Rate
+from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.rig import Rig
+from pam_antagonist.safety import Decision, PressureSupervision, ValveGuard, Verdict, frozen_time, safe_action
+from pam_antagonist_msgs.msg import ValveCommand
+
+if TYPE_CHECKING:
+    from rclpy.subscription import Subscription
+
+_SUPPLY_MARGIN = 1.1  # no valve can bring a muscle above its supply; a tenth for what a fast motion compresses
+_NUMBER = "publication_sequence_number"
+_MOST_NUMBER = 2**63  # beyond: the middleware's way to say that it gives no numbers
+
+
+class ValvePort:
+    """Takes commands, decides what the valves get, and stops them.
+
+    It offers the service ``~/clear_stop``, which is refused while the cause of a stop is still there.
+
+    Args:
+        node: whose valves they are; with the parameters ``VALVE_OWNER`` in ``values``.
+        rig: limits of the valves, supply pressure, noise of the sensors.
+        noisy: whether the pressures have the rig's noise; without noise they may stand still.
+
+    Attributes:
+        guard: what decides.
+        supervision: of the pressures.
+
+    Raises:
+        BadInput: a parameter that does not fit the rig.
+    """
+
+    def __init__(self, node: PamNode, rig: Rig, *, noisy: bool = True) -> None:
+        values = node.values
+        limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
+        action = safe_action(
+            values["safe_action"], limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
+        )
+        self.guard = ValveGuard(limits, action, values["max_slew"], values["command_timeout"])
+        first, second = (limit or _SUPPLY_MARGIN * rig.supply.pressure for limit in values["max_pressure"])
+        frozen: float | None = values["frozen_time"] or None
+        if frozen is None and noisy:
+            frozen = frozen_time(rig.sensors.pressure_std, rig.sensors.pressure_step, rig.sample_period)
+        self.supervision = PressureSupervision(
+            (first, second), values["over_pressure_time"], values["missing_time"], frozen, rig.sample_period
+        )
+        self._frozen = frozen
+        self._node = node
+        self._topic = TOPICS["valve_command"].relative
+        self._unpack = wire.Incoming(wire.VALVES)
+        self._subscription: Subscription | None = None
+        self._holder: str | None = None  # identifier of the publisher that is obeyed, where that is certain
+        self._rate = Rate()
+        self._without = self._samples = 0
+        self._refused_before = 0
+        node.create_service(Trigger, "~/clear_stop", self._on_clear)
+
+    def listen(self) -> None:
+        """Take commands from now on. The subscription ends with the node's transition."""
+        self._subscription = self._node.collect(ValveCommand, self._topic, qos.COMMAND)
+        self.guard.set_active(True)
+
+    def rest(self) -> None:
+        """Take none any more: safe voltages."""
+        self._subscription = None
+        self.guard.set_active(False)
+
+    def poll(self, now_ns: int) -> None:
+        """Take the commands that have come.
+
+        Args:
+            now_ns: [ns], of the clock that :meth:`output` is given, too.
+        """
+        if self._subscription is None:
+            return
+        for data, info in take(self._subscription):
+            self.accept(data, now_ns, info.get(_NUMBER), self._subscription.get_publisher_count())
+
+    def accept(self, data: bytes, now_ns: int, sequence: int | None = None, publishers: int = 1) -> Verdict:
+        """Take one command, serialised; see :meth:`ValveGuard.command`."""
+        _, first, second = self._unpack(data)
+        if sequence is not None and sequence > _MOST_NUMBER:
+            sequence = None
+        was_stopped, refused = self.guard.stopped, self.guard.authority.refused
+        verdict = self.guard.command((first, second), now_ns, sequence, publishers)
+        if verdict is Verdict.LISTENING:
+            self._holder = None
+        elif verdict is Verdict.UNCLEAR and not was_stopped:
+            self._node.get_logger().error(f"stopped: {self._conflict()}")
+        elif verdict is Verdict.REFUSED and refused == self._refused_before:
+            self._node.get_logger().error(self._conflict())
+        return verdict
+
+    def output(self, now_ns: int) -> Decision:
+        """What the valves get over the sample that ends now [ns]."""
+        decision = self.guard.output(now_ns)
+        self._samples += 1
+        self._without += decision.state.safe
+        return decision
+
+    def supervise(self, stamp_ns: int, pressure_1: float, pressure_2: float) -> None:
+        """Stop the valves if the measured pressures [Pa] of a sample give reason to.
+
+        Args:
+            stamp_ns: of the sample [ns].
+            pressure_1: absolute, NaN where missing [Pa].
+            pressure_2: likewise.
+        """
+        reason = self.supervision.check(stamp_ns, pressure_1, pressure_2)
+        if reason:
+            self.stop(reason)
+
+    def stop(self, reason: str) -> None:
+        """Stop the valves for a reason of the owner's, in words, until they are cleared."""
+        if self.guard.stop(reason):
+            self._node.get_logger().error(f"stopped: {reason}")
+
+    def _on_clear(self, _request: Any, response: Any) -> Any:
+        if not self.guard.stopped:
+            response.success, response.message = True, "was not stopped"
+        elif self.supervision.present:
+            response.success, response.message = False, f"still so: {self.supervision.present}"
+        else:
+            response.success, response.message = True, f"cleared: {self.guard.clear()}"
+            self.supervision.reset()
+            self._node.get_logger().warning(response.message)
+        return response
+
+    def _commanders(self) -> dict[str, str]:
+        """Identifier -> node of each publisher of commands."""
+        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
+        return {
+            bytes(info.endpoint_gid).hex(): f"{info.node_namespace}/{info.node_name}".replace("//", "/")
+            for info in found
+        }
+
+    def _conflict(self) -> str:
+        commanders = self._commanders()
+        others = sorted(name for gid, name in commanders.items() if gid != self._holder)
+        if self._holder in commanders and others:
+            return f"{commanders[self._holder]} is obeyed, refused: {', '.join(others)}"
+        return f"several commanders: {', '.join(sorted(commanders.values()))}"
+
+    def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Parts ``commands`` and ``safety``, once every ``diagnostics_period``; ``steady_ns`` is steady time [ns]."""
+        counts, authority = self.guard.counts, self.guard.authority
+        commanders = self._commanders()
+        refused, self._refused_before = authority.refused - self._refused_before, authority.refused
+        if len(commanders) == 1:
+            (self._holder,) = commanders
+        without, self._without = self._without, 0
+        level = Level.OK if not without else Level.WARN
+        message = "obeyed" if not without else f"safe voltages for {without} samples: no command in time"
+        if refused:
+            level, message = Level.ERROR, f"{refused} commands refused: {self._conflict()}"
+        commands = Health(
+            level,
+            message,
+            {
+                "rate [Hz]": f"{self._rate.take(counts.commands, steady_ns):.1f}",
+                "samples at safe voltages": without,
+                "refused, not finite": counts.not_finite,
+                "refused, second commander": authority.refused,
+                "clamped": counts.clamped,
+                "samples slew-limited": counts.slewed,
+                "commanders": len(commanders),
+                "publishers": ", ".join(sorted(commanders.values())),
+            },
+        )
+        return {"commands": commands, "safety": self._safety()}
+
+    def _safety(self) -> Health:
+        values = {
+            "stopped": self.guard.stopped or "no",
+            "cause is there": self.supervision.present or "no",
+            "frozen sensor [s]": "not watched" if self._frozen is None else f"{self._frozen:g}",
+        }
+        if self.guard.stopped:
+            return Health(Level.ERROR, f"stopped: {self.guard.stopped}; clear_stop clears it", values)
+        return Health(Level.OK, "nothing to stop for", values)

@@ -1,0 +1,24 @@
+"""What may reach the valves, and what has to stop them; the rules that plant, bridge and controller share."""
+
+from pam_antagonist.safety.action import ACTIONS, SafeAction, safe_action
+from pam_antagonist.safety.authority import Authority, Verdict
+from pam_antagonist.safety.following import Following
+from pam_antagonist.safety.guard import Decision, GuardCounts, State, ValveGuard
+from pam_antagonist.safety.supervision import EstimateSupervision, PressureSupervision, frozen_samples, frozen_time
+
+__all__ = [
+    "ACTIONS",
+    "Authority",
+    "Decision",
+    "EstimateSupervision",
+    "Following",
+    "GuardCounts",
+    "PressureSupervision",
+    "SafeAction",
+    "State",
+    "ValveGuard",
+    "Verdict",
+    "frozen_samples",
+    "frozen_time",
+    "safe_action",
+]

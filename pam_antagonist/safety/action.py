@@ -1,0 +1,72 @@
+"""What the valves get when nobody may command them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pam_antagonist.control import VoltageLimits
+from pam_antagonist.errors import BadInput
+
+ACTIONS = ("hold", "vent")
+"""The choices of parameter ``safe_action``."""
+
+
+@dataclass(frozen=True)
+class SafeAction:
+    """The safe voltages, and whether they stay.
+
+    ``hold``: both valves get ``hold`` at once and keep it. It is a voltage at which a valve keeps its muscle about
+    where it is: the joint stays stiff, and holds a load. ``vent``: they get ``hold`` at once, and from there both go to
+    ``vent`` by ``rate``, together and so slowly that the joint grows soft without being thrown to one side.
+
+    Attributes:
+        hold: voltages (2,) at once [V].
+        vent: voltages (2,) in the end [V]; None: those of ``hold``.
+        rate: largest change of each voltage on the way from ``hold`` to ``vent`` [V/s].
+    """
+
+    hold: tuple[float, float]
+    vent: tuple[float, float] | None = None
+    rate: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.rate < float("inf"):
+            raise BadInput(f"vent rate {self.rate!r} V/s: expected a finite number above 0")
+
+    def voltage(self, elapsed_ns: int) -> tuple[float, float]:
+        """The voltages (2,) [V] at a time after everything had to become safe.
+
+        Args:
+            elapsed_ns: since then [ns].
+        """
+        if self.vent is None:
+            return self.hold
+        largest = self.rate * max(elapsed_ns, 0) * 1e-9
+        first, second = (
+            start + min(max(end - start, -largest), largest) for start, end in zip(self.hold, self.vent, strict=True)
+        )
+        return (first, second)
+
+
+def safe_action(
+    choice: str, limits: VoltageLimits, hold: tuple[float, ...], vent: tuple[float, ...], rate: float
+) -> SafeAction:
+    """The action that a node's parameters describe.
+
+    Args:
+        choice: parameter ``safe_action``, one of :data:`ACTIONS`.
+        limits: of the valves.
+        hold: parameter ``safe_voltage`` (2,) [V].
+        vent: parameter ``vent_voltage`` (2,) [V].
+        rate: parameter ``vent_rate`` [V/s].
+
+    Raises:
+        BadInput: no such action, or voltages beyond the valves' limits.
+    """
+    if choice not in ACTIONS:
+        raise BadInput(f"parameter safe_action is {choice!r}: expected one of {', '.join(ACTIONS)}")
+    first, second = hold
+    at_once = limits.check("parameter safe_voltage:", (first, second))
+    first, second = vent
+    in_the_end = limits.check("parameter vent_voltage:", (first, second))
+    return SafeAction(at_once, in_the_end if choice == "vent" else None, rate)

@@ -1,0 +1,278 @@
+"""What has to stop a joint: pressures, and estimates, that cannot be right or must not be.
+
+Each supervision looks at one sample after another and says in words what is wrong, once it has been wrong for long
+enough; whoever asked then stops (:meth:`ValveGuard.stop`) and stays so. Times are those of the samples' stamps, so
+that a recording gives the same answer. A supervision goes on looking while the valves are stopped: :attr:`present`
+tells whether the cause is still there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.filter import MISSING_PRESSURE_1, MISSING_PRESSURE_2, OUTLIER
+
+_CHANCE = 1e-15  # of a sound sensor taken for frozen, a sample: once in 30,000 years at 1 kHz
+_SHARE = 0.15  # of the samples; with innovations twice as large as they should be, 18 % are out of bounds
+_FEWEST = 3.0  # samples, since after a stall there may be but a few
+_LONGEST_FROZEN = 1.0  # a sensor that may stand still for longer by chance cannot be judged so [s]
+
+
+def frozen_samples(noise: float, step: float) -> float:
+    """How many equal readings in a row a sound sensor does not give.
+
+    At constant pressure a reading falls into the code around it with probability p = erf(step / (2 sqrt(2) noise)), so
+    n in a row have a probability of less than p^(n-1).
+
+    Args:
+        noise: standard deviation of its readings before the converter [Pa].
+        step: of its converter [Pa]; 0: none.
+
+    Returns:
+        The least n at which that is less than 1e-15; infinite for a sensor that is so quiet that it may stand still.
+    """
+    if noise <= 0.0:
+        return math.inf
+    chance = math.erf(step / (2.0 * math.sqrt(2.0) * noise))
+    if chance >= 1.0:
+        return math.inf
+    return 2.0 if chance <= 0.0 else 1.0 + math.ceil(math.log(_CHANCE) / math.log(chance))
+
+
+def frozen_time(noise: float, step: float, period: float, least: float = 0.05) -> float | None:
+    """Time of equal readings after which a sensor counts as frozen [s]; None: it cannot be judged so.
+
+    Args:
+        noise: standard deviation of a reading [Pa].
+        step: of the converter [Pa].
+        period: between two readings [s].
+        least: not less than this, since amplifiers and converters filter, which makes equal readings more likely [s].
+    """
+    time = max(least, frozen_samples(noise, step) * period)
+    return time if time <= _LONGEST_FROZEN else None
+
+
+class Persistent:
+    """Whether something has been so without a break for a time.
+
+    Between two samples no more than two periods count: what was not looked at was not seen.
+
+    Args:
+        time: that it takes [s].
+        period: between two samples [s].
+    """
+
+    __slots__ = ("_last", "_longest", "_so_far", "_time")
+
+    def __init__(self, time: float, period: float) -> None:
+        self._time = round(time * 1e9)
+        self._longest = round(2e9 * period)
+        self._last: int | None = None
+        self._so_far = 0
+
+    def seen(self, stamp_ns: int) -> bool:
+        """It is so at this stamp [ns]; whether it has been for long enough."""
+        if self._last is not None:
+            self._so_far += min(max(stamp_ns - self._last, 0), self._longest)
+        self._last = stamp_ns
+        return self._so_far >= self._time
+
+    def gone(self) -> None:
+        """It is not so."""
+        self._last = None
+        self._so_far = 0
+
+
+def _pair(time: float, period: float) -> tuple[Persistent, Persistent]:
+    return Persistent(time, period), Persistent(time, period)
+
+
+class PressureSupervision:
+    """Watches the two measured pressures, at whoever measures them.
+
+    Args:
+        highest: pressure limit of each muscle (2,) absolute [Pa].
+        over_time: how long a pressure may be above it [s]; a single reading may be a spike of the sensor.
+        missing_time: how long a pressure may be missing (NaN or infinite) [s].
+        frozen_time: how long a pressure may be exactly the same [s]; None: any time.
+        period: between two samples [s].
+
+    Raises:
+        BadInput: a limit or a time that is not above 0.
+
+    Attributes:
+        present: what was wrong with the last sample for long enough, in words; empty if nothing was.
+    """
+
+    def __init__(
+        self,
+        highest: tuple[float, float],
+        over_time: float,
+        missing_time: float,
+        frozen_time: float | None,
+        period: float = 1e-3,
+    ) -> None:
+        for limit in highest:
+            if not (math.isfinite(limit) and limit > 0.0):
+                raise BadInput(f"pressure limit {limit!r} Pa: expected a finite number above 0")
+        for time in (over_time, missing_time, *(() if frozen_time is None else (frozen_time,))):
+            if not (math.isfinite(time) and time > 0.0):
+                raise BadInput(f"time {time!r} s until a pressure stops the valves: expected a finite number above 0")
+        self.present = ""
+        self._highest = highest
+        self._frozen_time = frozen_time
+        self._over = _pair(over_time, period)
+        self._missing = _pair(missing_time, period)
+        self._frozen = _pair(frozen_time or 1.0, period)
+        self._last = [math.nan, math.nan]
+
+    def reset(self) -> None:
+        """Forget what was seen."""
+        self.present = ""
+        self._last = [math.nan, math.nan]
+        for group in (self._over, self._missing, self._frozen):
+            for item in group:
+                item.gone()
+
+    def check(self, stamp_ns: int, pressure_1: float, pressure_2: float) -> str:
+        """Look at one sample.
+
+        Args:
+            stamp_ns: its stamp [ns].
+            pressure_1: measured, absolute [Pa], NaN where missing.
+            pressure_2: likewise.
+
+        Returns:
+            What has been wrong for long enough, in words; empty if nothing has.
+        """
+        self.present = self._one(0, stamp_ns, pressure_1) or ""
+        second = self._one(1, stamp_ns, pressure_2)
+        if second and not self.present:
+            self.present = second
+        return self.present
+
+    def _one(self, index: int, stamp_ns: int, pressure: float) -> str | None:
+        last, self._last[index] = self._last[index], pressure
+        if not math.isfinite(pressure):
+            self._over[index].gone()
+            self._frozen[index].gone()
+            if self._missing[index].seen(stamp_ns):
+                return f"pressure {index + 1} is missing or not finite"
+            return None
+        self._missing[index].gone()
+        words = None
+        if pressure <= self._highest[index]:
+            self._over[index].gone()
+        elif self._over[index].seen(stamp_ns):
+            words = f"pressure {index + 1} is {pressure * 1e-3:.1f} kPa, above {self._highest[index] * 1e-3:.1f} kPa"
+        if pressure != last:
+            self._frozen[index].gone()
+        elif self._frozen_time is not None and self._frozen[index].seen(stamp_ns) and words is None:
+            words = f"pressure {index + 1} is frozen at {pressure:.1f} Pa"
+        return words
+
+
+class EstimateSupervision:
+    """Watches the estimates, at whoever acts on them.
+
+    A sample counts as out of bounds where its normalised innovation squared is above ``nis_limit``, or where a
+    pressure was refused as an outlier: measured and expected pressures disagree. One is chance, or a spike. A seventh
+    of the samples that ``nis_time`` holds is a sensor that is wrong, or a joint that is not the model's any more. With
+    100 samples that is noticed before the filter, which refuses 20 in a row, gives in and is dragged along. Too small
+    innovations are no reason to stop: a tuning may be cautious.
+
+    Args:
+        highest_angle: largest magnitude of the angle [rad].
+        angle_time: how long it may be larger [s].
+        nis_limit: bound of the normalised innovation squared of two pressures [-].
+        nis_time: the time over which samples out of bounds are counted [s].
+        blind_time: how long the filter may be without a pressure of either muscle [s].
+        period: between two samples [s].
+
+    Raises:
+        BadInput: a limit or a time that is not above 0.
+
+    Attributes:
+        present: what was wrong with the last estimate for long enough, in words; empty if nothing was.
+    """
+
+    def __init__(
+        self,
+        highest_angle: float,
+        angle_time: float,
+        nis_limit: float,
+        nis_time: float,
+        blind_time: float,
+        period: float = 1e-3,
+    ) -> None:
+        for value in (highest_angle, angle_time, nis_limit, nis_time, blind_time):
+            if not (math.isfinite(value) and value > 0.0):
+                raise BadInput(f"limit {value!r} of the estimates: expected a finite number above 0")
+        self.present = ""
+        self._highest = highest_angle
+        self._limit = nis_limit
+        self._window = round(nis_time * 1e9)
+        self._enough = max(_FEWEST, _SHARE * nis_time / period)
+        self._angle = Persistent(angle_time, period)
+        self._blind = _pair(blind_time, period)
+        self._samples: deque[tuple[int, bool]] = deque()
+        self._outside = 0
+
+    def reset(self) -> None:
+        """Forget what was seen."""
+        self.present = ""
+        self._angle.gone()
+        for item in self._blind:
+            item.gone()
+        self._samples.clear()
+        self._outside = 0
+
+    def check(self, stamp_ns: int, angle: float, nis: float, flags: int) -> str:
+        """Look at one estimate.
+
+        Args:
+            stamp_ns: its stamp [ns].
+            angle: estimated [rad].
+            nis: normalised innovation squared, NaN where no pressure was used.
+            flags: of the estimate.
+
+        Returns:
+            What has been wrong for long enough, in words; empty if nothing has.
+        """
+        words = self._consistency(stamp_ns, nis > self._limit or bool(flags & OUTLIER))
+        if flags & _MISSING:
+            for index, bit in enumerate((MISSING_PRESSURE_1, MISSING_PRESSURE_2)):
+                if not flags & bit:
+                    self._blind[index].gone()
+                elif self._blind[index].seen(stamp_ns):
+                    words = words or f"the estimate has been without pressure {index + 1} for too long"
+        else:
+            self._blind[0].gone()
+            self._blind[1].gone()
+        if abs(angle) <= self._highest:
+            self._angle.gone()
+        elif math.isfinite(angle) and self._angle.seen(stamp_ns):  # one that is not finite is not acted on anyway
+            words = f"the estimated angle is {angle:+.3f} rad, beyond {self._highest:g} rad"
+        self.present = words
+        return words
+
+    def _consistency(self, stamp_ns: int, outside: bool) -> str:
+        samples = self._samples
+        if samples and stamp_ns <= samples[-1][0]:  # the clock was set back
+            samples.clear()
+            self._outside = 0
+        samples.append((stamp_ns, outside))
+        self._outside += outside
+        while stamp_ns - samples[0][0] >= self._window:
+            self._outside -= samples.popleft()[1]
+        if self._outside >= self._enough:
+            return (
+                f"measured and expected pressures disagree: {self._outside} of the last {len(samples)} estimates have "
+                f"a refused pressure or a normalised innovation squared above {self._limit:g}"
+            )
+        return ""
+
+
+_MISSING = MISSING_PRESSURE_1 | MISSING_PRESSURE_2

@@ -1,0 +1,127 @@
+"""``device_emulator``: what it refuses, and that a host finds a device behind its link."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.__main__ import main
+from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.line_faults import FaultPlan, LineFault, parse_fault
+from pam_antagonist.hardware.protocol import Status
+from pam_antagonist.hardware.serial_device import SerialDevice
+from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
+from pam_antagonist.safety import SafeAction
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--rig", "shin2023"], "unknown rig 'shin2023'"),
+        (["--rig", "shin2022", "--hardware", "none.yaml"], "no such hardware file"),
+        (["--rig", "shin2022", "--drift", "2000"], "--drift"),
+        (["--rig", "shin2022", "--drift", "nan"], "--drift"),
+        (["--rig", "shin2022", "--first-us", "-1"], "--first-us"),
+        (["--rig", "shin2022", "--seed", "-1"], "--seed"),
+        (["--rig", "shin2022", "--fault", "melt"], "expected one of flip, drop"),
+        (["--rig", "shin2022", "--flip", "2"], "a share from 0 to 1"),
+        (["--rig", "shin2022", "--freeze-sensor", "3@1"], "muscle 1 or 2"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["device_emulator", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and words in error and error.count("\n") == 1
+
+
+def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("data")
+    for option in ("--log", "--link"):
+        assert main(["device_emulator", "--rig", "shin2022", option, str(precious)]) == 2
+        assert str(precious) in capsys.readouterr().err
+    assert precious.read_text() == "data"
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("silent", LineFault("silent", 0.0, 0.0, float("inf"))),
+        ("flip=0.01", LineFault("flip", 0.01, 0.0, float("inf"))),
+        ("unplug@2-3.5", LineFault("unplug", 0.0, 2.0, 3.5)),
+        ("freeze=2@1", LineFault("freeze", 2.0, 1.0, float("inf"))),
+    ],
+)
+def test_faults_are_written_as_the_help_says(text: str, fault: LineFault) -> None:
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    "text", ["", "flip", "silent=1", "flip=x", "flip=nan", "unplug@3-2", "unplug@-1", "unplug@a", "nan=0", "drop=-1"]
+)
+def test_faults_that_are_none_are_refused(text: str) -> None:
+    with pytest.raises(BadInput, match="fault"):
+        parse_fault(text)
+
+
+def test_faults_begin_and_end_and_hit_what_they_name() -> None:
+    plan = FaultPlan([parse_fault("nan=1@1-2"), parse_fault("flip=1@1.5-3"), parse_fault("drop=1@4")], seed=0)
+    assert plan.at(0.5) == ([], [])
+    assert plan.damaged(b"abc") == b"abc" and not plan.dropped()
+    assert plan.at(1.0) == (["nan"], [])
+    assert plan.hits("nan", 1) and not plan.hits("nan", 2)
+    assert plan.at(1.6) == (["flip"], [])
+    assert all(bin(a ^ b).count("1") == 1 for a, b in zip(b"abc", plan.damaged(b"abc"), strict=True))
+    assert plan.at(2.5) == ([], ["nan"])
+    assert plan.at(4.5) == (["drop"], ["flip"])
+    assert plan.dropped()
+
+
+def test_a_host_finds_a_device_with_a_joint_behind_the_link(tmp_path: Path) -> None:
+    link, log = tmp_path / "device", tmp_path / "log.csv"
+    command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
+    # its counter wraps half a second after the start
+    command += ["--link", str(link), "--log", str(log), "--first-us", str(2**32 - 500_000), "--fault", "stop@0.5-0.6"]
+    emulator = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert emulator.stdout is not None
+    assert emulator.stdout.readline().strip() == str(link)
+    assert os.path.exists(link)
+    device = SerialDevice(lambda: SerialTransport(str(link)))
+    info = device.start(SafeAction((5.0, 5.25)))
+    assert (info.name, info.unit, info.encoder, info.torque) == ("emulator", "V", True, True)
+    samples = []
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        samples += device.samples(0.05)
+        device.command((6.0, 5.0))
+    assert len(samples) > 800
+    assert [(b.sequence - a.sequence) % 65536 for a, b in zip(samples, samples[1:], strict=False)] == [1] * (
+        len(samples) - 1
+    )
+    assert {b.device_ns - a.device_ns for a, b in zip(samples, samples[1:], strict=False)} == {1_000_000}
+    assert samples[0].voltage == (5.0, 5.25) and samples[-1].voltage == (6.0, 5.0)
+    assert samples[-1].pressure[0] > samples[0].pressure[0]  # valve 1 is open further
+    assert samples[-1].encoder is not None and samples[-1].encoder != samples[0].encoder
+    stopped = [sample for sample in samples if sample.status & Status.STOPPED]
+    assert 80 <= len(stopped) <= 120
+    assert {sample.voltage for sample in stopped[2:]} == {(5.0, 5.25)}
+    device.close()
+    with pytest.raises(DeviceLost, match="closed"):
+        device.samples(0.1)
+    time.sleep(0.1)
+    emulator.send_signal(signal.SIGTERM)
+    _, said = emulator.communicate(timeout=10.0)
+    assert emulator.returncode == 0 and "0 missed" in said
+    assert not os.path.lexists(link)
+    rows = [line.split(",") for line in log.read_text().splitlines()]
+    assert rows[0] == ["time_ns", "device_us", "event", "voltage_1", "voltage_2", "safe"]
+    assert [row[2] for row in rows if row[2] not in ("event", "voltage")] == ["+stop", "-stop"]
+    assert rows[-1][3:] == ["5.0", "5.25", "1"]

@@ -1,0 +1,443 @@
+"""A device kept going: with doubles of hardware, one of them the DAQ card of docs/hardware.md."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pam_antagonist.hardware import protocol
+from pam_antagonist.hardware.calibration import Converter, load_calibration
+from pam_antagonist.hardware.device import DeviceInfo, RawSample
+from pam_antagonist.hardware.firmware import Firmware, Readings
+from pam_antagonist.hardware.link import SILENCE, Link, Sample, Wanted
+from pam_antagonist.hardware.protocol import Status
+from pam_antagonist.hardware.rest import RestMeasurement
+from pam_antagonist.hardware.serial_device import SerialDevice
+from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
+from pam_antagonist.safety import SafeAction
+
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
+MS = 1_000_000
+ACTION = SafeAction((5.0, 5.25))
+WANTED = Wanted(MS, 0.0, 10.0, ACTION)
+INFO = DeviceInfo("double", "V", True, True, MS, 20 * MS, 0.0, 10.0)
+
+
+class Double:
+    """A device that samples by the test's wishes."""
+
+    def __init__(self, info: DeviceInfo = INFO) -> None:
+        self.info = info
+        self.starts = 0
+        self.commands: list[tuple[float, float]] = []
+        self.silent = False
+        self.lost = False
+        self.skip = 0
+        self.status = Status(0)
+        self.closed = 0
+
+    def start(self, action: SafeAction) -> DeviceInfo:
+        assert action is ACTION
+        self.starts += 1
+        self.lost = False
+        self._count = 0
+        self._begin = time.monotonic_ns()
+        return self.info
+
+    def samples(self, timeout_s: float) -> list[RawSample]:
+        if self.lost:
+            raise DeviceLost("pulled out")
+        time.sleep(timeout_s)
+        out = []
+        while not self.silent and self._begin + (self._count + 1) * MS <= time.monotonic_ns():
+            self._count += 1
+            if self.skip:
+                self.skip -= 1
+                continue
+            at = self._count * MS
+            reading = (1.0, 2.0)
+            out.append(
+                RawSample(self._count % 65536, at, time.monotonic_ns(), reading, (5.0, 6.0), 64, 3.0, self.status)
+            )
+        return out
+
+    def command(self, voltage: tuple[float, float]) -> None:
+        self.commands.append(voltage)
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def counters(self) -> Mapping[str, float]:
+        return {}
+
+
+@contextmanager
+def running(
+    device: Any, now_ns: Callable[[], int] = time.time_ns, **wanted: Any
+) -> Iterator[tuple[Link, list[Sample]]]:
+    got: list[Sample] = []
+    fields = {**WANTED.__dict__, **wanted}
+    link = Link(
+        device,
+        Converter(load_calibration("example")),
+        Wanted(**fields),
+        now_ns,
+        got.append,
+        lambda: device.command((6.0, 5.0)),
+    )
+    link.start()
+    try:
+        yield link, got
+    finally:
+        link.stop()
+    link.check()
+
+
+def until(condition: Callable[[], object], limit: float = 5.0) -> None:
+    end = time.monotonic() + limit
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
+def test_samples_come_in_si_units_with_even_stamps_of_the_host() -> None:
+    with running(Double()) as (link, got):
+        until(lambda: len(got) > 100)
+        assert link.trouble == ""
+    sample = got[-1]
+    assert sample.pressure == pytest.approx((226.3e3, 476.3e3))
+    assert sample.voltage == (5.0, 6.0)
+    assert sample.angle == pytest.approx(64 * 2 * math.pi / 16384) and sample.torque == pytest.approx(1.0)
+    steps = {second.stamp_ns - first.stamp_ns for first, second in zip(got, got[1:], strict=False)}
+    assert steps == {MS}
+    assert abs(time.time_ns() - sample.stamp_ns) < 10**9
+    assert link.counts.lost == 0
+
+
+def test_lost_samples_are_counted_by_their_numbers() -> None:
+    device = Double()
+    with running(device) as (link, got):
+        until(lambda: len(got) > 20)
+        device.skip = 7
+        until(lambda: link.counts.lost == 7)
+
+
+@pytest.mark.parametrize("way", ["lost", "silent"])
+def test_a_lost_device_is_started_again_and_nothing_is_made_up(way: str) -> None:
+    device = Double()
+    with running(device) as (link, got):
+        until(lambda: len(got) > 20)
+        setattr(device, way, True)
+        until(lambda: link.info is None)
+        count = len(got)
+        assert ("pulled out" if way == "lost" else "silent for") in link.trouble
+        device.silent = False
+        until(lambda: len(got) > count + 20)
+        assert device.starts >= 2 and link.counts.lost_devices >= 1
+        assert link.trouble == ""
+    stamps = [sample.stamp_ns for sample in got]
+    assert stamps == sorted(set(stamps))
+    assert device.closed == 1
+    assert stamps[count] - stamps[count - 1] > 0.2 * SILENCE * 1e9
+
+
+def test_readings_that_the_device_itself_doubts_are_no_pressures() -> None:
+    device = Double()
+    device.status = Status.PRESSURE_2_FAULT
+    with running(device) as (_, got):
+        until(lambda: len(got) > 5)
+    assert got[0].pressure[0] == pytest.approx(226.3e3) and math.isnan(got[0].pressure[1])
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+def test_a_step_of_the_hosts_clock_is_followed_at_once(step_s: float) -> None:
+    step = [0]
+    with running(Double(), lambda: time.time_ns() + step[0]) as (link, got):
+        until(lambda: len(got) > 20)
+        step[0] = round(step_s * 1e9)
+        until(lambda: got[-1].stamp_ns * 1e-9 - time.time() == pytest.approx(step_s, abs=1.0))
+        assert link.counts.clock_steps == 1
+    jumps = [b.stamp_ns - a.stamp_ns for a, b in zip(got, got[1:], strict=False) if b.stamp_ns - a.stamp_ns != MS]
+    assert len(jumps) == 1
+
+
+@pytest.mark.parametrize(
+    ("info", "words"),
+    [
+        (DeviceInfo("slow", "V", True, True, 2 * MS, None, 0.0, 10.0), "slow samples every 2 ms, the rig every 1 ms"),
+        (
+            DeviceInfo("weak", "V", True, True, MS, None, 0.0, 5.0),
+            "weak gives 0 to 5 V, the rig's valves get 0 to 10 V",
+        ),
+        (DeviceInfo("coded", "code", True, True, MS, None, 0.0, 10.0), "readings in V, not in code"),
+    ],
+)
+def test_a_device_that_does_not_fit_the_rig_gets_no_commands(info: DeviceInfo, words: str) -> None:
+    device = Double(info)
+    with running(device) as (link, got):
+        until(lambda: words in link.trouble)
+        assert not got and not device.commands
+
+
+def test_a_defect_is_not_swallowed_with_the_thread() -> None:
+    class Defective(Double):
+        def samples(self, timeout_s: float) -> list[RawSample]:
+            raise ZeroDivisionError("a defect")
+
+    device = Defective()
+    with pytest.raises(ZeroDivisionError), running(device) as (link, _):
+        until(lambda: "defect" in link.trouble)
+    assert device.closed
+
+
+# ------------------------------------------------------------------------------------------------ the serial device
+
+
+class Wire:
+    """A transport with the reference firmware at its end; time passes by a millisecond a read."""
+
+    def __init__(self, spoil: Callable[[bytes], bytes] = lambda data: data) -> None:
+        self.firmware = Firmware()
+        self.now = 0
+        self.spoil = spoil
+        self.waiting = b""
+        self.closed = False
+
+    def fileno(self) -> int:
+        return -1
+
+    def read(self, timeout_s: float) -> bytes:
+        if self.closed:
+            raise DeviceLost("closed")
+        self.now += 1000
+        data = self.waiting + self.firmware.tick(self.now, Readings(1.0, 2.0))
+        self.waiting = b""
+        return self.spoil(data)
+
+    def write(self, data: bytes) -> None:
+        self.waiting += self.firmware.receive(data, self.now)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_greeting_samples_commands_and_goodbye() -> None:
+    wire = Wire()
+    device = SerialDevice(lambda: wire, seed=1)
+    info = device.start(ACTION)
+    assert (info.name, info.unit, info.period_ns, info.watchdog_ns) == ("reference", "V", MS, 20 * MS)
+    assert device.samples(0.1)[0].voltage == ACTION.hold
+    device.command((7.0, 4.0))
+    device.samples(0.1)
+    (sample,) = device.samples(0.1)
+    assert sample.voltage == (7.0, 4.0) and sample.status == 0
+    assert device.counters()["round trip median [ms]"] < 100.0
+    device.close()
+    assert wire.firmware.voltage == ACTION.hold and not wire.firmware.running and wire.closed
+
+
+def test_vent_reaches_the_device() -> None:
+    wire = Wire()
+    SerialDevice(lambda: wire).start(SafeAction((5.0, 5.25), (0.0, 10.0), 100.0))
+    wire.now += 100_000
+    for _ in range(20):
+        wire.read(0.1)
+    assert wire.firmware.voltage == pytest.approx((3.0, 7.25), abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda firmware: setattr(firmware, "_allowed", lambda voltage: False), "refuses the safe voltages"),
+        (lambda firmware: setattr(firmware, "receive", lambda data, now: b""), "no answer to the greeting"),
+    ],
+)
+def test_a_device_that_cannot_be_used_is_lost_with_a_reason(change: Callable[[Firmware], None], words: str) -> None:
+    wire = Wire()
+    change(wire.firmware)
+    with pytest.raises(DeviceLost, match=words):
+        SerialDevice(lambda: wire, hello_for_s=0.2).start(ACTION)
+
+
+@pytest.mark.parametrize("way", ["read", "write"])
+def test_a_port_that_is_gone_is_opened_anew_whoever_finds_out(way: str) -> None:
+    wires: list[Wire] = []
+
+    def open_transport() -> Wire:
+        wires.append(Wire())
+        return wires[-1]
+
+    def gone(*_: Any) -> bytes:
+        raise DeviceLost("gone")
+
+    device = SerialDevice(open_transport)
+    device.start(ACTION)
+    device.samples(0.1)
+    setattr(wires[0], way, gone)
+    with pytest.raises(DeviceLost, match="gone"):
+        device.command((6.0, 5.0))
+        device.samples(0.1)
+    assert wires[0].closed
+    device.start(ACTION)
+    assert len(wires) == 2 and len(device.samples(0.1)) == 1
+
+
+def test_another_version_is_lost_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    wire = Wire()
+    answer = wire.firmware._welcome(0, 1)
+    monkeypatch.setattr(protocol, "VERSION", 2)
+    wire.firmware.receive = lambda data, now: answer  # type: ignore[method-assign]
+    with pytest.raises(DeviceLost, match="speaks version 1 of the protocol, expected 2"):
+        SerialDevice(lambda: wire).start(ACTION)
+
+
+def test_a_device_that_restarts_is_lost() -> None:
+    wire = Wire()
+    wire.now = 50_000_000
+    device = SerialDevice(lambda: wire)
+    device.start(ACTION)
+    device.samples(0.1)
+    wire.now = 0
+    with pytest.raises(DeviceLost, match="started anew"):
+        device.samples(0.1)
+
+
+def test_a_port_that_is_none_is_lost_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(DeviceLost, match="cannot be opened: No such file"):
+        SerialTransport(str(tmp_path / "none"))
+    (tmp_path / "file").write_text("no port")
+    with pytest.raises(DeviceLost, match="cannot be opened"):
+        SerialTransport(str(tmp_path / "file"))
+
+
+def test_a_port_is_opened_by_one_program_only() -> None:
+    import os
+
+    master, slave = os.openpty()
+    first = SerialTransport(os.ttyname(slave))
+    with pytest.raises(DeviceLost, match="cannot be opened"):
+        SerialTransport(os.ttyname(slave))
+    first.write(b"abc\0")
+    assert os.read(master, 10) == b"abc\0"
+    os.write(master, b"\0\xff\r\n\x03")
+    assert first.read(1.0) == b"\0\xff\r\n\x03"  # raw: nothing is translated
+    assert first.read(0.0) == b""
+    os.close(slave)
+    os.close(master)
+    with pytest.raises(DeviceLost, match="is gone"):
+        first.read(1.0)
+    first.close()
+
+
+# ------------------------------------------------------------------------------------------------ sensors at rest
+
+
+def test_offsets_at_rest_bring_the_pressures_to_the_atmospheres() -> None:
+    converter = Converter(load_calibration("example"), (100.0, -50.0))
+    rest = RestMeasurement(converter)
+    for k in range(1000):
+        rest.add(converter.pressure((0.502 + 1e-4 * (-1) ** k, 0.497)))
+    converter.rest = rest.result()
+    assert converter.rest == pytest.approx((-500.0, 750.0), abs=1.0)
+    assert converter.pressure((0.502, 0.497)) == pytest.approx((101.3e3, 101.3e3), abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("pressures", "words"),
+    [
+        ([(101.3e3, 101.3e3)] * 999, "999 samples so far"),
+        ([(101.3e3, 140e3)] * 1000, "pressure 2 is .38700 Pa off the atmosphere"),
+        ([(math.nan, 101.3e3)] * 1000, "pressure 1 is .nan Pa off"),
+        ([(91.3e3, 101.3e3), (111.3e3, 101.3e3)] * 500, "pressure 1 still moves"),
+    ],
+)
+def test_what_is_not_at_rest_is_not_measured(pressures: list[tuple[float, float]], words: str) -> None:
+    rest = RestMeasurement(Converter(load_calibration("example")))
+    for pressure in pressures:
+        rest.add(pressure)
+    with pytest.raises(Exception, match=words):
+        rest.result()
+
+
+# ------------------------------------------------------------------------------------------------ docs/hardware.md
+
+
+class Card:
+    """A driver as that of the documentation's card."""
+
+    def __init__(self) -> None:
+        self.written: list[tuple[float, float]] = []
+        self.broken = threading.Event()
+        self.rows = 0
+        self.begin = time.monotonic()
+
+    def read(self, timeout_s: float) -> list[tuple[float, float]]:
+        time.sleep(timeout_s)
+        if self.broken.is_set():
+            raise OSError("card: no answer")
+        due = int((time.monotonic() - self.begin) * 1000) - self.rows
+        self.rows += due
+        return [(1.0, 2.0)] * due
+
+    def write(self, voltage: tuple[float, float]) -> None:
+        self.written.append(voltage)
+
+    def close(self) -> None:
+        self.written.append((math.nan, math.nan))
+
+
+def test_daq_card_of_the_documentation_works(tmp_path: Path) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(compile(code, str(DOCS), "exec"), names)
+    cards: list[Card] = []
+
+    def open_card() -> Card:
+        cards.append(Card())
+        return cards[-1]
+
+    text = (Path(__file__).resolve().parents[2] / "config/hardware/example.yaml").read_text(encoding="utf-8")
+    own = tmp_path / "card.yaml"
+    own.write_text(text[: text.index("# For validation only")], encoding="utf-8")
+    got: list[Sample] = []
+    device = names["DaqCard"](open_card)
+    link = Link(
+        device, Converter(load_calibration(own)), WANTED, time.time_ns, got.append, lambda: device.command((6.0, 5.0))
+    )
+    link.start()
+    until(lambda: len(got) > 50)
+    assert got[-1].pressure == pytest.approx((226.3e3, 476.3e3))
+    assert got[-1].voltage == (6.0, 5.0) and got[-1].angle is None
+    assert cards[0].written[0] == ACTION.hold
+    cards[0].broken.set()
+    until(lambda: len(cards) == 2)
+    assert "no answer" in link.trouble or link.trouble == ""
+    link.stop()
+    link.check()
+    assert cards[-1].written[-2] == ACTION.hold
+
+
+def test_tables_of_the_documentation_are_the_bytes() -> None:
+    sizes = {"u8": 1, "u16": 2, "u32": 4, "i32": 4, "f32": 4, "f32 ×2": 8, "16 bytes": 16}
+    text = DOCS.read_text(encoding="utf-8")
+    for name, layout in (
+        ("Hello", protocol._HELLO),
+        ("Welcome", protocol._WELCOME),
+        ("Telemetry", protocol._TELEMETRY),
+        ("Command", protocol._COMMAND),
+    ):
+        table = text[text.index(f"**{name}**, ") :].split("\n\n")[1]
+        end = 0
+        for offset, kind in re.findall(r"^\| (\d+) \| ([^|]+) \|", table, re.MULTILINE):
+            assert int(offset) == end, (name, offset)
+            end += sizes[kind.strip()]
+        assert end == layout.size == struct.calcsize(layout.format), name

@@ -1,0 +1,244 @@
+"""Life cycles and services of the nodes, as processes that are asked over the standard services; and simulated time."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pam_antagonist.nodes.processes import Processes, ros_arguments
+
+pytestmark = pytest.mark.ros
+
+SAFE = (5.0, 5.2)
+SECOND = 10**9
+
+
+class Clock:
+    """``/clock`` at the pace of the real one, from a time of its own that can be set."""
+
+    def __init__(self, probe: Any) -> None:
+        from rosgraph_msgs.msg import Clock as Message
+
+        from pam_antagonist.nodes import qos
+
+        self._message = Message
+        self._publisher = probe.node.create_publisher(Message, "/clock", qos.DIAGNOSTICS)
+        self.offset_ns = 1000 * SECOND - time.monotonic_ns()
+        self._running = True
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while self._running:
+            message = self._message()
+            message.clock.sec, message.clock.nanosec = divmod(time.monotonic_ns() + self.offset_ns, SECOND)
+            self._publisher.publish(message)
+            time.sleep(0.001)
+
+    def stop(self) -> None:
+        self._running = False
+        self._thread.join()
+
+
+@pytest.fixture(scope="module")
+def pipeline(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Iterator[tuple[Processes, Any, Clock]]:
+    """Three nodes in simulated time; the controller waits to be told to configure itself."""
+    from probe import Probe
+
+    common = {"use_sim_time": True, "safe_voltage": list(SAFE), "diagnostics_period": 0.2}
+    with (
+        Processes(tmp_path_factory.mktemp("lifecycle")) as processes,
+        Probe("valve_command", "valve_state", "joint_estimate", "diagnostics", "measured_joint_states") as probe,
+    ):
+        processes.start("estimator", ros_arguments(common, {}))
+        processes.start("controller", ros_arguments({**common, "autostart": False}, {}))
+        processes.start("plant", ros_arguments(common, {}))
+        clock = Clock(probe)
+        try:
+            probe.until(lambda: len(probe.seen["joint_estimate"]) > 50, 60.0, "estimates")
+            yield processes, probe, clock
+        finally:
+            clock.stop()
+
+
+def rate(probe: Any, topic: str, seconds: float = 0.25) -> int:
+    """Messages of a topic within a time."""
+    probe.wait(0.1)  # what is still under way
+    probe.clear()
+    probe.wait(seconds)
+    return len(probe.seen[topic])
+
+
+def stamp(message: Any) -> int:
+    return message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+
+
+def refer(probe: Any, degrees: float) -> None:
+    """Wait until the loop follows a reference.
+
+    Pressures that jump, as those of a plant that was configured anew, or a state that was set to something else, are a
+    reason for the controller to stop.
+    """
+    from std_srvs.srv import Trigger
+
+    probe.until(lambda: probe.call(Trigger, "controller/clear_stop").success, 10.0, "a clear")
+    probe.until(lambda: probe.matched("reference"), 20.0, "a controller")
+
+    def following() -> bool:
+        probe.refer(0, math.radians(degrees))
+        return bool(probe.seen["valve_state"]) and probe.seen["valve_state"][-1][1].voltage[0] > SAFE[0] + 0.2
+
+    probe.clear()
+    probe.until(following, 15.0, "voltages that follow the reference")
+
+
+def test_without_autostart_a_node_waits_for_its_transitions(pipeline: tuple[Processes, Any, Clock]) -> None:
+    _, probe, _ = pipeline
+    assert probe.state("controller") == "unconfigured"
+    assert (probe.state("plant"), probe.state("estimator")) == ("active", "active")
+    assert rate(probe, "valve_command") == 0
+    assert not probe.transition("controller", "activate")  # there is no such way
+    assert probe.transition("controller", "configure")
+    assert probe.state("controller") == "inactive"
+    assert rate(probe, "valve_command") == 0
+    assert probe.transition("controller", "activate")
+    assert rate(probe, "valve_command") > 50
+    refer(probe, 10.0)
+
+
+def test_stamps_are_those_of_simulated_time(pipeline: tuple[Processes, Any, Clock]) -> None:
+    _, probe, clock = pipeline
+    rate(probe, "joint_estimate")
+    for topic in ("valve_state", "joint_estimate", "valve_command"):
+        now = time.monotonic_ns() + clock.offset_ns
+        assert 0 <= now - stamp(probe.seen[topic][-1][1]) < SECOND, topic
+
+
+def test_inactive_controller_leaves_safe_voltages_and_is_silent(pipeline: tuple[Processes, Any, Clock]) -> None:
+    _, probe, _ = pipeline
+    refer(probe, 10.0)
+    assert probe.transition("controller", "deactivate")
+    probe.wait(0.1)
+    assert tuple(probe.seen["valve_command"][-1][1].voltage) == SAFE
+    assert rate(probe, "valve_command") == 0
+    assert {tuple(message.voltage) for _, message in probe.seen["valve_state"]} == {SAFE}
+    assert probe.transition("controller", "activate")
+    assert rate(probe, "valve_command") > 50
+    # Whoever wanted something before is not obeyed again without being asked.
+    assert {tuple(message.voltage) for _, message in probe.seen["valve_state"]} == {SAFE}
+
+
+def test_inactive_plant_has_safe_voltages_while_its_joint_lives_on(pipeline: tuple[Processes, Any, Clock]) -> None:
+    """In silence: samples of that time are neither published nor made up for later."""
+    _, probe, clock = pipeline
+    refer(probe, 15.0)
+    assert probe.transition("plant", "deactivate")
+    assert rate(probe, "valve_state", 0.5) == 0
+    at = time.monotonic_ns() + clock.offset_ns
+    assert probe.transition("plant", "activate")
+    probe.until(lambda: len(probe.seen["measured_joint_states"]) > 20, 10.0, "samples")
+    assert tuple(probe.seen["valve_state"][0][1].voltage) == SAFE
+    stamps = np.array([stamp(message) for _, message in probe.seen["valve_state"]])
+    assert stamps[0] > at - 0.3 * SECOND
+    assert np.all(np.diff(stamps) > 0)
+
+
+@pytest.mark.parametrize("node", ["estimator", "plant", "controller"])
+def test_a_node_can_be_cleaned_up_and_started_again(pipeline: tuple[Processes, Any, Clock], node: str) -> None:
+    processes, probe, _ = pipeline
+    for label in ("deactivate", "cleanup"):
+        assert probe.transition(node, label), label
+    assert probe.state(node) == "unconfigured"
+    topic = {"estimator": "joint_estimate", "plant": "valve_state", "controller": "valve_command"}[node]
+    assert rate(probe, topic) == 0
+    for label in ("configure", "activate"):
+        assert probe.transition(node, label), label
+    assert rate(probe, topic, 0.4) > 50
+    processes.check()
+
+
+def test_estimator_is_reset_and_set(pipeline: tuple[Processes, Any, Clock]) -> None:
+    from std_srvs.srv import Trigger
+
+    from pam_antagonist_msgs.srv import SetState
+
+    _, probe, _ = pipeline
+    started = lambda: probe.seen["joint_estimate"][-1][1].started  # noqa: E731
+    rate(probe, "joint_estimate")
+    before = started()
+    assert probe.call(Trigger, "estimator/reset").success
+    rate(probe, "joint_estimate")
+    assert started() != before
+    state = {"angle": math.radians(6.0), "velocity": 0.0, "pressure": [450e3, 450e3]}
+    probe.clear()
+    assert probe.call(SetState, "estimator/set_state", **state).success
+    probe.wait(0.1)
+    angles = np.degrees([message.angle for _, message in probe.seen["joint_estimate"]])
+    at = int(np.argmax(np.abs(angles - 6.0) < 0.5))
+    assert abs(angles[at] - 6.0) < 0.5 and abs(angles[0] - 6.0) > 0.6
+    for wrong in ({"angle": math.nan}, {"angle": 2.0}, {"velocity": math.inf}, {"pressure": [350.0, 450e3]}):
+        answer = probe.call(SetState, "estimator/set_state", **{**state, **wrong})
+        assert not answer.success and "expected" in answer.message
+    assert rate(probe, "joint_estimate") > 50
+
+
+def test_another_tuning_is_taken_and_an_unknown_one_is_refused_with_the_reason(
+    pipeline: tuple[Processes, Any, Clock],
+) -> None:
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    _, probe, _ = pipeline
+    nis = lambda: np.nanmean([message.nis for _, message in probe.seen["joint_estimate"]])  # noqa: E731
+
+    def choose(name: str) -> Any:
+        parameters = [Parameter("tuning", value=name).to_parameter_msg()]
+        return probe.call(SetParameters, "estimator/set_parameters", parameters=parameters).results[0]
+
+    rate(probe, "joint_estimate")
+    assert nis() > 0.5
+    assert choose("published").successful
+    rate(probe, "joint_estimate")
+    assert nis() < 0.1  # see docs/model.md, correction 11
+    refused = choose("no_such_tuning")
+    assert not refused.successful and "published" in refused.reason
+    assert choose("default").successful
+
+
+def test_a_clock_that_is_set_back_resets_and_is_said_once(pipeline: tuple[Processes, Any, Clock]) -> None:
+    processes, probe, clock = pipeline
+    refer(probe, 8.0)
+    before = probe.seen["joint_estimate"][-1][1].started
+    probe.clear()
+    clock.offset_ns -= 5 * SECOND
+    probe.wait(1.2)
+    processes.check()
+    estimates = [message for _, message in probe.seen["joint_estimate"]]
+    now = time.monotonic_ns() + clock.offset_ns
+    assert 0 <= now - stamp(estimates[-1]) < SECOND
+    assert estimates[-1].started != before and estimates[-1].started.sec <= now // SECOND
+    assert all(math.isfinite(message.angle) for message in estimates)
+    messages = [(status.name, status.message) for _, m in probe.seen["diagnostics"] for status in m.status]
+    for part in ("plant: sampling", "estimator: samples", "controller: commands"):
+        said = [text for name, text in messages if name == f"pam/{part}" and "jumped" in text]
+        assert len(said) == 1, part
+    assert stamp(probe.seen["valve_command"][-1][1]) == pytest.approx(stamp(estimates[-1]), abs=0.5 * SECOND)
+    refer(probe, 12.0)
+
+
+def test_a_node_that_is_shut_down_ends(pipeline: tuple[Processes, Any, Clock]) -> None:
+    processes, probe, _ = pipeline
+    assert probe.transition("controller", "shutdown")
+    process = processes.running.pop("controller").popen
+    assert process.wait(10.0) == 0
+    probe.wait(0.1)
+    assert tuple(probe.seen["valve_command"][-1][1].voltage) == SAFE
+    processes.check()
+    for running in processes.running.values():
+        assert "Traceback" not in running.log.read_text()
