@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import argparse
+import hashlib
+import shlex
 import shutil
 import sys
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from pam_antagonist.cli import common
+from pam_antagonist import __version__
+from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.diagnosis import Diagnosis, diagnose
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import bag_hash
+from pam_antagonist.recording import Recording, bag_hash
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import close_loop_tables as tables
 from pam_antagonist.report.close_loop_page import write_report
+from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -25,7 +31,9 @@ Trace what the model of a rig lacks to a physical effect, add it, and report the
 
 Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured. The
 base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
-catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording is kept to judge by.
+catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a recording of
+its own (--holdout), is kept to judge by. A rig whose valves are sealed wants a recording of its joint driven to and
+fro by a known torque (docs/sealed_joint.md).
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
 recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values.
@@ -35,9 +43,11 @@ _EXAMPLES = """\
 examples:
   close_loop free_bag locked_bag --rig shin2022 --out found
   close_loop free_bag locked_bag --rig my_rig.yaml --out found --resume
+  close_loop free_bag locked_bag --holdout another_bag --rig my_rig.yaml --out found
   replay another_bag --rig found/rig_extended.yaml --out check
 """
 _STEPS = 14
+_SHARE = 1.0 / 3.0
 
 
 def parser() -> common.Parser:
@@ -45,14 +55,25 @@ def parser() -> common.Parser:
     out = common.Parser("close_loop", _DESCRIPTION, _EXAMPLES)
     given.add_bags(out)
     out.add_argument(
-        "--holdout", type=given.share(0.1, 0.5), default=1.0 / 3.0, metavar="SHARE",
-        help="share at the end of each recording that no fit sees (default: a third)",
+        "--holdout", type=_held_out, action="append", default=[], metavar="SHARE|BAG",
+        help="what no fit sees: a share at the end of each recording (default: a third), or a whole recording; may be "
+        "given several times with recordings",
     )  # fmt: skip
     out.add_argument("--jobs", type=given.count, default=2, metavar="N", help="threads (default: 2)")
-    out.add_argument("--seed", type=given.seed, default=0, help="kept in the report (default: 0)")
+    cluster.add_dask(out)
+    out.add_argument("--seed", type=given.seed, default=0, help="draws the starts of fits (default: 0)")
     out.add_argument("--resume", action="store_true", help="go on with what an interrupted run left in DIR.part")
     given.add_names_and_report(out)
     return out
+
+
+def _held_out(text: str) -> float | Path:
+    """A share, or a bag; a bag whose name is a number is given as ./0.3."""
+    try:
+        float(text)
+    except ValueError:
+        return Path(text)
+    return given.share(0.1, 0.5)(text)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -64,28 +85,28 @@ def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig)
-    if rig.valves.sealed:
-        raise BadInput(
-            f"rig {rig.name} is sealed: close_loop takes joints that valves drive; expected another rig, or "
-            "`identify`, which takes sealed ones"
-        )
     common.lock_angle(arguments)
     kept = arguments.out.parent / f"{arguments.out.name}.part"
     if kept.exists() and not arguments.resume:
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
-    recordings = given.read(arguments)
+    share, bags = _split(arguments.holdout)
+    recordings = given.read(arguments, bags)
+    fitted, held_out = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
     hashes = [bag_hash(recording.path) for recording in recordings]
-    with common.progress(_STEPS, "close_loop", "steps") as bar:
-
-        def tell(text: str) -> None:
-            bar.set_description(f"close_loop: {text}")
-            bar.update(1)
-
-        found = diagnose(
-            recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=arguments.holdout,
-            jobs=arguments.jobs, seed=arguments.seed, progress=tell, store=Store(kept),
-        )  # fmt: skip
-    document = numbers.document(found, rig, hashes, arguments.seed, arguments.holdout)
+    holdout = [bag_name(recording.path) for recording in held_out] or share
+    store = Store(kept.absolute())
+    store.claim(_settings(arguments, rig, hashes, holdout))
+    try:
+        with cluster.connected(arguments.dask):
+            found = _diagnosed(arguments, rig, fitted, held_out, share, store)
+    except KeyboardInterrupt:
+        _tell_how_to_go_on(store, sys.argv[1:] if argv is None else argv)
+        return common.INTERRUPTED
+    except BadInput:
+        if not store.finished():
+            shutil.rmtree(kept, ignore_errors=True)
+        raise
+    document = numbers.document(found, rig, hashes, arguments.seed, holdout)
     with common.output_folder(arguments.out) as folder:
         _write_rigs(folder, found, rig, hashes)
         write_report(folder, document, found, with_figures=not arguments.no_figures)
@@ -95,11 +116,63 @@ def _main(argv: Sequence[str] | None) -> int:
     return common.DONE
 
 
+def _split(holdout: Sequence[float | Path]) -> tuple[float, list[Path]]:
+    """Share and bags of ``--holdout``."""
+    shares = [item for item in holdout if isinstance(item, float)]
+    bags = [item for item in holdout if isinstance(item, Path)]
+    if len(shares) > 1 or (shares and bags):
+        raise BadInput("--holdout: expected one share, or recordings, not several shares or both")
+    return (shares[0] if shares else _SHARE), bags
+
+
+def _settings(
+    arguments: argparse.Namespace, rig: Rig, hashes: Sequence[str], holdout: float | Sequence[str]
+) -> dict[str, Any]:
+    """What finished candidates depend on."""
+    return {
+        "recordings": list(hashes),
+        "rig": hashlib.sha256(repr(rig).encode()).hexdigest(),
+        "holdout": holdout if isinstance(holdout, float) else list(holdout),
+        "joint": [arguments.joint, arguments.lock_angle],
+        "seed": arguments.seed,
+        "version": __version__,
+    }
+
+
+def _tell_how_to_go_on(store: Store, argv: Sequence[str]) -> None:
+    again = [*argv, *([] if "--resume" in argv else ["--resume"])]
+    print(
+        f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"
+        f"  close_loop {shlex.join(again)}",
+        file=sys.stderr,
+    )
+
+
+def _diagnosed(
+    arguments: argparse.Namespace,
+    rig: Rig,
+    fitted: Sequence[Recording],
+    held_out: Sequence[Recording],
+    share: float,
+    store: Store,
+) -> Diagnosis:
+    with common.progress(_STEPS, "close_loop", "steps") as bar:
+
+        def tell(text: str) -> None:
+            bar.set_description(f"close_loop: {text}")
+            bar.update(1)
+
+        return diagnose(
+            fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=held_out,
+            jobs=arguments.jobs, seed=arguments.seed, progress=tell, store=store,
+        )  # fmt: skip
+
+
 def _write_rigs(folder: Path, found: Diagnosis, rig: Rig, hashes: Sequence[str]) -> None:
     about = [
         f"By pam_antagonist close_loop, from rig {rig.name}. {found.sentence}",
         "Recordings (SHA-256):",
-        *(f"  {name}: {value}" for (name, _), value in zip(found.own, hashes, strict=True)),
+        *(f"  {name}: {value}" for (name, _), value in zip(found.own, hashes, strict=False)),
         *(f"Attention: {warning}." for warning in found.warnings),
     ]
     remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]

@@ -60,6 +60,12 @@ def parser() -> common.Parser:
     out.add_argument(
         "--fault", action="append", default=[], metavar="FAULT", help="what goes wrong, see below; several may be given"
     )
+    out.add_argument(
+        "--orders",
+        type=Path,
+        metavar="PIPE",
+        help="make this named pipe, and take faults from it meanwhile: lines +KIND[=VALUE] (begin) and -KIND (end)",
+    )
     out.add_argument("--flip", type=float, metavar="SHARE", help="the same as --fault flip=SHARE")
     out.add_argument("--drop", type=float, metavar="SHARE", help="the same as --fault drop=SHARE")
     out.add_argument("--silent-after", type=float, metavar="S", help="the same as --fault silent@S")
@@ -77,7 +83,7 @@ def _main(argv: Sequence[str] | None) -> int:
     from pam_antagonist.hardware.calibration import Converter, load_calibration
     from pam_antagonist.hardware.emulator import DeviceClock, Emulator, Port, VoltageLog
     from pam_antagonist.hardware.firmware import Firmware, Settings
-    from pam_antagonist.hardware.line_faults import FaultPlan
+    from pam_antagonist.hardware.line_faults import FaultOrders, FaultPlan
     from pam_antagonist.hardware.protocol import Feature
     from pam_antagonist.model.plant import Plant
     from pam_antagonist.nodes.spin import hurry
@@ -115,11 +121,16 @@ def _main(argv: Sequence[str] | None) -> int:
     stopping = _Stop()
     with ExitStack() as stack:
         log = None if arguments.log is None else stack.enter_context(_log(arguments.log))
+        orders = None
+        if arguments.orders is not None:
+            pipe = FaultOrders(arguments.orders)
+            stack.callback(pipe.close)
+            orders = pipe.take
         emulator = Emulator(
             plant,
             Converter(calibration),
             Firmware(settings),
-            FaultPlan(faults, arguments.seed),
+            FaultPlan(faults, arguments.seed, orders),
             VoltageLog(log),
             lambda: Port(arguments.link),
             DeviceClock(arguments.drift * 1e-6, arguments.first_us),

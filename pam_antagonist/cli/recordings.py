@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pam_antagonist.cli import common
@@ -65,21 +65,21 @@ def seed(text: str) -> int:
     return int(text)
 
 
-def read(arguments: argparse.Namespace) -> list[Recording]:
-    """The bags of :func:`add_bags`.
+def read(arguments: argparse.Namespace, further: Sequence[Path] = ()) -> list[Recording]:
+    """The bags of :func:`add_bags`, and others behind them.
 
     Raises:
         BadInput: a bag that cannot be read, or the same one twice.
     """
     names = common.topics(arguments)
+    bags = [*arguments.bags, *further]
     recordings = [
-        read_bag(bag, topics=names, namespace=arguments.namespace, joint_name=arguments.joint_name)
-        for bag in arguments.bags
+        read_bag(bag, topics=names, namespace=arguments.namespace, joint_name=arguments.joint_name) for bag in bags
     ]
     hashes = [bag_hash(recording.path) for recording in recordings]
     for k, value in enumerate(hashes):
         if value in hashes[:k]:
-            raise BadInput(f"{arguments.bags[k]}: the same recording as {arguments.bags[hashes.index(value)]}")
+            raise BadInput(f"{bags[k]}: the same recording as {bags[hashes.index(value)]}")
     return recordings
 
 

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from typing import Literal
 
-import numpy as np
-
-from pam_antagonist.diagnosis import errors, findings, outside, quality, rigs, rules
+from pam_antagonist.diagnosis import agreement, errors, findings, heldout, outside, quality, rigs, rules, visible
 from pam_antagonist.diagnosis.advice import experiments_that_tell
 from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.profiles import profile_sizes
 from pam_antagonist.diagnosis.remaining import describe
-from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Ranked
+from pam_antagonist.diagnosis.result import Diagnosis, Ranked
+from pam_antagonist.diagnosis.sealed import diagnose_sealed
 from pam_antagonist.diagnosis.select import (
     STRONG,
-    Model,
     Selection,
     excess_squares,
     recalibrated,
-    refitted_without,
     removed,
     select,
 )
@@ -43,6 +40,7 @@ def diagnose(
     joint: str = "auto",
     lock_angle: float | None = None,
     holdout: float = 1.0 / 3.0,
+    held_out: Sequence[Recording] = (),
     jobs: int = 2,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
@@ -58,8 +56,9 @@ def diagnose(
         joint: ``free``, ``locked`` or ``auto`` (told from the recordings).
         lock_angle: angle of a locked joint [rad], where it is known.
         holdout: share at the end of each recording that no fit sees.
+        held_out: whole recordings of the same rig that no fit sees; the others are then fitted to their ends.
         jobs: threads.
-        seed: kept in the report; the search itself draws nothing.
+        seed: draws the starts of fits.
         progress: told what is being done.
         profiles: whether to work out profile likelihoods.
         estimator: whether to run the estimator before and after.
@@ -73,6 +72,13 @@ def diagnose(
     """
     if not recordings:
         raise BadInput("no recording: expected one at least")
+    if rig.valves.sealed:
+        if held_out:
+            raise BadInput(f"rig {rig.name} is sealed: expected a share to be held out, not whole recordings")
+        return diagnose_sealed(
+            recordings, rig, joint=joint, holdout=holdout, jobs=jobs, seed=seed, progress=progress, profiles=profiles,
+            estimator=estimator, store=store,
+        )  # fmt: skip
     said = progress or (lambda message: None)
     clock, seconds = time.perf_counter(), {}
 
@@ -83,25 +89,29 @@ def diagnose(
         clock = now
 
     trials = [_trial(recording, rig, joint, lock_angle) for recording in recordings]
-    quality.check_trials(trials, holdout)
-    experiments = tuple(Experiment(rig, trial, round(len(trial) * (1.0 - holdout) / 100.0) * 100) for trial in trials)
+    others = [_trial(recording, rig, joint, lock_angle) for recording in held_out]
+    quality.check_trials([*trials, *others], holdout)
+    heldout.check_distinct(recordings, held_out, [trial.name for trial in others])
+    experiments, held = heldout.experiments_of(trials, others, rig, holdout, seed)
     said("recalibrating the base parameters")
     base = recalibrated(experiments, jobs)
+    heldout.check_same_rig(experiments, base, held, jobs)
     lap("recalibration")
     selection = select(experiments, base, jobs, rules.worth, said, store or Store())
     lap("selection")
     verdict, share = _judge(experiments, selection)
-    model = _pruned(experiments, selection, jobs) if verdict == "effect" else base
-    found, values, warnings = _found(experiments, base, model, jobs)
+    model = findings.without_idle(experiments, base, selection.model, jobs) if verdict == "effect" else base
+    found, values, warnings = findings.found(experiments, base, model, jobs)
     lap("backward step")
-    warnings += quality.implausible(experiments, base)
+    warnings += quality.implausible(experiments, base) + agreement.of_base(experiments, base)
+    warnings += agreement.of_effects(experiments, model, found, values, jobs)
     if verdict == "unexplained":
         said("looking for pushes from outside")
-        pushed = outside.explain(experiments, base, jobs)
+        pushed = outside.explain(experiments, base, selection.model, jobs, said)
         if pushed is not None:
-            verdict, model, found, share = "effect", pushed.model, (pushed.effect,), pushed.share
+            verdict, model, found, share = "effect", pushed.model, pushed.effects, pushed.share
             values = dict(pushed.values)
-            warnings.append(outside.NOTE)
+            warnings += pushed.warnings
         lap("pushes")
     profiled = () if not profiles else profile_sizes(experiments, model, found, jobs, said)
     flat = [item["parameter"] for item in profiled if item["flat"]]
@@ -110,16 +120,15 @@ def diagnose(
     lap("profiles")
     ambiguous = _ambiguous(selection) if verdict == "effect" and selection.model.effects else ()
     said("errors before and after")
-    parts = _by_recording(recordings, experiments, base, model, estimator)
-    samples = [len(e.trial) - e.fitted for e in experiments]
-    totals = {
-        name: errors.together([part["errors"][name] for part in parts], samples)
-        for name in ("as_configured", "recalibrated", "extended")
-    }
+    compared = heldout.compared(experiments, held, base, model, values)
+    parts = heldout.by_recording([*recordings, *held_out], compared, estimator, jobs)
+    judging = [(part, c.experiment) for part, c in zip(parts, compared, strict=True) if c.judges]
+    samples = [len(e.trial) - e.fitted for _, e in judging]
+    totals = {name: errors.together([part["errors"][name] for part, _ in judging], samples) for name in heldout.MODELS}
     lap("errors")
     remaining = tuple(describe(experiments, model)) if verdict != "none" else ()
     lap("remaining residual")
-    unseen = quality.unseen(trials)
+    unseen = quality.unseen(trials, visible.invisible(experiments, base, jobs))
     taken = set(model.effects)
     ranking = tuple(
         Ranked(
@@ -131,7 +140,7 @@ def diagnose(
     )  # fmt: skip
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence(verdict, found, share, totals, ranking),
+        sentence=sentence(verdict, found, share, totals, ranking, len(experiments)),
         effects=found,
         ambiguous_with=ambiguous,
         experiment=experiments_that_tell(model.effects, ambiguous, {trial.joint for trial in trials}),
@@ -150,7 +159,7 @@ def diagnose(
         recalibrated=base,
         extended=model,
         trials=selection.trials,
-        held_from=tuple(e.fitted * e.trial.dt for e in experiments),
+        compared=compared,
         seconds=seconds,
     )
 
@@ -171,38 +180,6 @@ def _judge(experiments: Sequence[Experiment], selection: Selection) -> tuple[Ver
     return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share
 
 
-def _pruned(experiments: Sequence[Experiment], selection: Selection, jobs: int) -> Model:
-    """The chosen model without effects and sizes that do not pay beside the others: the backward step."""
-    base, model = selection.recalibrated, selection.model
-    for effect in model.effects[:-1]:
-        without = refitted_without(experiments, model, effect, jobs)
-        if findings.evidence_of(experiments, without, model) < STRONG:
-            model = without
-    fits = []
-    for experiment, before, fitted in zip(experiments, base.fits, model.fits, strict=True):
-        smaller = fitted
-        for effect in model.effects:
-            smaller = findings.pruned(experiment, before, smaller, effect)
-        fits.append(smaller)
-    return Model(model.effects, tuple(fits))
-
-
-def _found(
-    experiments: Sequence[Experiment], base: Model, model: Model, jobs: int
-) -> tuple[tuple[FoundEffect, ...], dict[str, float], list[str]]:
-    gains, shares = {}, {}
-    whole = excess_squares(experiments, model, held=True)
-    before = excess_squares(experiments, base, held=True)
-    for effect in model.effects:
-        without = base if len(model.effects) == 1 else refitted_without(experiments, model, effect, jobs)
-        gains[effect] = findings.evidence_of(experiments, without, model)
-        lost = excess_squares(experiments, without, held=True)
-        shares[effect] = float(np.sum(lost - whole) / max(np.sum(before), 1e-12)) if len(model.effects) > 1 else (
-            removed(lost, whole)
-        )  # fmt: skip
-    return findings.found_effects(experiments, model, gains, shares)
-
-
 def _ambiguous(selection: Selection) -> tuple[str, ...]:
     """Candidates of the first round that do as well as the chosen one, by evidence and on held-out data."""
     first = [t for t in selection.trials if t.round == 1 and t.shares is not None]
@@ -213,31 +190,3 @@ def _ambiguous(selection: Selection) -> tuple[str, ...]:
         t.effect for t in first if t is not best and t.shares is not None
         and best.standing - t.standing < STRONG and t.shares[0] >= rules.FIRST_SHARE
     )  # fmt: skip
-
-
-def _by_recording(
-    recordings: Sequence[Recording],
-    experiments: Sequence[Experiment],
-    base: Model,
-    model: Model,
-    estimator: bool,
-) -> tuple[Mapping[str, Any], ...]:
-    """Errors of the three models on each recording's held-out part, model alone and estimator."""
-    parts = []
-    for recording, experiment, old, new in zip(recordings, experiments, base.fits, model.fits, strict=True):
-        trial = experiment.trial
-        points = {"as_configured": experiment.origin, "recalibrated": old.point, "extended": new.point}
-        entry: dict[str, Any] = {
-            "recording": trial.name,
-            "joint": trial.joint,
-            "lock_angle_rad": trial.lock_angle if trial.joint == "locked" else None,
-            "held_out_from_s": experiment.fitted * trial.dt,
-            "errors": {name: errors.held_out(experiment, point) for name, point in points.items()},
-        }
-        if estimator:
-            entry["ukf"] = {}
-            for name, point in points.items():
-                own = rigs.own_rig(experiment, point)
-                entry["ukf"][name] = errors.of_estimator(recording, own, experiment)
-        parts.append(entry)
-    return tuple(parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,22 @@ def of(error: Floats, measured: Floats, channels: Sequence[int]) -> dict[str, An
     }
 
 
-def of_estimator(recording: Recording, rig: Rig, experiment: Experiment) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class FilterRun:
+    """The estimator over a recording, on the samples that were held out.
+
+    Attributes:
+        figures: its errors, with the keys of ``report.json``.
+        time: of each sample since the recording's first (M,) [s].
+        innovation: what the pressures were beside the prediction, in its standard deviations (M, 2).
+    """
+
+    figures: dict[str, Any]
+    time: Floats
+    innovation: Floats
+
+
+def of_estimator(recording: Recording, rig: Rig, experiment: Experiment) -> FilterRun:
     """Errors of the estimator, which knows pressures and voltages only, on the samples that were held out.
 
     Args:
@@ -82,7 +98,8 @@ def of_estimator(recording: Recording, rig: Rig, experiment: Experiment) -> dict
         "whiteness_p": metrics.whiteness_p(normal),
         "largest_correlation": metrics.largest_autocorrelation(normal),
     }
-    return result
+    time = (recording.stamp_ns[index] - recording.stamp_ns[0]) * 1e-9
+    return FilterRun(result, np.asarray(time, dtype=np.float64), np.asarray(normal, dtype=np.float64))
 
 
 def together(parts: Sequence[Mapping[str, Any]], samples: Sequence[int]) -> dict[str, Any]:

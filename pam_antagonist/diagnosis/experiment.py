@@ -9,8 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.diagnosis.candidates import Candidate, candidates
 from pam_antagonist.diagnosis.knobs import Knob, base_knobs
-from pam_antagonist.diagnosis.simulation import BLOCK, Start, blocks, predict, start_of
+from pam_antagonist.diagnosis.simulation import BLOCK, Start, blocks, predict, run, start_of
+from pam_antagonist.diagnosis.solve import PACE
 from pam_antagonist.identification.trial import ANGLE, CHANNELS, Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -50,11 +52,16 @@ class Experiment:
         rig: as configured.
         trial: the recording.
         fitted: how many of its samples may be fitted; the rest is held out.
+        judged: recordings that are held out as a whole and that this one's models foretell; `fitted` of theirs is their
+            start, from which nothing but their first state is told. Then all of this one is fitted.
+        seed: of what is drawn in fits.
     """
 
     rig: Rig
     trial: Trial
     fitted: int
+    judged: tuple[Experiment, ...] = ()
+    seed: int = 0
 
     @cached_property
     def knobs(self) -> tuple[Knob, ...]:
@@ -106,6 +113,14 @@ class Experiment:
         pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))) / np.sqrt(BLOCK)
         return np.array([0.0 if self.trial.joint == "locked" else _START_ANGLE, pressure, pressure])
 
+    def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+        """What could be wrong beside the effects that a model has already.
+
+        Args:
+            taken: values of the model's effects' parameters, by dotted path.
+        """
+        return candidates(taken)
+
     def changes(self, point: Point) -> dict[str, float]:
         """Values of the base parameters that differ from the rig file's, by dotted path."""
         total: dict[str, float] = {}
@@ -124,20 +139,59 @@ class Experiment:
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """What the sensors would show (N, 4): in the part that is fitted, or in all of the recording."""
         trial = self.trial if whole else self.trial.part(0.0, self.fitted * self.trial.dt)
-        shift = point.theta[-_SHIFTS:] * self._start_scale
-        return predict(trial, self.parameters(point), self.first, shift)
+        return predict(trial, self.parameters(point), self.first, point.theta[-_SHIFTS:] * self._start_scale)
+
+    def states(self, point: Point) -> tuple[Floats, Floats]:
+        """States (N, n) and torques (N,) [N m] of the model over all of the recording."""
+        return run(self.trial, self.parameters(point), self.first, point.theta[-_SHIFTS:] * self._start_scale)
 
     def residual(self, point: Point, whole: bool = False) -> Floats:
-        """Measured minus simulated block means (B, C), 0 where nothing was measured."""
+        """Measured minus simulated block means (B, C), 0 where nothing was measured.
+
+        The whole is followed by what recordings that are held out say of the point, see :meth:`foretold`.
+        """
         simulated = blocks(self.simulated(point, whole)[:, list(self.channels)])
         difference = self.measured[: len(simulated)] - simulated
         # A model that runs away is wrong, not undefined.
         bound = _RUNAWAY * self.noise
-        return np.clip(np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf), -bound, bound)
+        own = np.clip(np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf), -bound, bound)
+        return np.concatenate([own, *(self.foretold(other, point) for other in self.judged)]) if whole else own
 
     def held(self, residual: Floats) -> Floats:
-        """The held-out blocks of a residual of the whole recording."""
+        """The held-out blocks of a residual of the whole; none where there is nothing to judge by."""
         return residual[-(-self.fitted // BLOCK) :]
+
+    def foretold(self, other: Experiment, point: Point) -> Floats:
+        """What a point of this recording leaves of another one, behind its start (B, C), in this one's noises.
+
+        A channel that was not measured there is neither for nor against: it counts as noise.
+        """
+        there = other.started(point)
+        left = other.held(other.residual(there, whole=True)) / other.noise
+        out = np.ones((len(left), len(self.channels)))
+        for k, channel in enumerate(self.channels):
+            if channel in other.channels:
+                out[:, k] = left[:, other.channels.index(channel)]
+        return np.asarray(out * self.noise)
+
+    def started(self, point: Point) -> Point:
+        """A point with the start's deviations told from the fitted samples, and everything else as it is."""
+        now = Point(np.concatenate([point.theta[:-_SHIFTS], np.zeros(_SHIFTS)]), point.effects)
+        residual = self.residual(now)
+        columns = np.stack(
+            [
+                self.residual(Point(now.theta + np.eye(self.size)[k], now.effects)) - residual
+                for k in range(self.size - _SHIFTS, self.size)
+            ],
+            axis=2,
+        )
+        # Weighed and counted as in any fit, and pulled to what the sensors showed.
+        weight = 1.0 / (np.maximum(np.mean(residual**2, axis=0), self.noise**2) * PACE)
+        information = np.einsum("c,bci,bcj->ij", weight, columns, columns, optimize=True) + np.eye(_SHIFTS)
+        step = -np.linalg.solve(information, np.einsum("c,bci,bc->i", weight, columns, residual, optimize=True))
+        moved = Point(np.concatenate([point.theta[:-_SHIFTS], step]), point.effects)
+        before, after = (weight @ np.sum(part**2, axis=0) for part in (residual, self.residual(moved)))
+        return moved if after + step @ step < before else now
 
     def jacobian(self, point: Point, residual: Floats) -> Floats:
         """Derivatives of the residual by the base unknowns (B, C, K + 3)."""

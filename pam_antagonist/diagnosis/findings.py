@@ -7,11 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pam_antagonist.diagnosis.candidates import Candidate, Unknown
+from pam_antagonist.diagnosis.candidates import Unknown
 from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.diagnosis.refit import Fitted, cost_of, refit
 from pam_antagonist.diagnosis.result import FoundEffect
-from pam_antagonist.diagnosis.select import Model, evidence, price
+from pam_antagonist.diagnosis.select import (
+    STRONG,
+    Model,
+    evidence,
+    excess_squares,
+    price,
+    refitted_without,
+    removed,
+)
 
 _SMALL = 0.1
 """A muscle whose size is less than this share of the other's is not the one."""
@@ -63,6 +71,44 @@ def _strength(fitted: Fitted, unknown: Unknown, std: float) -> float:
     return abs(value) / std if std > 0.0 else 0.0
 
 
+def without_idle(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Model:
+    """A model without effects and sizes that do not pay beside the others: the backward step.
+
+    Args:
+        experiments: the recordings.
+        base: the model without effects.
+        model: the model.
+        jobs: threads.
+    """
+    for effect in model.effects[:-1]:
+        without = refitted_without(experiments, model, effect, jobs)
+        if evidence_of(experiments, without, model) < STRONG:
+            model = without
+    fits = []
+    for experiment, before, fitted in zip(experiments, base.fits, model.fits, strict=True):
+        smaller = fitted
+        for effect in model.effects:
+            smaller = pruned(experiment, before, smaller, effect)
+        fits.append(smaller)
+    return Model(model.effects, tuple(fits))
+
+
+def found(
+    experiments: Sequence[Experiment], base: Model, model: Model, jobs: int
+) -> tuple[tuple[FoundEffect, ...], dict[str, float], list[str]]:
+    """The effects of a model, each with what would be lost without it; see :func:`found_effects`."""
+    gains, shares = {}, {}
+    whole = excess_squares(experiments, model, held=True)
+    before = excess_squares(experiments, base, held=True)
+    for effect in model.effects:
+        without = base if len(model.effects) == 1 else refitted_without(experiments, model, effect, jobs)
+        gains[effect] = evidence_of(experiments, without, model)
+        lost = excess_squares(experiments, without, held=True)
+        several = len(model.effects) > 1
+        shares[effect] = float(np.sum(lost - whole) / max(np.sum(before), 1e-12)) if several else removed(lost, whole)
+    return found_effects(experiments, model, gains, shares)
+
+
 def found_effects(
     experiments: Sequence[Experiment],
     model: Model,
@@ -85,7 +131,7 @@ def found_effects(
     values: dict[str, float] = {}
     contradictions: list[str] = []
     for effect in model.effects:
-        sized = {unknown: _sizes(model, unknown) for unknown in Candidate(effect).unknowns}
+        sized = {unknown: _sizes(model, unknown) for unknown in unknowns_of(model, effect)}
         sized = {unknown: seen for unknown, seen in sized.items() if seen}
         shapes = {u: seen for u, seen in sized.items() if not u.item.is_size}
         groups: dict[int | None, dict[Unknown, list[Sized]]] = {}
@@ -141,6 +187,12 @@ def found_effects(
     return tuple(found), values, contradictions
 
 
+def unknowns_of(model: Model, effect: str) -> tuple[Unknown, ...]:
+    """Numbers of an effect that are free in any recording, in the order of the catalogue and its sizes first."""
+    path = f"effects.{effect}."
+    return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.unknowns if u.path.startswith(path)))
+
+
 def _sizes(model: Model, unknown: Unknown) -> list[Sized]:
     """Value of a number in every recording in which it is free, not 0, and not a shadow of its sibling."""
     seen = []
@@ -164,7 +216,7 @@ def _sizes(model: Model, unknown: Unknown) -> list[Sized]:
 def _mean(seen: Sequence[Sized]) -> tuple[float, float, bool]:
     """Weighted mean, its standard deviation with the spread between recordings, and whether they agree."""
     values = np.array([s.value for s in seen])
-    floor = 1e-9 + 0.02 * float(np.max(np.abs(values)))
+    floor = 0.02 * float(np.max(np.abs(values)))
     weights = 1.0 / (np.array([s.std for s in seen]) ** 2 + floor**2)
     mean = float(weights @ values / weights.sum())
     spread = float(np.ptp(values))

@@ -1,24 +1,26 @@
-"""Whether what no law explains is something that pushes the joint now and then."""
+"""Whether what no law explains is something that pushes the joint now and then, alone or beside laws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import pushes
+from pam_antagonist.diagnosis import findings, pushes, rules
 from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT
-from pam_antagonist.diagnosis.experiment import Experiment
-from pam_antagonist.diagnosis.refit import cost_of, excess
+from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.refit import Fitted, cost_of, excess
 from pam_antagonist.diagnosis.result import FoundEffect
-from pam_antagonist.diagnosis.select import Model, price
+from pam_antagonist.diagnosis.select import Model, price, recalibrated, select
+from pam_antagonist.diagnosis.store import Store
 
 NOTE = (
     "a push is known only afterwards: the model alone cannot foresee it, and its errors stay; the estimator has it as "
     "a state"
 )
+_NOISE = f"effects.{UNKNOWN_INPUT}.noise"
 _CLEAN = 2.0
 """A recording in which nothing can push is that clean, in multiples of the noise."""
 _UNKNOWNS = 3
@@ -27,45 +29,120 @@ _UNKNOWNS = 3
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Pushes as the explanation of all recordings."""
+    """Pushes as an explanation of all recordings, with laws beside them where there are any.
+
+    Attributes:
+        model: with the laws, and with a torque that is not known beforehand where something pushed.
+        effects: what was found.
+        values: of the effects, for one rig.
+        share: of the held-out excess that the pushes take away.
+        warnings: what there is to say of them.
+    """
 
     model: Model
-    effect: FoundEffect
+    effects: tuple[FoundEffect, ...]
     values: Mapping[str, float]
     share: float
+    warnings: tuple[str, ...]
 
 
-def explain(experiments: Sequence[Experiment], base: Model, jobs: int) -> Explanation | None:
+@dataclass(frozen=True, eq=False)
+class _Pushed:
+    """Recordings with the pushes as an input.
+
+    Attributes:
+        experiments: with the torque.
+        fits: their models beside it.
+        noises: size of the random walk that the pushes look like, one a recording; 0 where there were none.
+        effect: the pushes.
+    """
+
+    experiments: tuple[Experiment, ...]
+    fits: tuple[Fitted, ...]
+    noises: tuple[float, ...]
+    effect: FoundEffect
+
+
+def explain(
+    experiments: Sequence[Experiment], base: Model, chosen: Model, jobs: int, said: Callable[[str], None]
+) -> Explanation | None:
     """Explain all recordings by pushes, if they come and go and leave little; else None.
+
+    They are looked for beside the base model, and where they are none there, beside the laws that were chosen. With
+    the pushes as an input, laws may show that they had hidden.
 
     Args:
         experiments: the recordings.
         base: the recalibrated model.
+        chosen: the model of the forward selection, which did not explain enough.
         jobs: threads.
+        said: told what is being done.
     """
-    found = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(pushes.find)(e, f) for e, f in zip(experiments, base.fits, strict=True)
+    pushed = _find(experiments, base, jobs)
+    if pushed is not None:
+        quiet = Model((), pushed.fits)
+        model = select(pushed.experiments, quiet, jobs, rules.worth, said, Store()).model
+    elif chosen.effects:
+        pushed = _find(experiments, chosen, jobs)
+        if pushed is None:
+            return None
+        quiet, model = recalibrated(pushed.experiments, jobs), Model(chosen.effects, pushed.fits)
+    else:
+        return None
+    laws: tuple[FoundEffect, ...] = ()
+    values: dict[str, float] = {}
+    warnings: list[str] = []
+    if model.effects:
+        model = findings.without_idle(pushed.experiments, quiet, model, jobs)
+        laws, values, warnings = findings.found(pushed.experiments, quiet, model, jobs)
+    fits = tuple(
+        _restless(fitted, noise) if noise else fitted for fitted, noise in zip(model.fits, pushed.noises, strict=True)
     )
-    seen, fits, evidence = [], [], 0.0
-    for experiment, fitted, push in zip(experiments, base.fits, found, strict=True):
+    return Explanation(
+        Model((*model.effects, UNKNOWN_INPUT), fits),
+        (*laws, pushed.effect),
+        {**values, _NOISE: pushed.effect.parameters["noise"][0]},
+        pushed.effect.holdout_gain,
+        (*warnings, NOTE),
+    )
+
+
+def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed | None:
+    """Pushes that explain what a model leaves in every recording in which something can push."""
+    found = Parallel(n_jobs=jobs, prefer="threads")(
+        delayed(pushes.find)(e, f) for e, f in zip(experiments, model.fits, strict=True)
+    )
+    seen, evidence = {}, 0.0
+    now, fits = list(experiments), list(model.fits)
+    for r, (experiment, fitted, push) in enumerate(zip(experiments, model.fits, found, strict=True)):
         if np.max(excess(experiment, fitted.residual)) < _CLEAN:
-            fits.append(fitted)
             continue
         if push is None or not push.explains:
             return None
-        seen.append((experiment.trial.name, push))
-        fits.append(push.model())
+        seen[r] = push
+        now[r], fits[r] = push.experiment, push.fitted
         gain = cost_of(experiment, fitted.point, fitted.residual, fitted.scale)
         gain -= cost_of(experiment, push.fitted.point, push.fitted.residual, fitted.scale)
         evidence += fitted.scale.share * gain - price(experiment, fitted, _UNKNOWNS * push.episodes)
     if not seen:
         return None
-    noise = float(np.sqrt(np.mean([push.noise**2 for _, push in seen])))
-    spread = float(np.ptp([push.noise for _, push in seen])) / 2.0
+    noise = float(np.sqrt(np.mean([push.noise**2 for push in seen.values()])))
+    spread = float(np.ptp([push.noise for push in seen.values()])) / 2.0
     # A root of a mean square over so many pushes is known to its inverse root.
-    std = max(spread, noise / np.sqrt(2.0 * sum(push.episodes for _, push in seen)))
-    share = min(push.shares[0] for _, push in seen)
-    names = tuple(name for name, _ in seen)
-    effect = FoundEffect(UNKNOWN_INPUT, None, {"noise": (noise, std, "N m/s^0.5")}, evidence, share, names, (NOTE,))
-    values = {"effects.external_torque.noise": noise}
-    return Explanation(Model((UNKNOWN_INPUT,), tuple(fits)), effect, values, share)
+    std = max(spread, noise / np.sqrt(2.0 * sum(push.episodes for push in seen.values())))
+    effect = FoundEffect(
+        UNKNOWN_INPUT,
+        None,
+        {"noise": (noise, std, "N m/s^0.5")},
+        evidence,
+        min(push.shares[0] for push in seen.values()),
+        tuple(experiments[r].trial.name for r in seen),
+        (NOTE,),
+    )
+    noises = tuple(seen[r].noise if r in seen else 0.0 for r in range(len(experiments)))
+    return _Pushed(tuple(now), tuple(fits), noises, effect)
+
+
+def _restless(fitted: Fitted, noise: float) -> Fitted:
+    """A model with a torque that is not known beforehand: an estimator's model."""
+    return replace(fitted, point=Point(fitted.point.theta, {**fitted.point.effects, _NOISE: noise}))

@@ -7,8 +7,9 @@ from typing import Any
 
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT, Candidate, Unknown
+from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT, Unknown
 from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.findings import unknowns_of
 from pam_antagonist.diagnosis.refit import Fitted, cost_of, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import Model
@@ -42,7 +43,8 @@ def profile_sizes(
     for effect in found:
         if effect.name == UNKNOWN_INPUT:
             continue
-        sizes = [u for u in Candidate(effect.name).sizes if u.path.split(".")[2] in effect.parameters]
+        free = [unknown for unknown in unknowns_of(model, effect.name) if unknown.item.is_size]
+        sizes = [unknown for unknown in free if unknown.path.split(".")[2] in effect.parameters]
         for unknown in sizes:
             r = _where(model, unknown, [names.index(name) for name in effect.recordings])
             if r is None:

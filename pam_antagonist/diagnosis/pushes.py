@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.refit import Fitted, excess, refit
 from pam_antagonist.diagnosis.simulation import BLOCK, blocks
 from pam_antagonist.identification.trial import ANGLE, PRESSURE_1
@@ -61,7 +61,8 @@ class Pushes:
         fitted: the base parameters beside it.
         torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the pushes.
         active: share of the time with one.
-        shares: share of the held-out and of the fitted excess that goes with it, in hindsight.
+        shares: share of the held-out and of the fitted excess that goes with it, in hindsight; the latter twice where
+            all of it was fitted.
         noise: size of the random walk that it looks like [N m/s^0.5].
     """
 
@@ -76,11 +77,6 @@ class Pushes:
     def episodes(self) -> int:
         """How often something pushes."""
         return int(np.sum(np.diff((self.torque != 0.0).astype(int)) == 1)) + int(self.torque[0] != 0.0)
-
-    def model(self) -> Fitted:
-        """The base parameters with a torque that is not known beforehand: an estimator's model."""
-        effects = {**self.fitted.point.effects, "effects.external_torque.noise": self.noise}
-        return replace(self.fitted, point=Point(self.fitted.point.theta, effects))
 
     @property
     def explains(self) -> bool:
@@ -102,6 +98,8 @@ def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
     if trial.joint == "locked" or ANGLE not in experiment.channels:
         return None
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
+    # Another recording has pushes of its own; they are not known there.
+    experiment = replace(experiment, judged=())
     best, now, base = None, experiment, fitted
     for _ in range(_ROUNDS):
         torque = _observed(now, base)
@@ -109,14 +107,15 @@ def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
         samples = np.repeat(torque, BLOCK)
         samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
         pushed = replace(experiment, trial=replace(trial, external=known + samples))
-        base = refit(pushed, Point(base.point.theta, dict(base.point.effects)), renewals=2)
+        base = refit(pushed, base.point, fitted.unknowns, renewals=2)
         now = experiment
         before = (experiment.held(experiment.residual(fitted.point, whole=True)), fitted.residual)
         after = (pushed.held(pushed.residual(base.point, whole=True)), base.residual)
-        shares = tuple(_gone(experiment, old, new) for old, new in zip(before, after, strict=True))
+        pairs = [pair for pair in zip(before, after, strict=True) if len(pair[0])]
+        shares = tuple(_gone(experiment, old, new) for old, new in pairs)
         steps = np.diff(torque[::_LOOK])
         noise = float(np.sqrt(np.mean(steps**2) / (_LOOK * BLOCK * trial.dt)))
-        found = Pushes(pushed, base, torque, float(np.mean(torque != 0.0)), (shares[0], shares[1]), noise)
+        found = Pushes(pushed, base, torque, float(np.mean(torque != 0.0)), (shares[0], shares[-1]), noise)
         if best is None or min(found.shares) > min(best.shares):
             best = found
     return best

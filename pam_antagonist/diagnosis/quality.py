@@ -45,8 +45,13 @@ def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
     return said
 
 
-def unseen(trials: Sequence[Trial]) -> tuple[str, ...]:
-    """What no analysis of these recordings can show, one sentence each."""
+def unseen(trials: Sequence[Trial], invisible: Sequence[str] = ()) -> tuple[str, ...]:
+    """What no analysis of these recordings can show, one sentence each.
+
+    Args:
+        trials: the recordings.
+        invisible: effects that would not show in them.
+    """
     conditions = {trial.joint for trial in trials}
     said = []
     if "free" not in conditions:
@@ -67,5 +72,13 @@ def unseen(trials: Sequence[Trial]) -> tuple[str, ...]:
             "external torque, hysteresis and creep are hardly seen."
         )
     if not any(trial.has(TORQUE) or trial.has(ANGLE) for trial in trials):
-        said.append("Pressures alone decide here: only effects of the air, the valves and their sensors can be found.")
+        said.append(
+            "Pressures alone decide here, and the estimator's innovations: only effects of the air, the valves and "
+            "their sensors can be found."
+        )
+    if invisible:
+        said.append(
+            f"Not seen in these recordings at a usual size, even if nothing else were wrong: {', '.join(invisible)}. "
+            "That they were not found says nothing about them."
+        )
     return tuple(said)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,6 +22,12 @@ _ENOUGH_OF_ALL = 2e-3
 AT_NOISE = 1.1
 """A channel is at its noise whose residual is at most so many times as large: 60 s tell the noise to a few per cent."""
 _NEAR = 4.0
+_STARTS = 2
+_TRIED = 2
+_HOPELESS = 40.0
+"""A start is not followed that is so much behind after these steps, in −2 log posterior."""
+_SPREAD = float(np.log(6.0))
+"""Shapes are drawn up to so far from where the catalogue starts them, in logarithms."""
 _LEAP = 1.0
 """A step that multiplies a time constant by more than e is a leap in the dark."""
 
@@ -141,23 +148,59 @@ def refit(
 
 
 def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
-    """A model whose residual may be noise alone, fitted once more as one that is right: every block counts then.
+    """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
+
+    Its derivatives are those at its own point, so that a model of which only the point was kept is the same again.
 
     Args:
-        experiment: the recording.
+        experiment: the recording; its seed draws the starts.
         fitted: the model at the pace of one that lacks something.
 
     Returns:
-        The finer fit where it ends at the noise of every channel, else the model as it was.
+        The best fit; where it ends at the noise of every channel, the finer one that counts every block.
     """
-    if np.max(excess(experiment, fitted.residual)) > _NEAR:
-        return fitted
-    finer = refit(experiment, fitted.point, fitted.unknowns, fitted.base, renewals=2, pace=1.0)
-    return finer if np.max(excess(experiment, finer.residual)) < AT_NOISE else fitted
+    best = min((fitted, *_from_elsewhere(experiment, fitted)), key=lambda found: found.cost)
+    if np.max(excess(experiment, best.residual)) <= _NEAR:
+        finer = refit(experiment, best.point, best.unknowns, best.base, renewals=2, pace=1.0)
+        best = finer if np.max(excess(experiment, finer.residual)) < AT_NOISE else best
+    return refit(experiment, best.point, best.unknowns, rounds=0, pace=best.scale.pace)
+
+
+def _from_elsewhere(experiment: Experiment, fitted: Fitted) -> list[Fitted]:
+    """Fits from other starts: after a few steps the best of those that are drawn, to its end if it may get there."""
+    if not fitted.unknowns:
+        return []
+    # Each model has draws of its own, whatever was fitted before it and on which thread.
+    name = zlib.crc32(" ".join(unknown.path for unknown in fitted.unknowns).encode())
+    rng = np.random.default_rng([experiment.seed, name])
+    drawn = [
+        refit(experiment, _drawn(fitted, rng), fitted.unknowns, fitted.base, rounds=_TRIED, renewals=0)
+        for _ in range(_STARTS)
+    ]
+    best = min(drawn, key=lambda found: found.cost)
+    if best.cost > fitted.cost + _HOPELESS:
+        return []
+    return [refit(experiment, best.point, best.unknowns, best.base, renewals=0)]
+
+
+def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:
+    """Another start: sizes of another magnitude, also where one was 0, and any shape that makes sense."""
+    effects = dict(fitted.point.effects)
+    for unknown in fitted.unknowns:
+        value, item = effects.get(unknown.path, unknown.item.neutral), unknown.item
+        if item.is_size:
+            drawn = (value if value and rng.random() < 0.5 else item.scale) * float(np.exp(rng.normal()))
+            drawn = -drawn if item.low < 0.0 and rng.random() < 0.25 else drawn
+        else:
+            drawn = item.neutral * float(np.exp(rng.uniform(-_SPREAD, _SPREAD)))
+        effects.update(dict.fromkeys(unknown.paths, unknown.bounded(drawn)))
+    return Point(fitted.point.theta, effects)
 
 
 def excess(experiment: Experiment, residual: Floats) -> Floats:
-    """Root mean square of each channel over its noise (C,)."""
+    """Root mean square of each channel over its noise (C,); the noise's where there is nothing to judge by."""
+    if not len(residual):
+        return np.ones(residual.shape[1])
     return np.asarray(np.sqrt(np.mean(residual**2, axis=0)) / experiment.noise)
 
 

@@ -1,156 +1,161 @@
-"""What is not explained: where it is, what it goes with, and what form a sparse regression suggests."""
+"""What is not explained: where it is, on what it depends, and what form a sparse regression suggests."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.experiment import Experiment
-from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, excess
+from pam_antagonist.diagnosis import dependence
+from pam_antagonist.diagnosis.dependence import Form, Surroundings
+from pam_antagonist.diagnosis.equations import NAMES, SPAN, UNITS, equation_errors
+from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.refit import AT_NOISE, excess
 from pam_antagonist.diagnosis.select import Model
 from pam_antagonist.diagnosis.simulation import BLOCK, blocks
 from pam_antagonist.identification.trial import ANGLE, PRESSURE_1
-from pam_antagonist.model import dynamics
 
 Floats = NDArray[np.float64]
 
 _TITLES = ("joint angle", "torque", "pressure 1", "pressure 2")
-_HORIZON = 10
-"""Blocks over which the flow's residual is taken: the model starts from the measurement and runs so long."""
-_TERMS = 3
+_UNITS = ("deg", "N m", "kPa", "kPa")
+_FACTORS = (float(np.degrees(1.0)), 1.0, 1e-3, 1e-3)
 _LEAST_SHARE = 0.05
+_CLEAR = 1.3
+"""An equation's error is described where it is so many times the sensors': its noise is known less well."""
 
 
-def describe(experiments: Sequence[Experiment], model: Model) -> list[str]:
-    """One line for each channel of each recording that is beyond its noise, and one for each muscle's flow."""
-    lines = []
+@dataclass(frozen=True, eq=False)
+class Left:
+    """A residual that no effect explains, in one channel of one recording.
+
+    Attributes:
+        recording: its name.
+        channel: a sensor, or the error of an equation.
+        unit: of the residual.
+        times_noise: its root mean square over what the sensors alone give.
+        depends_on: share of its variance that goes with each kind of dependence alone.
+        bands: share of its power in each band of frequency.
+        period: about which its power lies [s].
+        form: what a sparse regression suggests.
+        values: the residual (N,) where it was fitted.
+        around: what was there.
+    """
+
+    recording: str
+    channel: str
+    unit: str
+    times_noise: float
+    depends_on: dict[str, float]
+    bands: dict[str, float]
+    period: float
+    form: Form
+    values: Floats
+    around: Surroundings
+
+    def line(self) -> str:
+        """The description as a line."""
+        goes = ", ".join(f"{n} ({100 * v:.0f} %)" for n, v in dependence.strongest(self.depends_on, _LEAST_SHARE)[:3])
+        with_it = (
+            f"depends on {goes}" if goes else "depends on none of pressure, length, direction, command, time alone"
+        )
+        band = max(self.bands, key=lambda name: self.bands[name])
+        said = (
+            f"{self.recording}, {self.channel}: {self.times_noise:.1f} times the noise; {with_it}; "
+            f"{100 * self.bands[band]:.0f} % of its power {band}, typical period {self.period:.1f} s"
+        )
+        if self.form.terms and self.form.share >= _LEAST_SHARE:
+            held = "" if np.isnan(self.form.held_out) else f", {100 * max(self.form.held_out, 0.0):.0f} % held out"
+            said += (
+                f"; it looks like {self.form} [{self.unit}], which explains {100 * self.form.share:.0f} % of it{held}"
+            )
+        return said
+
+
+def describe(experiments: Sequence[Experiment], model: Model) -> list[Left]:
+    """What is beyond the noise: of the equations of each recording, then of its sensors."""
+    out = []
     for experiment, fitted in zip(experiments, model.fits, strict=True):
         over = excess(experiment, fitted.residual)
-        signals = _signals(experiment, fitted)
+        if np.max(over) < AT_NOISE:
+            continue
+        out += _of_equations(experiment, fitted.point)
+        around = _around(experiment, fitted.point)
+        first = -(-experiment.fitted // BLOCK)
+        whole = experiment.residual(fitted.point, whole=True)[: len(experiment.measured)]
         for k, channel in enumerate(experiment.channels):
-            if over[k] < AT_NOISE:
-                continue
-            residual = fitted.residual[:, k]
-            said = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in _related(residual, signals)[:2])
-            with_it = f"; goes with {said}" if said else "; goes with none of the signals alone"
-            lines.append(
-                f"{experiment.trial.name}, {_TITLES[channel]}: {over[k]:.1f} times the noise{with_it}; "
-                f"typical period {_period(residual, BLOCK * experiment.trial.dt):.1f} s"
-            )
-        for muscle in (0, 1):
-            if over[list(experiment.channels).index(PRESSURE_1 + muscle)] >= AT_NOISE:
-                lines += _flow_line(experiment, fitted, muscle)
-    return lines
+            if over[k] >= AT_NOISE:
+                values = whole[:, k] * _FACTORS[channel]
+                late = np.arange(len(values)) >= first
+                titled = _TITLES[channel], _UNITS[channel]
+                out.append(_left(experiment, titled, float(over[k]), values, late, around, BLOCK * experiment.trial.dt))
+    return out
 
 
-def _signals(experiment: Experiment, fitted: Fitted) -> dict[str, Floats]:
-    """What a residual may go with, as block means over the fitted part."""
-    model = blocks(experiment.simulated(fitted.point))
-    count = len(fitted.residual)
-    voltage = blocks(experiment.trial.voltage)[:count]
-    angle = model[:, ANGLE]
+def _of_equations(experiment: Experiment, point: Point) -> list[Left]:
+    errors = equation_errors(experiment, point)
+    around = _around(experiment, point)
+    windows = _means(around, errors.begin)
+    late = errors.begin + SPAN > experiment.fitted // BLOCK
+    out = []
+    for k in errors.known:
+        over = float(np.sqrt(np.mean(errors.values[~late, k] ** 2))) / errors.noise[k]
+        if over >= _CLEAR:
+            titled, step = (NAMES[k], UNITS[k]), SPAN * BLOCK * experiment.trial.dt
+            out.append(_left(experiment, titled, over, errors.values[:, k], late, windows, step))
+    return out
+
+
+def _left(
+    experiment: Experiment,
+    titled: tuple[str, str],
+    over: float,
+    values: Floats,
+    late: NDArray[np.bool_],
+    around: Surroundings,
+    step: float,
+) -> Left:
+    early, then = values[~late], around.take(~late)
+    return Left(
+        recording=experiment.trial.name,
+        channel=titled[0],
+        unit=titled[1],
+        times_noise=over,
+        depends_on=dependence.shares(early, then),
+        bands=dependence.bands(early, step),
+        period=dependence.period(early, step),
+        form=dependence.form(early, then, (values[late], around.take(late)) if late.any() else None),
+        values=early,
+        around=then,
+    )
+
+
+def _around(experiment: Experiment, point: Point) -> Surroundings:
+    """What was there in each block; pressures and motion are the model's, which have no noise."""
+    model = blocks(experiment.simulated(point, whole=True))
     step = BLOCK * experiment.trial.dt
-    velocity = np.gradient(angle, step)
-    signals = {
-        "pressure 1": model[:, PRESSURE_1],
-        "pressure 2": model[:, PRESSURE_1 + 1],
-        "the difference of the pressures": model[:, PRESSURE_1] - model[:, PRESSURE_1 + 1],
-        "the sum of the pressures": model[:, PRESSURE_1] + model[:, PRESSURE_1 + 1],
-        "voltage 1": voltage[:, 0],
-        "voltage 2": voltage[:, 1],
-        "the rate of pressure 1": np.gradient(model[:, PRESSURE_1], step),
-        "the rate of pressure 2": np.gradient(model[:, PRESSURE_1 + 1], step),
-        "time": np.arange(count) * step,
-    }
-    if experiment.trial.joint == "free":
-        signals["muscle length (the angle)"] = angle
-        signals["the direction of motion"] = np.tanh(velocity / 0.02)
-        signals["velocity"] = velocity
-    return {name: np.asarray(signal, dtype=np.float64) for name, signal in signals.items()}
+    free = experiment.trial.joint == "free"
+    return Surroundings(
+        model[:, PRESSURE_1:],
+        blocks(experiment.trial.voltage),
+        np.asarray(np.arange(len(model)) * step),
+        model[:, ANGLE] if free else None,
+        np.gradient(model[:, ANGLE], step) if free else None,
+    )
 
 
-def _related(residual: Floats, signals: Mapping[str, Floats]) -> list[tuple[str, float]]:
-    """Share of the residual's variance that each signal explains as a quadratic, the largest first."""
-    shares = []
-    total = float(np.var(residual)) or 1.0
-    for name, signal in signals.items():
-        scaled = (signal - signal.mean()) / (signal.std() or 1.0)
-        design = np.column_stack([np.ones_like(scaled), scaled, scaled**2])
-        left = residual - design @ np.linalg.lstsq(design, residual, rcond=None)[0]
-        shares.append((name, 1.0 - float(np.var(left)) / total))
-    return sorted((item for item in shares if item[1] > _LEAST_SHARE), key=lambda item: -item[1])
+def _means(around: Surroundings, begin: NDArray[np.int64]) -> Surroundings:
+    """The same in windows."""
 
+    def mean(values: Floats) -> Floats:
+        return np.array([values[b : b + SPAN].mean(axis=0) for b in begin])
 
-def _period(residual: Floats, step: float) -> float:
-    """Period [s] about which the residual's power lies: the power's mean frequency."""
-    power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2
-    frequency = np.fft.rfftfreq(len(residual), step)
-    mean = float(power[1:] @ frequency[1:] / max(power[1:].sum(), 1e-300))
-    return 1.0 / mean if mean > 0.0 else float("inf")
-
-
-def _flow_line(experiment: Experiment, fitted: Fitted, muscle: int) -> list[str]:
-    """The pressure's rate that the model lacks, and a sparse regression for its form."""
-    rate, at = _rate_residual(experiment, fitted, muscle)
-    pressures = experiment.measured[at][:, [list(experiment.channels).index(PRESSURE_1 + i) for i in (0, 1)]] / 1e5
-    voltage = blocks(experiment.trial.voltage)[at]
-    p1, p2 = pressures.T
-    library = {
-        "P_1": p1, "P_2": p2, "P_1 − P_2": p1 - p2, "P_1²": p1**2, "P_2²": p2**2, "P_1 P_2": p1 * p2,
-        "u_1": voltage[:, 0], "u_2": voltage[:, 1], "P_1 u_1": p1 * voltage[:, 0], "P_2 u_2": p2 * voltage[:, 1],
-    }  # fmt: skip
-    chosen, share = _sparse(rate, library)
-    if share < _LEAST_SHARE:
-        return []
-    form = " ".join(f"{value:+.2g}·{name}" for name, value in chosen)
-    return [
-        f"{experiment.trial.name}, rate of pressure {muscle + 1} that the model lacks [kPa/s; P in 100 kPa, u in V]: "
-        f"{form} explains {100 * share:.0f} % of it"
-    ]
-
-
-def _rate_residual(experiment: Experiment, fitted: Fitted, muscle: int) -> tuple[Floats, NDArray[np.int64]]:
-    """Rate [kPa/s] by which the pressure moved more than the model does that starts from the measurement."""
-    trial, p = experiment.trial, experiment.parameters(fitted.point)
-    whole = experiment.simulated(fitted.point)
-    samples = _HORIZON * BLOCK
-    begins = np.arange(samples, len(whole) - 2 * samples, samples)
-    measured = trial.measured
-    out = np.empty(len(begins))
-    for k, begin in enumerate(begins):
-        window = slice(begin - BLOCK // 2, begin + BLOCK // 2)
-        start = np.nanmean(measured[window, PRESSURE_1:], axis=0)
-        angle = whole[begin, ANGLE] if ANGLE not in experiment.channels else float(np.nanmean(measured[window, ANGLE]))
-        x0 = dynamics.initial_state(angle, start[0], start[1], trial.voltage[begin], p)
-        states, _, _ = dynamics.simulate(x0, trial.voltage[begin : begin + samples + BLOCK], p, trial.dt, 1)
-        end = slice(begin + samples - BLOCK // 2, begin + samples + BLOCK // 2)
-        seen = np.nanmean(measured[end, PRESSURE_1 + muscle])
-        said = states[samples - BLOCK // 2 : samples + BLOCK // 2, 2 + muscle].mean()
-        out[k] = (seen - said) / (samples * trial.dt) / 1e3
-    return np.nan_to_num(out), (begins + samples // 2) // BLOCK
-
-
-def _sparse(target: Floats, library: Mapping[str, Floats]) -> tuple[list[tuple[str, float]], float]:
-    """Few terms that explain a target: forward, each kept only while it pays by the Bayesian criterion."""
-    ones = np.ones_like(target)
-    chosen: list[str] = []
-    left = target - target.mean()
-    total = float(left @ left) or 1.0
-    coefficients: Floats = np.zeros(1)
-    for _ in range(_TERMS):
-        best = None
-        for name in library:
-            if name in chosen:
-                continue
-            design = np.column_stack([ones, *(library[n] for n in (*chosen, name))])
-            solution = np.linalg.lstsq(design, target, rcond=None)[0]
-            rest = target - design @ solution
-            if best is None or float(rest @ rest) < best[0]:
-                best = float(rest @ rest), name, solution, rest
-        if best is None or len(target) * np.log(float(left @ left) / best[0]) < np.log(len(target)) + 6.0:
-            break
-        chosen.append(best[1])
-        coefficients, left = np.asarray(best[2], dtype=np.float64), best[3]
-    return list(zip(chosen, coefficients[1:].tolist(), strict=True)), 1.0 - float(left @ left) / total
+    return Surroundings(
+        mean(around.pressure),
+        mean(around.voltage),
+        mean(around.time),
+        None if around.angle is None else mean(around.angle),
+        None if around.velocity is None else mean(around.velocity),
+    )

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from pam_antagonist.diagnosis.experiment import Experiment
+from pam_antagonist.diagnosis.heldout import Compared
+from pam_antagonist.diagnosis.remaining import Left
 from pam_antagonist.diagnosis.select import Model, Trial
 from pam_antagonist.rig import Rig
 
@@ -69,7 +71,7 @@ class Diagnosis:
         share: share of the held-out residual beyond noise that the extended model removes.
         errors: by model (``as_configured``, ``recalibrated``, ``extended``), as in ``report.json``.
         by_recording: the same and more, for each recording.
-        remaining: description of what is not explained, one line each.
+        remaining: what is not explained, described.
         unseen: what these recordings cannot show.
         warnings: what the user should know.
         profiles: profile likelihoods of the found sizes.
@@ -80,8 +82,9 @@ class Diagnosis:
         recalibrated: the model without effects.
         extended: the model with them.
         trials: candidates with their models.
-        held_from: time [s] from which each recording was held out.
+        compared: the recordings with the three models on each, those that were held out as a whole as well.
         seconds: what took how long.
+        sealed: of a sealed joint, what only such a one has (:mod:`pam_antagonist.diagnosis.sealed`); else None.
     """
 
     verdict: Literal["effect", "none", "unexplained"]
@@ -93,7 +96,7 @@ class Diagnosis:
     share: float
     errors: Mapping[str, Mapping[str, Any]]
     by_recording: tuple[Mapping[str, Any], ...]
-    remaining: tuple[str, ...]
+    remaining: tuple[Left, ...]
     unseen: tuple[str, ...]
     warnings: tuple[str, ...]
     profiles: tuple[Mapping[str, Any], ...]
@@ -104,5 +107,6 @@ class Diagnosis:
     recalibrated: Model
     extended: Model
     trials: tuple[Trial, ...]
-    held_from: tuple[float, ...]
+    compared: tuple[Compared, ...]
     seconds: Mapping[str, float]
+    sealed: Mapping[str, Any] | None = None

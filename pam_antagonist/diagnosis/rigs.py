@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.diagnosis.refit import Fitted
 from pam_antagonist.diagnosis.select import Model
 from pam_antagonist.identification.change import moved
 from pam_antagonist.model.effects import CATALOGUE
@@ -17,6 +18,10 @@ Floats = NDArray[np.float64]
 
 _OWN = 0.01
 """Relative scatter between recordings that a weighted mean expects."""
+_FAR = 5.0
+"""Parameters of one rig are not so many standard deviations of their priors apart,"""
+_CERTAIN = 5.0
+"""if that is so many standard deviations of the fits."""
 
 
 def own_rig(experiment: Experiment, point: Point) -> Rig:
@@ -34,8 +39,23 @@ def common_rig(experiments: Sequence[Experiment], model: Model, effects: Mapping
     """
     if len(experiments) == 1:
         return own_rig(experiments[0], model.fits[0].point)
+    return own_rig(experiments[0], common_point(experiments, model, effects))
+
+
+def common_point(experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float]) -> Point:
+    """The same as a point, of which a recording needs its own start only.
+
+    Args:
+        experiments: the recordings.
+        model: their models.
+        effects: values of the effects' parameters by dotted path.
+    """
     first = experiments[0]
     count = len(first.knobs)
+    theta = np.zeros(first.size)
+    if len(experiments) == 1:
+        theta[:count] = model.fits[0].point.theta[:count]
+        return Point(theta, dict(model.fits[0].point.effects))
     information, pull = np.diag(first.prior[:count]), np.zeros(count)
     for fitted in model.fits:
         covariance = fitted.covariance[:count, :count] + _OWN**2 * np.eye(count)
@@ -44,9 +64,24 @@ def common_rig(experiments: Sequence[Experiment], model: Model, effects: Mapping
         weight -= np.linalg.inv(np.diag(1.0 / first.prior[:count]) + _OWN**2 * np.eye(count))
         information += weight
         pull += weight @ fitted.point.theta[:count]
-    theta = np.zeros(first.size)
     theta[:count] = np.linalg.solve(information, pull)
-    return with_effects(moved(first.rig, first.changes(Point(theta))), effects)
+    return Point(theta, dict(effects))
+
+
+def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, float] | None:
+    """Where two models of the same joint condition are of different rigs: name and relative difference, else None.
+
+    Args:
+        experiment: one of the two, whose directions they share.
+        one: its model.
+        other: that of the other.
+    """
+    count = len(experiment.knobs)
+    apart = one.point.theta[:count] - other.point.theta[:count]
+    variances = np.diag(one.covariance)[:count] + np.diag(other.covariance)[:count]
+    bound = np.maximum(_FAR * np.array([knob.prior for knob in experiment.knobs]), _CERTAIN * np.sqrt(variances))
+    worst = int(np.argmax(np.abs(apart) / bound))
+    return (experiment.knobs[worst].name, float(apart[worst])) if abs(apart[worst]) > bound[worst] else None
 
 
 def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:

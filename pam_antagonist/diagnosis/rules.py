@@ -1,7 +1,8 @@
 """When an effect is called found, when nothing is wrong, and when the answer is that it is not known.
 
-Evidence (ΔBIC, noise) has its statistical reason. The shares below have none but experience: they were set by what
-right and wrong explanations left of the held-out residual in recordings of rig A and of simulated joints.
+Evidence (ΔBIC, likelihood of held-out data, noise) has its statistical reason. The shares below have none but
+experience: they were set by what right and wrong explanations left of the held-out residual in recordings of rig A and
+of simulated joints.
 """
 
 from __future__ import annotations
@@ -17,34 +18,25 @@ from pam_antagonist.diagnosis.select import STRONG, Model, Trial, price
 FIRST_SHARE = 0.1
 """The first effect must remove this share of the held-out excess: a law that holds does so on data it never saw. Where
 another effect is there too, it need not be much."""
-FURTHER_SHARE = 0.4
-"""A further one must remove this share of what is left."""
-OWN_FORM = 0.85
-"""Where the effects so far have removed this share, what is left is as much as another form of them would leave
-(a Dahl loop against a Bouc-Wen one). A further effect then has to be clearer: ``CLEAR_SHARE``, twice the evidence."""
-CLEAR_SHARE = 0.75
-EXPLAINED = (0.7, 0.8, 0.9)
+FURTHER_SHARE = 0.05
+"""Likewise a further one, of what is left: most of that may be what another form of the first one leaves."""
+EXPLAINED = (0.8, 0.8, 0.85)
 """Share of the held-out excess that one, two or three effects must remove to be called the explanation.
 
 The more laws may be chosen, the more of anything they imitate."""
 _LEAST_UNKNOWNS = 2
 
 
-def worth(trial: Trial, share_before: float) -> bool:
-    """Whether a refitted candidate goes into the model.
+def worth(trial: Trial) -> bool:
+    """Whether a refitted candidate goes into the model: strong evidence where it was fitted, and where it was not.
 
     Args:
         trial: the candidate beside the model.
-        share_before: share of the held-out excess that the model removes already.
     """
-    if trial.delta_bic is None or trial.shares is None or trial.model is None or trial.delta_bic < STRONG:
+    if trial.delta_bic is None or trial.foretold is None or trial.shares is None or trial.model is None:
         return False
-    held, fitted = trial.shares
-    if trial.round == 1:
-        return held >= FIRST_SHARE
-    if share_before < OWN_FORM:
-        return held >= FURTHER_SHARE
-    return held >= CLEAR_SHARE and trial.delta_bic >= 2.0 * STRONG
+    share = FIRST_SHARE if trial.round == 1 else FURTHER_SHARE
+    return min(trial.delta_bic, trial.foretold) >= STRONG and trial.shares[0] >= share
 
 
 def could_pay(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.candidates import Candidate, Unknown, candidates
+from pam_antagonist.diagnosis.candidates import Candidate, Unknown
 from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.diagnosis.refit import Fitted, cost_of, prior_cost
 from pam_antagonist.diagnosis.solve import Scale, Step, solve
@@ -46,10 +46,10 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     # Weights from several starts: that of one channel near its noise hides what another could tell.
     firsts = (scale.variances(here.residual), scale.noise**2, np.var(experiment.measured, axis=0))
     known = here.effect.shape[2]
-    columns: dict[tuple[str, tuple[tuple[str, float], ...]], Floats] = {}
+    columns: dict[tuple[tuple[str, ...], tuple[tuple[str, float], ...]], Floats] = {}
 
     def column(size: Unknown, shape: Mapping[str, float]) -> Floats:
-        key = size.path, tuple(sorted(shape.items()))
+        key = size.paths, tuple(sorted(shape.items()))
         if key not in columns:
             values = dict.fromkeys(size.paths, size.item.scale)
             changed = Point(here.point.theta, {**here.point.effects, **shape, **values})
@@ -80,11 +80,19 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
             sizes = [size for size in sizes if size not in refused]
         return Score(candidate, 0.0, {**shape, **{path: 0.0 for size in candidate.sizes for path in size.paths}})
 
-    result = {}
-    for candidate in candidates(fitted.point.effects):
-        tried = [score(candidate, shape) for shape in candidate.grid()]
-        result[candidate.effect] = max(tried, key=lambda found: found.gain)
+    result: dict[str, Score] = {}
+    for candidate in experiment.candidates(fitted.point.effects):
+        found = max((score(candidate, shape) for shape in candidate.grid()), key=lambda tried: tried.gain)
+        simpler = result.get(candidate.effect)
+        if simpler is None or found.gain - simpler.gain > _price_beyond(fitted, candidate, simpler):
+            result[candidate.effect] = found
     return result
+
+
+def _price_beyond(fitted: Fitted, candidate: Candidate, simpler: Score) -> float:
+    """What the further unknowns of another form of a candidate cost."""
+    further = len(candidate.unknowns) - len(simpler.candidate.unknowns)
+    return further * float(np.log(max(fitted.scale.values(fitted.residual), np.e)))
 
 
 def as_configured(experiment: Experiment, effects: Mapping[str, float]) -> Fitted:

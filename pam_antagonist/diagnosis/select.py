@@ -143,7 +143,7 @@ def select(
     experiments: Sequence[Experiment],
     base: Model,
     jobs: int,
-    worth: Callable[[Trial, float], bool],
+    worth: Callable[[Trial], bool],
     said: Callable[[str], None],
     store: Store,
 ) -> Selection:
@@ -153,20 +153,18 @@ def select(
         experiments: the recordings.
         base: the recalibrated model.
         jobs: threads.
-        worth: decides on a refitted candidate, given the share of the held-out excess that is explained already.
+        worth: decides on a refitted candidate.
         said: told what is being done.
         store: keeps finished candidates.
     """
     model, tried = base, []
-    beginning = excess_squares(experiments, base, held=True)
     for number in range(1, MOST_EFFECTS + 1):
         if all(np.max(excess(e, f.residual)) < AT_NOISE for e, f in _pairs(experiments, model)):
             break
-        share = removed(beginning, excess_squares(experiments, model, held=True))
         found = _round(experiments, model, number, jobs, said, store)
         tried += found
-        best = next((trial for trial in found if trial.model is not None), None)
-        if best is None or best.model is None or not worth(best, share):
+        best = next((trial for trial in found if worth(trial)), None)
+        if best is None or best.model is None:
             break
         model = best.model
         said(f"{best.effect} added")

@@ -36,6 +36,7 @@ def sentence(
     share: float,
     errors: Mapping[str, Mapping[str, Any]],
     ranking: Sequence[Ranked],
+    recordings: int,
 ) -> str:
     """The verdict in a sentence.
 
@@ -45,6 +46,7 @@ def sentence(
         share: of the held-out excess that they explain.
         errors: of the three models.
         ranking: all candidates.
+        recordings: how many could show an effect; where not all do, those that do are named.
     """
     if verdict == "none":
         return (
@@ -52,7 +54,7 @@ def sentence(
             f"explains ({_errors(errors, 'recalibrated')} on data held out from the fit)."
         )
     if verdict == "effect":
-        everywhere = len({effect.recordings for effect in found}) == 1
+        everywhere = all(len(effect.recordings) == recordings for effect in found)
         what = "; and ".join(
             in_words(effect) + ("" if everywhere else f" in {' and '.join(effect.recordings)}") for effect in found
         )

@@ -48,13 +48,19 @@ def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) 
     Returns:
         What the sensors would show (N, 4), in the order of ``trial.CHANNELS``.
     """
+    states, torque = run(trial, p, start, shift)
+    return np.column_stack([states[:, 0], torque, *(sensor.reading(i, states[:, 2 + i], p) for i in (0, 1))])
+
+
+def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> tuple[Floats, Floats]:
+    """States (N, n) and torques (N,) [N m] of the same."""
     moved = np.zeros(3) if shift is None else shift
     pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
     angle = dynamics.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
     given = trial.voltage if trial.external is None else trial.given
     x0 = dynamics.initial_state(angle, pressures[0], pressures[1], given[0], p)
     states, torque, _ = dynamics.simulate(x0, given, p, trial.dt, 1)
-    return np.column_stack([states[:, 0], torque, *(sensor.reading(i, states[:, 2 + i], p) for i in (0, 1))])
+    return states, torque
 
 
 def blocks(values: Floats, size: int = BLOCK) -> Floats:

@@ -80,6 +80,8 @@ class Scale:
 
     def misfits(self, residual: Floats) -> Floats:
         """−2 log likelihood of each channel (C,) with its variance at its best, as a fit counts, up to a constant."""
+        if not len(residual):
+            return np.zeros(residual.shape[1])
         squares, variances = np.mean(residual**2, axis=0), self.variances(residual)
         return np.asarray(len(residual) / self.pace * (np.log(variances / self.noise**2) + squares / variances))
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pam_antagonist.diagnosis.experiment import Experiment, Point
+from pam_antagonist.errors import BadInput
+
+_SETTINGS = "settings.json"
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,39 @@ class Store:
     """
 
     folder: Path | None = None
+
+    def claim(self, settings: Mapping[str, Any]) -> None:
+        """Make the folder that of one run: of these recordings, this rig and these settings.
+
+        Args:
+            settings: whatever a candidate depends on, as plain values; ``report.json`` holds them likewise.
+
+        Raises:
+            BadInput: the folder holds what another run has left.
+        """
+        if self.folder is None:
+            return
+        path = self.folder / _SETTINGS
+        if path.is_file():
+            try:
+                left = json.loads(path.read_text(encoding="utf-8"))
+            except ValueError:
+                left = {}
+            other = [name for name, value in settings.items() if left.get(name) != json.loads(json.dumps(value))]
+            if other:
+                raise BadInput(
+                    f"{self.folder}: left by a run with another {other[0]}; expected the same recordings, rig and "
+                    "settings to go on with, or remove it"
+                )
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(dict(settings), indent=2) + "\n", encoding="utf-8")
+
+    def finished(self) -> int:
+        """How many refits are kept."""
+        if self.folder is None or not self.folder.is_dir():
+            return 0
+        return sum(1 for path in self.folder.glob("*.json") if path.name != _SETTINGS)
 
     def load(self, key: str) -> tuple[Point, float] | None:
         """Point and pace of a finished refit, None where there is none that can be read."""
@@ -50,5 +87,6 @@ def key_of(experiment: Experiment, parts: Sequence[str]) -> str:
     digest = hashlib.sha256()
     digest.update(np.ascontiguousarray(experiment.trial.measured).tobytes())
     digest.update(np.ascontiguousarray(experiment.trial.given).tobytes())
-    digest.update(f"{experiment.rig!r} {experiment.fitted} {experiment.trial.joint} {'/'.join(parts)}".encode())
+    digest.update(f"{experiment.rig!r} {experiment.fitted} {experiment.seed} ".encode())
+    digest.update(f"{experiment.trial.joint} {experiment.trial.lock_angle} {'/'.join(parts)}".encode())
     return digest.hexdigest()[:24]

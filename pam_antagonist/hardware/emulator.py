@@ -12,7 +12,7 @@ import time
 import tty
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
 
@@ -218,10 +218,12 @@ class Emulator:
                 self._send(self._firmware.receive(data, self._us(time.monotonic() - start)))
 
     def _tick(self, index: int, overrun: Status) -> None:
+        period_us = self._firmware.settings.period_us
+        if self._plan((self._clock.first_us + index * period_us) % (1 << 32)):
+            self._firmware = Firmware(self._firmware.settings)
+            self._clock = replace(self._clock, first_us=-index * period_us % (1 << 32))
         firmware = self._firmware
-        period_us = firmware.settings.period_us
         now_us = (self._clock.first_us + index * period_us) % (1 << 32)
-        self._plan(now_us)
         if self._port is not None and not self._faults.has("deaf"):
             # What lay there while this process stood still.
             data = self._faults.damaged(self._port.wait(0.0))
@@ -238,10 +240,10 @@ class Emulator:
             self._first_command_s = time.monotonic()
         self.ticks += 1
 
-    def _plan(self, now_us: int) -> None:
-        """Let faults begin and end; their time counts from the first command."""
+    def _plan(self, now_us: int) -> bool:
+        """Let faults begin and end; their time counts from the first command. Whether the device begins anew."""
         if self._first_command_s is None:
-            return
+            return False
         begun, ended = self._faults.at(time.monotonic() - self._first_command_s)
         for kind in ended:
             self._log.event(now_us, f"-{kind}")
@@ -257,6 +259,7 @@ class Emulator:
                 time.sleep(1e-3)
                 ended = self._faults.at(time.monotonic() - self._first_command_s)[1]
             self._log.event(now_us, "-stall")
+        return "restart" in begun
 
     def _shown(self, channel: int, reading: float) -> float:
         """What a pressure sensor shows, in order or not."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from pam_antagonist.errors import BadInput
 
@@ -20,6 +22,7 @@ KINDS = {
     "broken": "pressure sensor 1 or 2 shows 0",
     "stall": "the device stands still, as while its program is debugged",
     "stop": "the emergency stop at the device is pressed",
+    "restart": "the device begins anew, once, as after its voltage broke down",
 }
 """Name -> what happens."""
 
@@ -79,21 +82,78 @@ def _number(text: str, number: str) -> float:
     return value
 
 
+class FaultOrders:
+    """A named pipe through which faults are begun and ended while the device runs.
+
+    Each line is an order: ``+KIND`` or ``+KIND=VALUE`` begins a fault, ``-KIND`` ends all of that kind.
+
+    Args:
+        path: of the pipe, which is made.
+
+    Raises:
+        BadInput: it cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            os.mkfifo(path)
+            # Its own writer as well, so that there is no end of file when one of the others leaves.
+            self._pipe = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+        except OSError as error:
+            raise BadInput(f"{path}: a named pipe cannot be made: {error.strerror}; expected a new name") from None
+        self._path = path
+        self._rest = b""
+
+    def take(self) -> list[str]:
+        """The orders that have come since the last call."""
+        try:
+            self._rest += os.read(self._pipe, 4096)
+        except BlockingIOError:
+            return []
+        *lines, self._rest = self._rest.split(b"\n")
+        return [line.decode(errors="replace").strip() for line in lines if line.strip()]
+
+    def close(self) -> None:
+        """Remove the pipe."""
+        os.close(self._pipe)
+        self._path.unlink(missing_ok=True)
+
+
 class FaultPlan:
     """Which faults there are at a time.
 
     Args:
-        faults: all of them.
+        faults: all of them that are known beforehand.
         seed: of what is left to chance.
+        orders: gives what is ordered meanwhile, see :class:`FaultOrders`; None: nothing is.
     """
 
-    def __init__(self, faults: Sequence[LineFault], seed: int) -> None:
+    def __init__(
+        self, faults: Sequence[LineFault], seed: int, orders: Callable[[], Sequence[str]] | None = None
+    ) -> None:
         self._faults = tuple(faults)
+        self._orders = orders
         self._random = random.Random(seed)
         self._now: dict[str, tuple[float, ...]] = {}
 
+    def _obey(self, order: str) -> None:
+        """Begin or end a fault by order.
+
+        Raises:
+            BadInput: no such order.
+        """
+        sign, text = order[0], order[1:]
+        if sign == "+":
+            self._faults = (*self._faults, parse_fault(text.partition("@")[0]))
+        elif sign == "-" and text in KINDS:
+            self._faults = tuple(fault for fault in self._faults if fault.kind != text)
+        else:
+            raise BadInput(f"order {order!r}: expected +KIND, +KIND=VALUE or -KIND, with one of {', '.join(KINDS)}")
+
     def at(self, time: float) -> tuple[list[str], list[str]]:
         """Go on to a time [s]; names of faults that begin, and of those that end."""
+        for order in () if self._orders is None else self._orders():
+            self._obey(order)
         now: dict[str, tuple[float, ...]] = {}
         for fault in self._faults:
             if fault.begin <= time < fault.end:

@@ -69,10 +69,7 @@ def identify_sealed(
         BadInput: recordings that tell nothing, or valves that moved.
     """
     tell = progress or (lambda text: None)
-    for recording, name in recordings:
-        swing = float(np.nanmax(np.nanmax(recording.voltage, axis=0) - np.nanmin(recording.voltage, axis=0)))
-        if swing > _LEAST_MOVE:
-            raise BadInput(f"{name}: a valve moves by {swing:.2f} V, but the chambers of rig {rig.name} are sealed")
+    refuse_moving_valves(recordings, rig)
     share = 1.0 - holdout
     trials = [sealed_trial(recording, name, share) for recording, name in recordings]
     stages: list[SealedStage] = []
@@ -84,14 +81,46 @@ def identify_sealed(
     tell("balance of torques")
     stages.append(balance(trials, now))
     now = moved(now, stages[-1].values)
-    tuned, likelihood, evaluations = _tuned(now, recordings, share, tell)
+    best, likelihood, evaluations = tuned(now, recordings, share, tell)
     held = tuple(share * float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9 for recording, _ in recordings)
-    return SealedIdentified(rig, tuned, tuple(stages), held, likelihood, evaluations)
+    return SealedIdentified(rig, best, tuple(stages), held, likelihood, evaluations)
 
 
-def _tuned(
-    rig: Rig, recordings: Sequence[tuple[Recording, str]], share: float, tell: Callable[[str], None]
+def refuse_moving_valves(recordings: Sequence[tuple[Recording, str]], rig: Rig) -> None:
+    """Refuse recordings whose valves moved.
+
+    Args:
+        recordings: each with its name.
+        rig: the sealed one.
+
+    Raises:
+        BadInput: a valve moves.
+    """
+    for recording, name in recordings:
+        swing = float(np.nanmax(np.nanmax(recording.voltage, axis=0) - np.nanmin(recording.voltage, axis=0)))
+        if swing > _LEAST_MOVE:
+            raise BadInput(f"{name}: a valve moves by {swing:.2f} V, but the chambers of rig {rig.name} are sealed")
+
+
+def tuned(
+    rig: Rig,
+    recordings: Sequence[tuple[Recording, str]],
+    share: float,
+    tell: Callable[[str], None],
+    evaluations: int = _EVALUATIONS,
 ) -> tuple[Rig, tuple[float, float], int]:
+    """The tuning under which the errors of the measured angle are most likely.
+
+    Args:
+        rig: whose default tuning is the start.
+        recordings: each with its name.
+        share: of each, from its start, that may be used.
+        tell: told what is being done.
+        evaluations: at most so many tunings are tried.
+
+    Returns:
+        The rig with that tuning, the mean log likelihood before and after, and how many tunings were tried.
+    """
     tuning = rig.tuning("default")
     walk = rig.value("effects.external_torque.noise")
     parts = [recording.slice(0.0, share * _duration(recording)) for recording, _ in recordings]
@@ -112,7 +141,7 @@ def _tuned(
         against,
         start,
         method="Nelder-Mead",
-        options={"initial_simplex": start + steps, "maxfev": _EVALUATIONS, "xatol": 0.05, "fatol": 1e-3},
+        options={"initial_simplex": start + steps, "maxfev": evaluations, "xatol": 0.05, "fatol": 1e-3},
     )
     return with_values(found.x), (-against(start), -float(found.fun)), int(found.nfev) + 1
 

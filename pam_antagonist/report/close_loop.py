@@ -22,15 +22,17 @@ from pam_antagonist.report.software import versions
 from pam_antagonist.rig import Rig
 
 
-def document(found: Diagnosis, rig: Rig, hashes: Sequence[str], seed: int, holdout: float) -> dict[str, Any]:
+def document(
+    found: Diagnosis, rig: Rig, hashes: Sequence[str], seed: int, holdout: float | Sequence[str]
+) -> dict[str, Any]:
     """What goes into ``report.json``.
 
     Args:
         found: the diagnosis.
         rig: as configured.
-        hashes: SHA-256 of each bag.
+        hashes: SHA-256 of each bag, those held out as a whole behind the others.
         seed: as asked.
-        holdout: share of each recording that was held out.
+        holdout: share of each recording that was held out, or names of the recordings that were.
     """
     return {
         "verdict": found.verdict,
@@ -64,19 +66,32 @@ def document(found: Diagnosis, rig: Rig, hashes: Sequence[str], seed: int, holdo
             for item in found.ranking
         ],
         "profiles": [dict(item) for item in found.profiles],
-        "remaining": list(found.remaining),
+        "remaining": [left.line() for left in found.remaining],
+        "left": [
+            {
+                "recording": left.recording, "channel": left.channel, "unit": left.unit,
+                "times_noise": left.times_noise, "depends_on": left.depends_on, "bands": left.bands,
+                "period_s": left.period,
+                "form": {
+                    "terms": [{"term": name, "coefficient": value} for name, value in left.form.terms],
+                    "share": left.form.share, "share_held_out": left.form.held_out,
+                },
+            }
+            for left in found.remaining
+        ],
         "unseen": list(found.unseen),
         "warnings": list(found.warnings),
         "settings": {
             "rig": rig.name,
             "rig_source": " ".join(rig.source.split()),
             "seed": seed,
-            "holdout": holdout,
+            "holdout": holdout if isinstance(holdout, float) else list(holdout),
             "strong_evidence": STRONG,
             "first_share": rules.FIRST_SHARE,
             "further_share": rules.FURTHER_SHARE,
             "explained_share": list(rules.EXPLAINED),
         },
+        **({} if found.sealed is None else {"sealed": dict(found.sealed)}),
         "timing": dict(found.seconds),
         "software": versions(),
     }  # fmt: skip

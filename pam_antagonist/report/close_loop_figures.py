@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from pam_antagonist.diagnosis.driven import Driven
 from pam_antagonist.diagnosis.experiment import Experiment
+from pam_antagonist.diagnosis.heldout import Compared
 from pam_antagonist.diagnosis.result import Diagnosis
 from pam_antagonist.diagnosis.simulation import BLOCK
 from pam_antagonist.report import figures
@@ -25,29 +27,38 @@ _AXES = (
 
 def residuals(found: Diagnosis) -> tuple[Figure, ...]:
     """Residual of every channel of every recording, recalibrated and extended."""
-    same = found.recalibrated.fits == found.extended.fits
     out = []
-    for r, experiment in enumerate(found.experiments):
-        points = [("recalibrated", found.recalibrated.fits[r].point, MODEL)]
-        if not same:
-            points.append(("extended", found.extended.fits[r].point, ESTIMATE))
-        curves = [(name, experiment.residual(point, whole=True), color) for name, point, color in points]
+    for part in found.compared:
+        experiment = part.experiment
+        shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if found.extended.effects else [])]
+        count = len(experiment.measured)
+        curves = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
         panels = []
-        for k, channel in enumerate(experiment.channels):
-            title, scale = _AXES[channel]
+        axes = experiment.titles if isinstance(experiment, Driven) else [_AXES[c] for c in experiment.channels]
+        for k, (title, scale) in enumerate(axes):
             lines = [Line(name, values[:, k] * scale, color, quiet=k > 0) for name, values, color in curves]
             noise = experiment.noise[k] * scale
             levels = [Level(sign * 2.0 * noise, "", QUIET) for sign in (-1.0, 1.0)]
             panels.append(Panel(title, [*lines, *levels], 170))
         about = (
             f"Measurement minus model, means over {BLOCK} samples. Dashed: within these lines 95 % of the values lie "
-            f"that the sensor's noise alone gives. From {found.held_from[r]:.0f} s on nothing was fitted."
+            f"that the sensor's noise alone gives. {_held(part)}"
         )
         plot = figures.stack(panels, _clock(experiment, len(curves[0][1])))
         out.append(
             Figure(f"{experiment.trial.name} (joint {experiment.trial.joint})", about, plot, experiment.trial.name)
         )
     return tuple(out)
+
+
+def _held(part: Compared) -> str:
+    from_s = part.experiment.fitted * part.experiment.trial.dt
+    return {
+        "both": f"From {from_s:.0f} s on nothing was fitted.",
+        "fitted": "All of it was fitted; other recordings are held out.",
+        "held out": f"Held out as a whole: but for its first state, told from its first {from_s:.0f} s, nothing of it "
+        "was fitted.",
+    }[part.role]
 
 
 def _clock(experiment: Experiment, count: int) -> Clock:

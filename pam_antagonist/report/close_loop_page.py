@@ -8,6 +8,8 @@ from typing import Any
 from pam_antagonist.diagnosis.result import Diagnosis
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report import close_loop_figures as drawn
+from pam_antagonist.report import close_loop_residuals as residuals
+from pam_antagonist.report import close_loop_sealed as sealed
 from pam_antagonist.report import close_loop_tables as tables
 from pam_antagonist.report import strict_json
 from pam_antagonist.report.html import (
@@ -30,7 +32,10 @@ _DEFINITIONS = (
     ("As configured", "the model with the numbers of the rig file."),
     ("Recalibrated", "the same model with its base parameters fitted, so that a wrong number is not called an effect."),
     ("Extended", "the recalibrated model with the effects that were found."),
-    ("Held out", "the end of each recording, which no fit has seen. All errors here are counted on it."),
+    (
+        "Held out",
+        "the end of each recording, or whole recordings, which no fit has seen. All errors here are counted there.",
+    ),
     ("Residual", "measurement minus model. Both are averaged over 20 samples."),
     (
         "ΔBIC",
@@ -76,17 +81,17 @@ def page(document: dict[str, Any], found: Diagnosis, with_figures: bool = True) 
     ]
     if with_figures:
         parts.append(Section("Residual before and after", drawn.residuals(found), 2, "residual"))
+    parts.append(Section("Residuals", residuals.statistics(document, with_figures), 2, "statistics"))
     parts.append(Section("Candidates", (TableBlock(tables.ranking(document)), *_law(found)), 2, "candidates"))
     if found.effects:
         figures = drawn.profiles(document) if with_figures and document["profiles"] else ()
         section: tuple[Block, ...] = (TableBlock(tables.parameters(document)), *figures)
         parts.append(Section("Parameters", section, 2, "parameters"))
-    if document["remaining"]:
-        lines = tuple(Finding("note", line) for line in document["remaining"])
-        parts.append(Section("What is left", (Findings(lines),), 2, "left"))
+    if found.remaining:
+        parts.append(Section("What is left", residuals.left(found.remaining, with_figures), 2, "left"))
     parts += [
         Section("What was assumed", (Definitions(_assumed(document)),), folded=True),
-        Section("What the words mean", (Definitions(_DEFINITIONS),), folded=True),
+        Section("What the words mean", (Definitions(_words(document)),), folded=True),
         Section("How this report was made", _provenance(document, found), folded=True),
     ]
     footer = ", ".join(f"{name} {version}" for name, version in versions().items())
@@ -94,6 +99,8 @@ def page(document: dict[str, Any], found: Diagnosis, with_figures: bool = True) 
 
 
 def _tiles(document: dict[str, Any]) -> tuple[Tile, ...]:
+    if document.get("sealed"):
+        return sealed.tiles(document)
     errors = document["errors"]
     out = []
     if document["verdict"] == "effect":
@@ -118,12 +125,21 @@ def _evidence(document: dict[str, Any]) -> dict[str, float]:
 
 def _findings(document: dict[str, Any]) -> tuple[Finding, ...]:
     out = [Finding("warn", _sentence(text)) for text in document["warnings"]]
+    if document.get("sealed"):
+        return (*out, *sealed.findings(document), *(Finding("note", text) for text in document["unseen"]))
     for name in document["ambiguous_with"]:
         out.append(Finding("warn", f"{name} would do as well. To tell: {document['experiments'][name]}."))
     if document["effects"] and not document["ambiguous_with"]:
         out.append(Finding("good", "No other candidate comes within strong evidence of what was found."))
     out += [Finding("note", text) for text in document["unseen"]]
     return tuple(out)
+
+
+def _words(document: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    if not document.get("sealed"):
+        return _DEFINITIONS
+    own = dict(sealed.DEFINITIONS)
+    return (*((name, own.pop(name, text)) for name, text in _DEFINITIONS), *own.items())
 
 
 def _sentence(text: str) -> str:
@@ -139,6 +155,8 @@ def _law(found: Diagnosis) -> tuple[Block, ...]:
 
 
 def _assumed(document: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    if document.get("sealed"):
+        return sealed.assumed(document)
     settings = document["settings"]
     return (
         ("Start", "Each recording begins at rest, with everything slow settled."),
@@ -163,9 +181,16 @@ def _provenance(document: dict[str, Any], found: Diagnosis) -> tuple[Block, ...]
         ("Rig", settings["rig"]),
         ("Source of its numbers", settings["rig_source"]),
         ("Seed", str(settings["seed"])),
-        ("Held out", percent(settings["holdout"]) + " at the end of each recording"),
+        ("Held out", _held_out(settings["holdout"])),
     ]
     for part in document["recordings"]:
-        rows.append((f"Recording {part['recording']}", f"{part['joint']}; SHA-256 {part['sha256']}"))
+        role = "; held out" if part["role"] == "held out" else ""
+        rows.append((f"Recording {part['recording']}", f"{part['joint']}{role}; SHA-256 {part['sha256']}"))
     rows += [(f"Time for {name}", f"{value:.1f} s") for name, value in document["timing"].items()]
     return (TableBlock(Table(("What", "Which"), tuple(rows)), prose=True),)
+
+
+def _held_out(what: float | list[str]) -> str:
+    if isinstance(what, list):
+        return f"{', '.join(what)}: whole recordings"
+    return percent(what) + " at the end of each recording"

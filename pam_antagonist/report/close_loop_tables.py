@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from pam_antagonist.report import close_loop_sealed
 from pam_antagonist.report.table import MISSING, Table, number, percent
 
 Document = Mapping[str, Any]
@@ -27,6 +28,10 @@ def before_after(document: Document) -> Table:
         rows.append((name, "", "", ""))
         best.append(frozenset())
 
+    if document.get("sealed"):
+        for name, values in close_loop_sealed.rows(document):
+            group(name) if values is None else add(name, values)
+        return _compared(rows, best)
     errors = document["errors"]
     group("Model alone, from the voltages only")
     for channel, key, unit in (("angle", "deg", "°"), ("torque", "nm", "N m")):
@@ -42,12 +47,16 @@ def before_after(document: Document) -> Table:
             [errors[model]["pressure"]["rmse_pa"][muscle] / 1e3 for model in _MODELS],
         )
     for part in document["recordings"]:
-        if "ukf" not in part:
+        if "ukf" not in part or part["errors"] is None:
             continue
         group(f"Estimator from pressures alone, {part['recording']}")
         for channel, key, unit in (("angle", "deg", "°"), ("torque", "nm", "N m")):
             if part["errors"]["extended"][channel] is not None:
                 add(f"  {channel} RMSE [{unit}]", [part["ukf"][m][channel][f"rmse_{key}"] for m in _MODELS])
+    return _compared(rows, best)
+
+
+def _compared(rows: list[tuple[str, ...]], best: list[frozenset[int]]) -> Table:
     return Table(("", "as configured", "recalibrated", "extended"), tuple(rows), "Errors on held-out data", tuple(best))
 
 

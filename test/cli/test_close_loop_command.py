@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from pathlib import Path
 
 import pytest
+from joblib import Parallel, delayed
 
 from pam_antagonist.benchmark.battery_plants import Case
 from pam_antagonist.cli.close_loop import main
+from pam_antagonist.cli.cluster import connected
+from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.recording import write_bag
 from pam_antagonist.rig import load_rig
 
@@ -66,6 +71,8 @@ def test_the_page_needs_no_network(done: Path) -> None:
         (["--jobs", "0"], ["--jobs"]),
         (["--lock-angle", "3"], ["--lock-angle"]),
         (["--seed", "-1"], ["--seed"]),
+        (["--holdout", "0.3", "--holdout", "0.2"], ["--holdout", "one share"]),
+        (["--holdout", "0.3", "--holdout", "another_bag"], ["--holdout", "one share"]),
     ],
 )
 def test_wrong_arguments_are_one_line(
@@ -87,6 +94,60 @@ def test_what_was_interrupted_wants_resume(leaking: Path, tmp_path: Path, capsys
     assert "--resume" in capsys.readouterr().err
 
 
+def test_a_recording_cannot_be_held_out_from_itself(
+    leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [str(leaking), "--holdout", str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o")]
+    assert main(arguments) == 2
+    assert "same recording" in capsys.readouterr().err
+    assert not (tmp_path / "o.part").exists()
+
+
+def test_an_interrupted_run_goes_on_to_the_same_report(
+    leaking: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "o"
+    arguments = [str(leaking), "--rig", "shin2022", "--out", str(out), "--jobs", "1", "--no-figures"]
+    save = Store.save
+
+    def interrupted(self: Store, *what: object) -> None:
+        save(self, *what)  # type: ignore[arg-type]
+        if self.finished() == 2:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "save", interrupted)
+        assert main(arguments) == 130
+    said = capsys.readouterr().err
+    assert "2 finished refits are kept" in said and "--resume" in said and str(leaking) in said
+    assert not out.exists()
+    assert main([*arguments, "--resume", "--seed", "8"]) == 2
+    assert "another seed" in capsys.readouterr().err
+    assert main([*arguments, "--resume"]) == 0
+    assert not (tmp_path / "o.part").exists()
+    reports = [json.loads((folder / "report.json").read_text()) for folder in (done, out)]
+    assert reports[0].pop("timing") and reports[1].pop("timing")
+    assert reports[0] == reports[1]
+
+
+def test_without_dask_the_command_says_how_to_get_it(
+    leaking: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    arguments = [str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o"), "--dask", "tcp://127.0.0.1:1"]
+    assert main(arguments) == 2
+    assert "pip install 'pam_antagonist[dask]'" in capsys.readouterr().err
+    assert not (tmp_path / "o.part").exists()
+
+
+def test_fits_run_on_the_workers_of_a_scheduler() -> None:
+    distributed = pytest.importorskip("distributed", reason="Dask is an option: pip install 'pam_antagonist[dask]'")
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as local:
+        with connected(local.scheduler_address):
+            where = Parallel(n_jobs=1, prefer="threads")(delayed(os.getpid)() for _ in range(2))
+        assert os.getpid() not in where
+
+
 @pytest.mark.skipif(not DATA.is_dir(), reason="recordings of rig A are not beside the project")
 def test_a_shifted_valve_of_rig_a(tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -97,6 +158,8 @@ def test_a_shifted_valve_of_rig_a(tmp_path: Path) -> None:
     assert report["errors"]["extended"]["pressure"]["rmse_pa"][0] < 700.0
 
 
-def test_a_sealed_rig_is_not_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(tmp_path / "bag"), "--rig", "sealed_joint", "--out", str(tmp_path / "out")]) == 2
-    assert "`identify`, which takes sealed ones" in capsys.readouterr().err
+def test_valves_that_move_are_not_those_of_a_sealed_rig(
+    leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(leaking), "--rig", "sealed_joint", "--out", str(tmp_path / "out")]) == 2
+    assert "the chambers of rig sealed_joint are sealed" in capsys.readouterr().err

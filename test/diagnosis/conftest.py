@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
+import numpy as np
 import pytest
 
-from pam_antagonist.benchmark.battery_plants import Case
+from pam_antagonist.benchmark.battery_plants import JOINTS, Case
 from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.identification.trial import make_trial
 from pam_antagonist.recording import Recording
@@ -15,9 +17,21 @@ from pam_antagonist.rig import Rig
 Make = Callable[..., Recording]
 
 
+@dataclass(frozen=True)
+class Repeated(Case):
+    """The same joint once more: other voltages and other noise."""
+
+    take: int = 0
+
+    def _random(self, joint: str, what: str) -> np.random.Generator:
+        if what == "base" or not self.take:
+            return super()._random(joint, what)
+        return np.random.default_rng([self.seed, JOINTS.index(joint), ("voltage", "noise").index(what), self.take])
+
+
 @pytest.fixture(scope="session")
 def recorded() -> Make:
-    """Makes a recording: effect, muscle, form, size in noises, joint, seconds."""
+    """Makes a recording: effect, muscle, form, size in noises, joint, seconds; another take of the same joint."""
 
     def make(
         effect: str = "none",
@@ -27,10 +41,13 @@ def recorded() -> Make:
         joint: str = "locked",
         seconds: float = 30.0,
         seed: int = 11,
+        take: int = 0,
     ) -> Recording:
+        name = f"{effect} {take}"
         if effect == "none":
-            return Case("none", "none", (), (), seed, ()).recording(joint, seconds)
-        return Case("case", "single", ((effect, muscle),), (form,), seed, (size,)).recording(joint, seconds)
+            return Repeated(name, "none", (), (), seed, (), take).recording(joint, seconds)
+        made = Repeated(name, "single", ((effect, muscle),), (form,), seed, (size,), take)
+        return made.recording(joint, seconds)
 
     return make
 

@@ -16,21 +16,23 @@ from pam_antagonist.diagnosis.store import Store
 NO_MODEL = Model((), ())
 
 
-def trial(number: int, bic: float, held: float) -> Trial:
-    return Trial("leak", number, bic, bic, 0.0, (held, held), NO_MODEL)
+def trial(number: int, bic: float, held: float, foretold: float = 20.0) -> Trial:
+    return Trial("leak", number, bic, bic, foretold, (held, held), NO_MODEL)
 
 
 def test_evidence_without_held_out_gain_is_not_enough() -> None:
-    assert rules.worth(trial(1, 50.0, 0.8), 0.0)
-    assert not rules.worth(trial(1, 50.0, 0.05), 0.0)
-    assert not rules.worth(trial(1, 3.0, 0.8), 0.0)
-    assert not rules.worth(Trial("leak", 1, 50.0), 0.0)
+    assert rules.worth(trial(1, 50.0, 0.8))
+    assert not rules.worth(trial(1, 50.0, 0.05))
+    assert not rules.worth(trial(1, 50.0, 0.8, foretold=3.0))
+    assert not rules.worth(trial(1, 3.0, 0.8))
+    assert not rules.worth(Trial("leak", 1, 50.0))
 
 
-def test_a_remainder_that_another_form_would_leave_is_no_second_effect() -> None:
-    assert rules.worth(trial(2, 9.0, 0.56), 0.5)
-    assert not rules.worth(trial(2, 9.0, 0.56), 0.9)
-    assert rules.worth(trial(2, 24.0, 0.86), 0.94)
+def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> None:
+    assert rules.worth(trial(2, 9.0, 0.08))
+    assert not rules.worth(trial(2, 9.0, 0.08, foretold=-4.0))
+    assert not rules.worth(trial(2, 4.0, 0.9))
+    assert not rules.worth(trial(2, 9.0, 0.01))
 
 
 def test_removed_share() -> None:

@@ -1,0 +1,69 @@
+"""Fits on the workers of a Dask scheduler in place of threads."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from joblib import parallel_config
+
+from pam_antagonist import __version__
+from pam_antagonist.errors import BadInput
+
+_TIMEOUT = 10.0
+
+
+def add_dask(parser: argparse.ArgumentParser) -> None:
+    """``--dask``."""
+    parser.add_argument(
+        "--dask", metavar="ADDRESS",
+        help="fit on the workers of this Dask scheduler, such as tcp://10.0.0.5:8786 (needs pam_antagonist[dask])",
+    )  # fmt: skip
+
+
+@contextmanager
+def connected(address: str | None) -> Iterator[None]:
+    """Everything inside that runs in parallel by joblib does so on the workers of a scheduler.
+
+    Args:
+        address: of the scheduler; None for this machine.
+
+    Raises:
+        BadInput: Dask is not installed, nobody answers, or its workers have another pam_antagonist or none.
+    """
+    if address is None:
+        yield
+        return
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError:
+        raise BadInput("--dask: Dask is not installed; install it with: pip install 'pam_antagonist[dask]'") from None
+    try:
+        client = distributed.Client(address, timeout=_TIMEOUT, set_as_default=True)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise BadInput(
+            f"--dask {address}: no scheduler answers there ({type(error).__name__}); expected an address such as "
+            "tcp://host:8786"
+        ) from None
+    with client:
+        found = client.run(_version)
+        if not found:
+            raise BadInput(f"--dask {address}: the scheduler has no workers; start one with: dask worker {address}")
+        for worker, version in found.items():
+            if version != __version__:
+                raise BadInput(
+                    f"--dask {address}: worker {worker} has {version or 'no pam_antagonist'}; expected pam_antagonist "
+                    f"{__version__}, as here"
+                )
+        with parallel_config(backend="dask"):
+            yield
+
+
+def _version() -> str:
+    """Version of the package where this runs; empty where there is none."""
+    try:
+        return str(importlib.import_module("pam_antagonist").__version__)
+    except ImportError:
+        return ""

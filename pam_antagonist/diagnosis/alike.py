@@ -1,0 +1,191 @@
+"""What a driven joint cannot tell apart, tested on what its sensors resolve.
+
+*A loop.* Coulomb friction and hysteresis differ in how the torque turns round: at once, or over a width. While the
+drive sticks the encoder shows no motion, so a loop that turns round within its step cannot be seen. Both are compared
+where the joint slides; the hysteresis may be as narrow as that.
+
+*A loss.* A leak goes on at a constant rate, as long as the pressure hardly falls. Gas that still cools from having been
+charged, and tubes that still give way, lose pressure at a rate that dies out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis.candidates import Unknown
+from pam_antagonist.diagnosis.driven import Driven
+from pam_antagonist.diagnosis.experiment import Point
+from pam_antagonist.diagnosis.refit import Fitted, cost_of, refit
+from pam_antagonist.diagnosis.select import STRONG
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
+
+Floats = NDArray[np.float64]
+
+_LOOPS = ("friction", "hysteresis")
+_TURN = 4.0
+"""Widths in which a loop by Bouc and Wen turns round to 95 %: one until it is at 0, three more from there."""
+_RATES = (0.125, 0.25, 0.5, 1.0)
+"""Time constants of a loss that dies out, in durations of what was fitted."""
+
+
+@dataclass(frozen=True)
+class Alike:
+    """An effect that was compared with a found one on equal terms.
+
+    Attributes:
+        found: the one in the model.
+        other: the one that could take its place.
+        evidence: for the found one against it, as a ΔBIC; within ``STRONG`` of 0 neither is told from the other.
+        residual: what each leaves (found, other), root mean square, where they were compared.
+        unit: of these.
+        shape: the other's width [m] or time constant [s].
+        about: where and how they were compared.
+        size: of the found one there [N m or N], NaN where it has none of its own there.
+    """
+
+    found: str
+    other: str
+    evidence: float
+    residual: tuple[float, float]
+    unit: str
+    shape: float
+    about: str
+    size: float = float("nan")
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether the recordings leave open which it is."""
+        return self.evidence < STRONG
+
+
+def loops(experiments: Sequence[Driven], fits: Sequence[Fitted], found: Sequence[str]) -> Alike | None:
+    """Friction beside hysteresis where the joint slides; None where neither was found.
+
+    Args:
+        experiments: balances of the recordings.
+        fits: their models.
+        found: names of the effects in them.
+    """
+    here = next((name for name in found if name in _LOOPS), None)
+    if here is None or set(_LOOPS) <= set(found):
+        return None
+    other = _LOOPS[1 - _LOOPS.index(here)]
+    evidence, squares, count, width = 0.0, np.zeros(2), 0, np.nan
+    sizes = []
+    for experiment, fitted in zip(experiments, fits, strict=True):
+        clear = replace(experiment, resolved=True)
+        slides = np.isfinite(clear.measured[: len(fitted.residual), 0])
+        rest = {path: value for path, value in fitted.point.effects.items() if path.split(".")[1] not in _LOOPS}
+        left = []
+        for name in (here, other):
+            best = min(
+                (refit(clear, Point(fitted.point.theta, {**rest, **start}), unknowns, rounds=20)
+                 for start, unknowns in _starts(experiment, name)),
+                key=lambda one: one.cost,
+            )  # fmt: skip
+            left.append(float(np.sum(best.residual[slides, 0] ** 2)))
+            if name == here:
+                sizes.append(best.point.effects[best.unknowns[0].path])
+            if name == "hysteresis":
+                width = best.point.effects[parameter_path("hysteresis", "width")]
+        independent = max(slides.sum() / fitted.scale.counted, np.e)
+        price = (1.0 if other == "hysteresis" else -1.0) * np.log(independent)
+        evidence += float(independent * np.log(left[1] / left[0]) + price)
+        squares += left
+        count += int(slides.sum())
+    rms = np.sqrt(squares / max(count, 1))
+    step = np.degrees(np.sqrt(12.0) * experiments[0].rig.sensors.angle_std)
+    about = (
+        f"where the joint slides; a hysteresis may turn round within a step of the encoder, {step:.2g}°. Both have "
+        "one size only, since all turns of the joint are alike"
+    )
+    return Alike(
+        here, other, evidence, (float(rms[0]), float(rms[1])), "N m", float(width), about, float(np.mean(sizes))
+    )
+
+
+def _starts(experiment: Driven, name: str) -> list[tuple[dict[str, float], tuple[Unknown, ...]]]:
+    if name == "friction":
+        path = parameter_path("friction", "coulomb")
+        return [({path: 0.2}, (Unknown((path,), CATALOGUE["friction"].parameters[0]),))]
+    rig = experiment.rig
+    narrow = float(np.sqrt(12.0)) * rig.sensors.angle_std * rig.geometry.radius / _TURN
+    items = {item.name: item for item in CATALOGUE["hysteresis"].parameters}
+    sizes = tuple(parameter_path("hysteresis", f"amplitude_{number}") for number in (1, 2))
+    width = parameter_path("hysteresis", "width")
+    unknowns = (
+        Unknown(sizes, items["amplitude_1"]),
+        Unknown((width,), replace(items["width"], low=min(narrow, items["width"].low))),
+    )
+    force = 0.1 / rig.geometry.radius
+    return [({**dict.fromkeys(sizes, force), width: start}, unknowns) for start in (narrow, 4.0 * narrow, 2e-4)]
+
+
+def losses(experiments: Sequence[Driven], base: Sequence[Fitted], found: Sequence[str]) -> Alike | None:
+    """A leak beside a loss that dies out, in the mean of the pressures; None where no leak was found.
+
+    Args:
+        experiments: airs of the recordings.
+        base: their models without effects.
+        found: names of the effects that were found.
+    """
+    if "leak" not in found:
+        return None
+    tried = []
+    counted = [len(fitted.residual) / fitted.scale.counted for fitted in base]
+    steady = [_left(fitted, _time(fitted)) for fitted in base]
+    for rate in _RATES:
+        dying = [_left(fitted, np.exp(-_time(fitted) / rate)) for fitted in base]
+        gain = sum(n * np.log(new / old) for n, old, new in zip(counted, steady, dying, strict=True))
+        # Its time constant is one more unknown.
+        tried.append((float(gain + np.log(max(sum(counted), np.e))), rate, dying))
+    evidence, rate, dying = min(tried, key=lambda one: one[0])
+    seconds = rate * np.mean([e.fitted * e.trial.dt for e in experiments])
+    rms = tuple(float(np.sqrt(np.mean(part))) / 1e3 for part in (steady, dying))
+    about = (
+        "in the mean of the pressures, on what was fitted: gas that still cools from having been charged, or "
+        "tubes that still give way, lose pressure at a rate that dies out"
+    )
+    return Alike("leak", "thermal", evidence, (rms[0], rms[1]), "kPa", float(seconds), about)
+
+
+def either_muscle(experiments: Sequence[Driven], fits: Sequence[Fitted], effect: str) -> int | None:
+    """The muscle that alone would do nearly as well as both alike; None where both are needed, or are not alike.
+
+    Args:
+        experiments: airs of the recordings.
+        fits: their models.
+        effect: one of both muscles.
+    """
+    lost = {1: 0.0, 2: 0.0}
+    for experiment, fitted in zip(experiments, fits, strict=True):
+        both = next((u for u in fitted.unknowns if u.path.startswith(f"effects.{effect}.") and len(u.paths) == 2), None)
+        if both is None:
+            return None
+        others = tuple(unknown for unknown in fitted.unknowns if unknown is not both)
+        for number, path in enumerate(both.paths, 1):
+            effects = {name: value for name, value in fitted.point.effects.items() if name not in both.paths}
+            start = Point(fitted.point.theta, {**effects, path: 2.0 * fitted.point.effects[path]})
+            alone = refit(experiment, start, (*others, Unknown((path,), both.item)), pace=fitted.scale.pace)
+            gap = cost_of(experiment, alone.point, alone.residual, fitted.scale) - fitted.cost
+            lost[number] += fitted.scale.share * gap
+    best = min(lost, key=lambda number: lost[number])
+    return best if lost[best] < STRONG else None
+
+
+def _time(fitted: Fitted) -> Floats:
+    return np.asarray(np.linspace(0.0, 1.0, len(fitted.residual)))
+
+
+def _left(fitted: Fitted, course: Floats) -> float:
+    """Mean square of the mean pressure's residual that base parameters and a course in time leave."""
+    columns = np.column_stack([fitted.base[:, 0, :], course, np.ones(len(course))])
+    used = columns[:, np.any(columns != 0.0, axis=0)]
+    scaled = used / np.sqrt(np.mean(used**2, axis=0))
+    residual = fitted.residual[:, 0]
+    left = residual - scaled @ np.linalg.lstsq(scaled, residual, rcond=1e-9)[0]
+    return float(np.mean(left**2))

@@ -1,0 +1,238 @@
+"""On what a residual depends: pressure, length, direction of motion, command, time and frequency; and a form for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis.solve import correlation_length
+
+Floats = NDArray[np.float64]
+
+_SLOW = 0.02
+"""[rad/s] Speed at which the direction of motion is told."""
+_TERMS = 3
+_BINS = 12
+EDGES = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""[Hz] Between the bands in which a residual's power is counted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What was there when a residual was: (N,) each.
+
+    Attributes:
+        pressure: (N, 2) [Pa].
+        voltage: (N, 2) [V].
+        time: [s].
+        angle: [rad], None where the joint was locked: then no length changed.
+        velocity: [rad/s], None likewise.
+    """
+
+    pressure: Floats
+    voltage: Floats
+    time: Floats
+    angle: Floats | None = None
+    velocity: Floats | None = None
+
+    def take(self, rows: NDArray[np.bool_]) -> Surroundings:
+        """Some of the rows."""
+        return Surroundings(
+            self.pressure[rows],
+            self.voltage[rows],
+            self.time[rows],
+            None if self.angle is None else self.angle[rows],
+            None if self.velocity is None else self.velocity[rows],
+        )
+
+    @property
+    def direction(self) -> Floats | None:
+        """Which way the joint moves (N,), −1 to 1; 0 where it stands."""
+        return None if self.velocity is None else np.asarray(np.tanh(self.velocity / _SLOW))
+
+    def groups(self) -> dict[str, Floats]:
+        """Columns (N, k) of each kind of dependence: quadratics, so that no sign is taken for granted."""
+        p, u = self.pressure / 1e5, self.voltage
+        out = {
+            "pressure": np.column_stack([p, p**2, p[:, 0] * p[:, 1]]),
+            "command": np.column_stack([u, u**2]),
+            "time": np.column_stack([self.time, self.time**2]),
+        }
+        if self.angle is not None and self.direction is not None:
+            out["length"] = np.column_stack([self.angle, self.angle**2])
+            out["direction of motion"] = np.column_stack([self.direction, self.direction * self.angle])
+        return out
+
+    def library(self) -> dict[str, Floats]:
+        """Terms (N,) of which a form may be made: P in 100 kPa, u in V, ψ in rad, t in s."""
+        p1, p2 = self.pressure.T / 1e5
+        u1, u2 = self.voltage.T
+        out = {
+            "P_1": p1, "P_2": p2, "(P_1 − P_2)": p1 - p2, "(P_1 + P_2)": p1 + p2, "P_1²": p1**2, "P_2²": p2**2,
+            "P_1 P_2": p1 * p2, "u_1": u1, "u_2": u2, "P_1 u_1": p1 * u1, "P_2 u_2": p2 * u2, "t": self.time,
+        }  # fmt: skip
+        if self.angle is not None and self.velocity is not None and self.direction is not None:
+            total = p1 + p2
+            out |= {
+                "ψ": self.angle, "ψ²": self.angle**2, "ψ (P_1 + P_2)": self.angle * total, "ψ̇": self.velocity,
+                "sign ψ̇": self.direction, "sign ψ̇ (P_1 + P_2)": self.direction * total,
+            }  # fmt: skip
+        return out
+
+    def axes(self) -> dict[str, Floats]:
+        """What a residual is drawn over: title with unit, values (N,)."""
+        out = {
+            "Pressure 1 [kPa]": self.pressure[:, 0] / 1e3,
+            "Pressure 2 [kPa]": self.pressure[:, 1] / 1e3,
+            "Voltage 1 [V]": self.voltage[:, 0],
+            "Voltage 2 [V]": self.voltage[:, 1],
+            "Time [s]": self.time,
+        }
+        if self.angle is not None:
+            out["Angle [°]"] = np.degrees(self.angle)
+        return out
+
+
+@dataclass(frozen=True)
+class Form:
+    """A sum of few terms that looks like a residual.
+
+    Attributes:
+        terms: name and coefficient of each.
+        share: of the residual's variance that it explains where it was fitted.
+        held_out: of the residual's squares on what was held out, NaN where nothing was.
+    """
+
+    terms: tuple[tuple[str, float], ...]
+    share: float
+    held_out: float
+
+    def __str__(self) -> str:
+        return " ".join(f"{value:+.2g}·{name}" for name, value in self.terms)
+
+
+def shares(residual: Floats, around: Surroundings) -> dict[str, float]:
+    """Share of a residual's variance that each kind of dependence explains alone, less what chance would, 0 to 1.
+
+    Chance explains one part in as many as there are independent values, for each column.
+
+    Args:
+        residual: (N,).
+        around: what was there.
+    """
+    count = len(residual) / correlation_length(residual - residual.mean())
+    total = float(np.sum((residual - residual.mean()) ** 2)) or 1.0
+    out = {}
+    for name, columns in around.groups().items():
+        rank, left = _left(residual, columns)
+        chance = rank / max(count - 1.0, rank + 1.0)
+        share = 1.0 - float(left @ left) / total
+        out[name] = float(np.clip((share - chance) / (1.0 - chance), 0.0, 1.0)) if chance < 1.0 else 0.0
+    return out
+
+
+def _left(residual: Floats, columns: Floats) -> tuple[int, Floats]:
+    spread = columns.std(axis=0)
+    varying = columns[:, spread > 1e-9 * (np.abs(columns).max() or 1.0)]
+    scaled = (varying - varying.mean(axis=0)) / varying.std(axis=0)
+    design = np.column_stack([np.ones(len(residual)), scaled])
+    solution, _, rank, _ = np.linalg.lstsq(design, residual, rcond=1e-9)
+    return int(rank) - 1, np.asarray(residual - design @ solution)
+
+
+def bands(residual: Floats, step: float) -> dict[str, float]:
+    """Share of a residual's power in each band of frequency.
+
+    Args:
+        residual: (N,), at a constant step.
+        step: [s].
+    """
+    power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2
+    frequency = np.fft.rfftfreq(len(residual), step)
+    total = float(power[1:].sum()) or 1.0
+    edges = (0.0, *(edge for edge in EDGES if edge < 0.5 / step), np.inf)
+    out = {}
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        name = f"below {high:g} Hz" if low == 0.0 else f"{low:g} to {high:g} Hz"
+        name = f"above {low:g} Hz" if high == np.inf else name
+        inside = (frequency > low) & (frequency <= high)
+        out[name] = float(power[inside].sum()) / total
+    return out
+
+
+def period(residual: Floats, step: float) -> float:
+    """Period [s] about which the residual's power lies: that of the power's mean frequency."""
+    power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2
+    frequency = np.fft.rfftfreq(len(residual), step)
+    mean = float(power[1:] @ frequency[1:] / max(power[1:].sum(), 1e-300))
+    return 1.0 / mean if mean > 0.0 else float("inf")
+
+
+def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundings] | None = None) -> Form:
+    """Few terms that explain a residual: forward, each kept only while it pays by the Bayesian criterion.
+
+    Args:
+        residual: (N,).
+        around: what was there.
+        later: the same of what was held out, for judging.
+    """
+    library = around.library()
+    ones = np.ones_like(residual)
+    memory = correlation_length(residual - residual.mean())
+    chosen: list[str] = []
+    left = residual - residual.mean()
+    total = float(left @ left) or 1.0
+    coefficients: Floats = np.array([residual.mean()])
+    for _ in range(_TERMS):
+        best = None
+        for name in library:
+            if name in chosen or np.ptp(library[name]) == 0.0:
+                continue
+            design = np.column_stack([ones, *(library[n] for n in (*chosen, name))])
+            solution = np.linalg.lstsq(design, residual, rcond=None)[0]
+            rest = residual - design @ solution
+            if best is None or float(rest @ rest) < best[0]:
+                best = float(rest @ rest), name, solution, rest
+        count = len(residual) / memory
+        if best is None or count * np.log(float(left @ left) / max(best[0], 1e-300)) < np.log(count) + 6.0:
+            break
+        chosen.append(best[1])
+        coefficients, left = np.asarray(best[2], dtype=np.float64), np.asarray(best[3], dtype=np.float64)
+        # What is left has a shorter memory than what the terms have explained.
+        memory = correlation_length(left - left.mean())
+    held = float("nan")
+    if later is not None and len(later[0]):
+        terms = later[1].library()
+        said = coefficients[0] + sum(
+            (value * terms[name] for name, value in zip(chosen, coefficients[1:], strict=True)), np.zeros(len(later[0]))
+        )
+        held = 1.0 - float(np.sum((later[0] - said) ** 2)) / max(float(np.sum(later[0] ** 2)), 1e-300)
+    pairs = tuple(zip(chosen, coefficients[1:].tolist(), strict=True))
+    return Form(pairs, 1.0 - float(left @ left) / total, held)
+
+
+def means(residual: Floats, over: Floats, which: Sequence[bool] | NDArray[np.bool_] | None = None) -> Floats:
+    """Means of a residual in bins of equal numbers over something else (b, 2): there, residual.
+
+    Args:
+        residual: (N,).
+        over: (N,).
+        which: only these; default: all.
+    """
+    kept = np.ones(len(residual), dtype=bool) if which is None else np.asarray(which)
+    order = np.argsort(over[kept], kind="stable")
+    x, y = over[kept][order], residual[kept][order]
+    count = min(_BINS, len(x) // 5)
+    if count < 2:
+        return np.zeros((0, 2))
+    return np.array(
+        [[a.mean(), b.mean()] for a, b in zip(np.array_split(x, count), np.array_split(y, count), strict=True)]
+    )
+
+
+def strongest(said: Mapping[str, float], least: float) -> list[tuple[str, float]]:
+    """Dependences of at least a share, the largest first."""
+    return sorted(((n, v) for n, v in said.items() if v >= least), key=lambda item: -item[1])

@@ -1,0 +1,304 @@
+"""A sealed joint that is moved from outside, as an experiment: its measured angle is the input.
+
+No voltage moves such a joint, and what the model makes of the torque alone says little: where the joint sticks, it
+cannot know when it will slip. So the model is driven by the angle that was measured. What it then says of the two
+pressures (the *air*) and of the torque that this motion needs (equation (8) solved for the torque from outside, the
+*balance*) is compared with what was recorded. Both have base parameters of their own, and no effect of the catalogue
+that can be seen here acts on both. The pressures are compared by their mean and half their difference: an error of the
+encoder moves the latter alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from pam_antagonist._jit import kernel
+from pam_antagonist.diagnosis.candidates import Candidate, Unknown
+from pam_antagonist.diagnosis.experiment import Experiment, Point, block_noise
+from pam_antagonist.diagnosis.knobs import Knob
+from pam_antagonist.diagnosis.simulation import blocks
+from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE
+from pam_antagonist.model import dynamics, joint
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
+
+Floats = NDArray[np.float64]
+
+AIR, BALANCE = "air", "balance"
+SEEN: Mapping[str, tuple[str, ...]] = {AIR: ("leak", "thermal"), BALANCE: ("friction", "hysteresis", "creep")}
+"""Effects that a part of a driven joint can show."""
+UNSEEN: Mapping[str, str] = {
+    "supply_droop": "no air is drawn",
+    "valve_lag": "no valve moves",
+    "valve_offset": "no valve moves",
+    "line_resistance": "no air passes the line",
+    "pressure_sensor": "an offset or gain looks like another charge or another slope of the volume",
+    "load_torque": "a constant torque or a spring looks like another force map or another stiffness",
+    "external_torque": "the torque from outside is what was applied",
+}
+"""The others, and why not."""
+
+_CORNER_HZ = 3.0
+_STRIDE = 4
+"""Samples a step: what is left of a motion behind 3 Hz hardly changes within one."""
+_SMOOTH = 1e-6
+"""[rad] White noise below which an angle needs no smoothing: its direction of motion shows as it is."""
+SLIDING = 0.02
+"""[rad/s] Above it a joint slides (:mod:`pam_antagonist.identification.sealed`)."""
+_SLOW_LEAK = 1e-11
+"""[m²] A closed muscle loses a hundredth of its air in a minute by it; the catalogue's scale is for muscles with
+valves."""
+_STICKING_LEAST = 1e-9
+_CLEAR = 3.0
+"""Standard deviations of its noise that a velocity must reach before it tells a direction."""
+_FORCE = 10.0
+"""[N] By so much the forces of two muscles of one make may differ."""
+_VISCOUS = 0.02
+"""[N m s/rad] So much more viscous friction than configured is no surprise; ten times as much looks like Coulomb's."""
+_rk4_step, _forces, _torque = dynamics.rk4_step, dynamics.forces, dynamics.torque
+_coulomb_torque, _extra_coulomb_torque, _load_torque = (
+    joint.coulomb_torque,
+    joint.extra_coulomb_torque,
+    joint.load_torque,
+)
+
+
+@kernel
+def _driven(x0, angle, velocity, acceleration, direction, p, dt):  # type: ignore[no-untyped-def]
+    """Pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that a motion needs."""
+    samples = len(angle)
+    x = x0.copy()
+    u = np.zeros(3)
+    pressure = np.empty((samples, 2))
+    needed = np.empty(samples)
+    for k in range(samples):
+        if k > 0:
+            # Held over the step at its middle, of second order: the joint of p is locked, its air sees the velocity.
+            x[0] = 0.5 * (angle[k] + angle[k - 1])
+            x[1] = (angle[k] - angle[k - 1]) / dt
+            _rk4_step(x, u, p, dt, x)
+        x[0] = angle[k]
+        x[1] = velocity[k]
+        force_1, force_2 = _forces(x, p)
+        coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p)
+        load = 0.0
+        if p[par.STATELESS_EFFECTS] != 0.0:
+            coulomb = max(coulomb + _extra_coulomb_torque(velocity[k], p), 0.0)
+            load = _load_torque(angle[k], p)
+        friction = coulomb * direction[k] + p[par.VISCOUS] * velocity[k]
+        inertial = p[par.INERTIA] * acceleration[k] + p[par.STIFFNESS] * angle[k]
+        needed[k] = inertial + friction - _torque(x, p) - load
+        pressure[k, 0] = x[2]
+        pressure[k, 1] = x[3]
+    return pressure, needed
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A measured angle as an input: angle (N,) [rad], its derivatives, and the direction of motion, −1 to 1."""
+
+    angle: Floats
+    velocity: Floats
+    acceleration: Floats
+    direction: Floats
+
+
+def motion_of(measured: Floats, dt: float) -> Motion:
+    """The motion behind a measured angle.
+
+    An angle with noise is smoothed without a phase shift. The direction fades where the velocity is within its noise.
+
+    Args:
+        measured: angle (N,) [rad], NaN where missing.
+        dt: sample period [s].
+    """
+    known = np.isfinite(measured)
+    angle = np.interp(np.arange(len(measured)), np.flatnonzero(known), measured[known])
+    # The sixth difference of white noise has 924 times its variance, that of a smooth motion is next to nothing.
+    noise = float(np.sqrt(np.mean(np.diff(measured[known], 6) ** 2) / 924.0))
+    fuzzy = noise * np.sqrt(0.5) / dt
+    if noise > _SMOOTH:
+        corner = signal.butter(2, _CORNER_HZ, fs=1.0 / dt, output="sos")
+        angle = signal.sosfiltfilt(corner, angle)
+        _, response = signal.sosfreqz(corner, 4096, fs=1.0 / dt)
+        omega = np.linspace(0.0, np.pi / dt, 4096, endpoint=False)
+        fuzzy = noise * float(np.sqrt(np.mean(np.abs(response) ** 4 * omega**2)))
+    velocity = np.gradient(angle, dt)
+    direction = velocity / np.hypot(velocity, max(_CLEAR * fuzzy, _STICKING_LEAST))
+    return Motion(angle, velocity, np.gradient(velocity, dt), direction)
+
+
+@dataclass(frozen=True)
+class _Own(Candidate):
+    """A candidate with unknowns of its own choice."""
+
+    chosen: tuple[Unknown, ...] = ()
+    start: tuple[dict[str, float], ...] = ()
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Its numbers, sizes first."""
+        return self.chosen or super().unknowns
+
+    def grid(self) -> list[dict[str, float]]:
+        """Shapes to try."""
+        return list(self.start) or super().grid()
+
+
+def _closed(item: EffectParameter) -> EffectParameter:
+    """A number of an effect as it may be for a closed joint whose base model does not hold it back."""
+    if item.unit == "m2":
+        return replace(item, scale=_SLOW_LEAK)
+    # Less than no friction at rest would take the joint's sticking away.
+    return replace(item, low=0.0) if item.name in ("coulomb", "stribeck") else item
+
+
+def _unknowns(effect: str, tied: bool, without: tuple[str, ...] = ()) -> _Own:
+    """A candidate whose sizes are the same for both muscles, or each muscle's own."""
+    groups: dict[str, list[str]] = {}
+    items = {item.name: _closed(item) for item in CATALOGUE[effect].parameters if item.name not in without}
+    for item in sorted(items.values(), key=lambda item: not item.is_size):
+        groups.setdefault(item.name[:-2] if tied and item.muscle else item.name, []).append(item.name)
+    return _Own(
+        effect,
+        tuple(
+            Unknown(tuple(parameter_path(effect, name) for name in group), items[group[0]]) for group in groups.values()
+        ),
+    )
+
+
+_VARIANTS: Mapping[str, tuple[Candidate, ...]] = {
+    # Of a pressure that hardly falls, the law by which a leak depends on it does not show.
+    "leak": (_unknowns("leak", True, ("exponent",)), _unknowns("leak", False, ("exponent",))),
+    "thermal": (_unknowns("thermal", True), _unknowns("thermal", False)),
+    "friction": (_unknowns("friction", True, ("stribeck", "velocity")), _unknowns("friction", True)),
+    "hysteresis": (_Own("hysteresis", start=tuple({"effects.hysteresis.width": w} for w in (2e-4, 5e-4, 2e-3, 8e-3))),),
+    "creep": (_unknowns("creep", True),),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Driven(Experiment):
+    """A part of a driven joint as an experiment: its air, or its balance of torques.
+
+    Attributes:
+        part: ``air`` or ``balance``.
+        resolved: only samples count in which the joint slides, where the encoder tells the direction of motion.
+    """
+
+    part: str = AIR
+    resolved: bool = False
+
+    @cached_property
+    def knobs(self) -> tuple[Knob, ...]:
+        """Free base directions: what :mod:`pam_antagonist.identification.sealed` identifies, but for friction."""
+        rig, length = self.rig, self.rig.geometry.length
+        if self.part == BALANCE:
+            apart = {"muscle_1.force.w2": _FORCE, "muscle_2.force.w2": -_FORCE}
+            return (
+                Knob("joint.stiffness", {"joint.stiffness": max(rig.joint.stiffness, 1.0)}, 1.0),
+                Knob("difference of the muscles' forces", apart, 1.0),
+                Knob("joint.viscous_friction", {"joint.viscous_friction": _VISCOUS}, 1.0),
+            )
+        found = []
+        for number in (1, 2):
+            slope = getattr(rig, f"muscle_{number}").volume.d2
+            # About the volume at angle 0, which stays as declared.
+            turned = {f"muscle_{number}.volume.d2": slope, f"muscle_{number}.volume.d3": -slope * length}
+            found.append(Knob(f"muscle_{number}.volume, slope", turned, 0.1))
+            charge = f"valves.charge_{number}"
+            found.append(Knob(charge, {charge: rig.value(charge)}, 0.01))
+        return tuple(found)
+
+    @cached_property
+    def channels(self) -> tuple[int, ...]:
+        """The torque from outside, or the pressures' mean and half their difference in the place of the pressures."""
+        return (TORQUE,) if self.part == BALANCE else (PRESSURE_1, PRESSURE_2)
+
+    @property
+    def titles(self) -> tuple[tuple[str, float], ...]:
+        """What each channel is called in a figure, with its unit, and the factor to it."""
+        if self.part == BALANCE:
+            return (("Torque from outside [N m]", 1.0),)
+        return ("Mean pressure [kPa]", 1e-3), ("Half difference [kPa]", 1e-3)
+
+    @cached_property
+    def measured(self) -> Floats:
+        """Block means of the measurements (B, C)."""
+        values = _parted(self.trial.measured)[:, list(self.channels)]
+        if self.resolved:
+            values = np.where(np.abs(self.motion.velocity)[:, None] > SLIDING, values, np.nan)
+        return blocks(values)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The measured angle as an input."""
+        return motion_of(self.trial.measured[:, ANGLE], self.trial.dt)
+
+    @cached_property
+    def noise(self) -> Floats:
+        """Standard deviation of a block mean by the sensors (C,), the encoder's by what its error moves included.
+
+        An encoder's error stays while the joint does, so it does not average out in a block.
+        """
+        p, angle = self._vector, self.rig.sensors.angle_std
+        slopes = [(dynamics.closed_pressure(i, 0.01, p) - dynamics.closed_pressure(i, -0.01, p)) / 0.02 for i in (0, 1)]
+        if self.part == BALANCE:
+            x = np.array([0.0, 0.0, *(dynamics.closed_pressure(i, 0.0, p) for i in (0, 1))])
+            stiffness = self.rig.joint.stiffness - dynamics.torque_slope(x, p)
+            return np.array([np.hypot(self.rig.sensors.torque_std, stiffness * angle)])
+        values = _parted(self.trial.measured)
+        by_angle = np.array([slopes[0] + slopes[1], slopes[0] - slopes[1]]) / 2.0 * angle
+        return np.array(
+            [np.hypot(block_noise(values[:, c]), by) for c, by in zip(self.channels, by_angle, strict=True)]
+        )
+
+    @cached_property
+    def _vector(self) -> Floats:
+        return self.rig.parameters("locked", 0.0)
+
+    def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+        """Effects that this part can show, beside those that a model has already; the simpler form of each first."""
+        present = {path.split(".")[1] for path in taken}
+        return tuple(variant for name in SEEN[self.part] if name not in present for variant in _VARIANTS[name])
+
+    def driven(self, point: Point, whole: bool = False) -> tuple[Floats, Floats]:
+        """Pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that the measured motion needs."""
+        p, motion = self.parameters(point), self.motion
+        first = motion.angle[0]
+        pressures = [dynamics.closed_pressure(i, first, p) for i in (0, 1)]
+        x0 = dynamics.initial_state(first, pressures[0], pressures[1], np.zeros(3), p)
+        for muscle, way in ((0, -1.0), (1, 1.0)):
+            # A joint that moves at the start has come a long way: its muscles' loops have turned round already.
+            slot = int(p[par.SLOT_OF[f"hysteresis_{muscle + 1}"]])
+            if slot > 0 and abs(motion.velocity[0]) > SLIDING:
+                x0[slot] = way * np.sign(motion.velocity[0])
+        end = len(self.trial) if whole else self.fitted
+        at = np.arange(0, end, _STRIDE)
+        course = [part[:end][at] for part in (motion.angle, motion.velocity, motion.acceleration)]
+        # A joint that trembles while it sticks shows no direction.
+        direction = np.add.reduceat(motion.direction[:end], at) / np.diff(np.append(at, end))
+        pressure, needed = _driven(x0, *course, direction, p, _STRIDE * self.trial.dt)
+        every = np.arange(end)
+        columns = [np.interp(every, at, column) for column in (*pressure.T, needed)]
+        return np.column_stack(columns[:2]), np.asarray(columns[2])
+
+    def simulated(self, point: Point, whole: bool = False) -> Floats:
+        """What the measured motion asks for (N, 4), the pressures by their mean and half their difference."""
+        pressure, needed = self.driven(point, whole)
+        return _parted(np.column_stack([self.motion.angle[: len(needed)], needed, pressure]))
+
+    def _matters(self, k: int) -> bool:
+        return k < len(self.knobs)
+
+
+def _parted(values: Floats) -> Floats:
+    """Columns of ``CHANNELS`` with the mean of the pressures and half their difference in the place of the two."""
+    first, second = values[:, PRESSURE_1], values[:, PRESSURE_2]
+    return np.column_stack([values[:, ANGLE], values[:, TORQUE], 0.5 * (first + second), 0.5 * (first - second)])

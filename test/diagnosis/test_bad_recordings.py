@@ -1,0 +1,57 @@
+"""Recordings that cannot tell: each is said plainly, and nothing is guessed."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pam_antagonist.diagnosis import diagnose
+from pam_antagonist.errors import BadInput
+
+
+def test_recordings_that_are_too_quiet_are_refused(rig, recorded) -> None:
+    sound = recorded(seconds=24.0)
+    still = dataclasses.replace(sound, voltage=np.full_like(sound.voltage, 5.0))
+    with pytest.raises(BadInput, match="valves never moved"):
+        diagnose([still], rig, joint="locked", jobs=1)
+    calm = dataclasses.replace(sound, pressure=4e5 + 0.01 * (sound.pressure - 4e5))
+    with pytest.raises(BadInput, match="expected at least 30 kPa"):
+        diagnose([calm], rig, joint="locked", jobs=1)
+
+
+def test_pressures_alone_name_what_cannot_be_seen(rig, recorded) -> None:
+    """Nothing is found, and the report says of what that means nothing."""
+    bare = dataclasses.replace(recorded(seconds=24.0), angle=None, torque=None)
+    found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False)
+    assert found.verdict == "none" and not found.effects
+    said = " ".join(found.unseen)
+    assert "Pressures alone decide" in said and "innovations" in said
+    blind = next(line for line in found.unseen if line.startswith("Not seen"))
+    for name in ("friction", "load_torque", "hysteresis", "creep", "external_torque"):
+        assert name in blind
+    for name in ("leak", "valve_offset", "supply_droop"):
+        assert name not in blind
+    rows = {row["channel"]: row for row in found.by_recording[0]["residuals"]["recalibrated"]}
+    assert {"innovation 1", "innovation 2", "mass flow 1", "pressure_1"} <= set(rows)
+    assert not {"contraction torque", "joint motion", "angle", "torque"} & set(rows)
+
+
+@pytest.fixture(scope="module")
+def one_leaks(rig, recorded):
+    both = [recorded("leak", 1, "seeping", 15.0, seconds=24.0), recorded(seconds=24.0, take=1)]
+    return diagnose(both, rig, joint="locked", jobs=1, profiles=False, estimator=False)
+
+
+def test_one_recording_shows_what_the_other_rules_out(one_leaks) -> None:
+    first, second = (part["recording"] for part in one_leaks.by_recording)
+    assert one_leaks.effects[0].recordings == (first,)
+    warning = next(line for line in one_leaks.warnings if "contradict" in line)
+    assert f"{first} shows leak" in warning and f"{second} rules it out" in warning
+    assert f"in {first}" in one_leaks.sentence
+
+
+def test_one_joint_condition_says_what_the_other_would_tell(one_leaks) -> None:
+    assert any(line.startswith("The joint was locked throughout") for line in one_leaks.unseen)
+    assert any(line.startswith("Not seen") and "friction" in line for line in one_leaks.unseen)

@@ -1,0 +1,108 @@
+"""Whole recordings held out: what is judged by them, what of them is fitted, and which are refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pam_antagonist.diagnosis import diagnose, heldout
+from pam_antagonist.diagnosis.experiment import Experiment
+from pam_antagonist.diagnosis.refit import excess
+from pam_antagonist.diagnosis.select import recalibrated
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.trial import make_trial
+
+
+@pytest.fixture(scope="module")
+def pair(recorded):
+    return [recorded("leak", 1, "seeping", 15.0, seconds=24.0, take=take) for take in (0, 1)]
+
+
+@pytest.fixture(scope="module")
+def judged(rig, pair):
+    return diagnose([pair[0]], rig, joint="locked", held_out=[pair[1]], jobs=1, profiles=False, estimator=False)
+
+
+def test_the_effect_is_judged_by_the_recording_that_no_fit_saw(judged) -> None:
+    assert judged.verdict == "effect"
+    assert (judged.effects[0].name, judged.effects[0].muscle) == ("leak", 1)
+    assert judged.effects[0].recordings == (judged.by_recording[0]["recording"],)
+    fitted, other = judged.by_recording
+    assert (fitted["role"], other["role"]) == ("fitted", "held out")
+    assert fitted["errors"] is None and fitted["held_out_from_s"] is None
+    before, after = (other["errors"][model]["pressure"]["rmse_pa"][0] for model in ("recalibrated", "extended"))
+    assert after < 0.3 * before
+    # With nothing but that recording held out, the totals are its errors.
+    assert judged.errors["extended"]["pressure"]["rmse_pa"] == pytest.approx(
+        other["errors"]["extended"]["pressure"]["rmse_pa"]
+    )
+    assert [row["channel"] for row in other["residuals"]["extended"]][:2] == ["mass flow 1", "mass flow 2"]
+
+
+def test_only_the_start_of_a_held_out_recording_is_fitted(judged) -> None:
+    fitted, other = judged.compared
+    assert fitted.experiment.fitted == len(fitted.experiment.trial)
+    assert other.experiment.fitted * other.experiment.trial.dt == pytest.approx(heldout.START)
+    count = len(other.experiment.knobs)
+    for model in ("recalibrated", "extended"):
+        np.testing.assert_array_equal(other.points[model].theta[:count], fitted.points[model].theta[:count])
+        assert other.points[model].effects == fitted.points[model].effects
+        assert np.any(other.points[model].theta[count:])
+
+
+def test_what_follows_the_start_does_not_change_it(rig, pair, experiment_of) -> None:
+    whole = experiment_of(pair[1], "locked")
+    start = dataclasses.replace(whole, fitted=5000)
+    other = start.trial.measured.copy()
+    other[5000:] *= 1.1
+    bent = Experiment(rig, dataclasses.replace(start.trial, measured=other), 5000)
+    np.testing.assert_allclose(start.started(start.origin).theta, bent.started(bent.origin).theta, rtol=0.2, atol=0.05)
+
+
+def test_a_channel_that_was_not_measured_there_counts_as_noise(rig, pair) -> None:
+    trials = [make_trial(recording, rig, "locked", 0.0, "a") for recording in pair]
+    bare = dataclasses.replace(trials[1], measured=np.where([True, False, True, True], trials[1].measured, np.nan))
+    (experiment,), _ = heldout.experiments_of(trials[:1], [bare], rig, 1.0 / 3.0, 0)
+    held = experiment.held(experiment.residual(experiment.origin, whole=True))
+    assert len(held) == (len(bare) - 5000) // 20
+    assert excess(experiment, held)[0] == pytest.approx(1.0)
+    assert np.all(excess(experiment, held)[1:] > 1.5)
+
+
+def test_recordings_are_judged_by_those_of_the_same_condition(rig, recorded) -> None:
+    trials = [make_trial(recorded(seconds=20.0, joint=j), rig, j, 0.0, j) for j in ("free", "locked")]
+    (free, locked), held = heldout.experiments_of(trials, [trials[1]], rig, 1.0 / 3.0, 0)
+    assert free.judged == () and locked.judged == held
+    nothing = free.held(free.residual(free.origin, whole=True))
+    assert len(nothing) == 0 and excess(free, nothing).tolist() == [1.0] * 4
+    (alone,), held = heldout.experiments_of(trials[:1], [trials[1]], rig, 1.0 / 3.0, 0)
+    assert alone.judged == held
+
+
+def test_a_recording_cannot_judge_itself(rig, pair) -> None:
+    with pytest.raises(BadInput, match="also among those that are fitted"):
+        diagnose([pair[0]], rig, joint="locked", held_out=[dataclasses.replace(pair[0])], jobs=1)
+    with pytest.raises(BadInput, match="given twice"):
+        diagnose([pair[0]], rig, joint="locked", held_out=[pair[1], dataclasses.replace(pair[1])], jobs=1)
+
+
+def test_a_held_out_recording_that_is_too_short_is_refused(rig, recorded, pair) -> None:
+    with pytest.raises(BadInput, match="too short"):
+        diagnose([pair[0]], rig, joint="locked", held_out=[recorded(seconds=12.0, take=2)], jobs=1)
+
+
+def test_a_recording_of_another_rig_is_refused(rig, recorded, pair) -> None:
+    """Valves that let in half as much again: no day makes that of a rig."""
+    sound = recorded(seconds=24.0)
+    trial = make_trial(sound, rig, "locked", 0.0, "mine")
+    theirs = make_trial(pair[1], rig, "locked", 0.0, "theirs")
+    (experiment,), held = heldout.experiments_of([trial], [theirs], rig, 0.3, 0)
+    base = recalibrated([experiment], 1)
+    heldout.check_same_rig([experiment], base, held, 1)
+    shifted = base.fits[0].point.theta.copy()
+    shifted[0] += 0.5
+    far = dataclasses.replace(base.fits[0], point=dataclasses.replace(base.fits[0].point, theta=shifted))
+    with pytest.raises(BadInput, match="seems to be of another rig"):
+        heldout.check_same_rig([experiment], dataclasses.replace(base, fits=(far,)), held, 1)
