@@ -24,7 +24,7 @@ from pam_antagonist.diagnosis.experiment import Experiment, Point, block_noise
 from pam_antagonist.diagnosis.knobs import Knob
 from pam_antagonist.diagnosis.simulation import blocks
 from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE
-from pam_antagonist.model import dynamics, joint
+from pam_antagonist.model import dynamics, joint, rest
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
 
@@ -248,9 +248,9 @@ class Driven(Experiment):
         An encoder's error stays while the joint does, so it does not average out in a block.
         """
         p, angle = self._vector, self.rig.sensors.angle_std
-        slopes = [(dynamics.closed_pressure(i, 0.01, p) - dynamics.closed_pressure(i, -0.01, p)) / 0.02 for i in (0, 1)]
+        slopes = [(rest.closed_pressure(i, 0.01, p) - rest.closed_pressure(i, -0.01, p)) / 0.02 for i in (0, 1)]
         if self.part == BALANCE:
-            x = np.array([0.0, 0.0, *(dynamics.closed_pressure(i, 0.0, p) for i in (0, 1))])
+            x = np.array([0.0, 0.0, *(rest.closed_pressure(i, 0.0, p) for i in (0, 1))])
             stiffness = self.rig.joint.stiffness - dynamics.torque_slope(x, p)
             return np.array([np.hypot(self.rig.sensors.torque_std, stiffness * angle)])
         values = _parted(self.trial.measured)
@@ -272,8 +272,8 @@ class Driven(Experiment):
         """Pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that the measured motion needs."""
         p, motion = self.parameters(point), self.motion
         first = motion.angle[0]
-        pressures = [dynamics.closed_pressure(i, first, p) for i in (0, 1)]
-        x0 = dynamics.initial_state(first, pressures[0], pressures[1], np.zeros(3), p)
+        pressures = [rest.closed_pressure(i, first, p) for i in (0, 1)]
+        x0 = rest.initial_state(first, pressures[0], pressures[1], np.zeros(3), p)
         for muscle, way in ((0, -1.0), (1, 1.0)):
             # A joint that moves at the start has come a long way: its muscles' loops have turned round already.
             slot = int(p[par.SLOT_OF[f"hysteresis_{muscle + 1}"]])

@@ -17,7 +17,7 @@ from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.refit import Fitted, excess, refit
 from pam_antagonist.diagnosis.simulation import BLOCK, blocks
 from pam_antagonist.identification.trial import ANGLE, PRESSURE_1
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, rest
 
 Floats = NDArray[np.float64]
 
@@ -129,7 +129,7 @@ def _observed(experiment: Experiment, fitted: Fitted) -> Floats:
     measured = np.interp(np.arange(len(trial)), middle[np.isfinite(angle)], angle[np.isfinite(angle)])
     p = experiment.parameters(fitted.point)
     start = experiment.simulated(fitted.point)[0]
-    x0 = dynamics.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
+    x0 = rest.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
     return blocks(_followed(x0, trial.given, measured, p, trial.dt, _STIFF, _DAMPING)[:, None])[:, 0]
 
 

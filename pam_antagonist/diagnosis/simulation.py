@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, Trial
-from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model import dynamics, rest, sensor
 
 Floats = NDArray[np.float64]
 
@@ -56,9 +56,9 @@ def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> t
     """States (N, n) and torques (N,) [N m] of the same."""
     moved = np.zeros(3) if shift is None else shift
     pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
-    angle = dynamics.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
+    angle = rest.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
     given = trial.voltage if trial.external is None else trial.given
-    x0 = dynamics.initial_state(angle, pressures[0], pressures[1], given[0], p)
+    x0 = rest.initial_state(angle, pressures[0], pressures[1], given[0], p)
     states, torque, _ = dynamics.simulate(x0, given, p, trial.dt, 1)
     return states, torque
 

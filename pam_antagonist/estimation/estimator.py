@@ -10,7 +10,7 @@ import numpy as np
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation.filter import COUNTERS, ESTIMATE_DTYPE, ROW
-from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
 from pam_antagonist.rig import Rig, Tuning
@@ -217,7 +217,7 @@ class Estimator:
             raise BadInput(f"voltage {list(voltage)}: expected two finite numbers")
         x, covariance, cross, held = self._memory[:4]
         inputs = np.array(voltage, dtype=np.float64)
-        x[:] = dynamics.initial_state(angle, pressure[0], pressure[1], inputs, p)
+        x[:] = rest.initial_state(angle, pressure[0], pressure[1], inputs, p)
         x[dynamics.VELOCITY] = velocity
         covariance[:] = np.diag(self._settings[1])
         cross[:] = 0.0
@@ -330,8 +330,8 @@ def simulate_model(
     if joint == "locked":
         angle = lock_angle
     else:
-        angle = dynamics.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
-    start = dynamics.initial_state(angle, pressures[0], pressures[1], held[0], p)
+        angle = rest.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
+    start = rest.initial_state(angle, pressures[0], pressures[1], held[0], p)
     states, torques, sigma = dynamics.simulate(start, held, p, rig.sample_period, substeps)
     readings = np.column_stack([sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)])
     return ModelRun(states[:, 0], states[:, 1], readings, torques, sigma)

@@ -25,7 +25,7 @@ import numpy as np
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.estimation import ukf
-from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 from pam_antagonist.model.parameters import LOCKED
 
@@ -66,8 +66,8 @@ _COVARIANCE, _PRESSURE, _FORCE, _STIFFNESS, _INNOVATION, _INNOVATION_COVARIANCE,
 )
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
-_start_angle, _forces, _torque_slope = dynamics.start_angle, dynamics.forces, dynamics.torque_slope
-_subsystem, _initial_state, _pressure_behind = dynamics.subsystem, dynamics.initial_state, sensor.pressure_behind
+_start_angle, _forces, _torque_slope = rest.start_angle, dynamics.forces, dynamics.torque_slope
+_subsystem, _initial_state, _pressure_behind = dynamics.subsystem, rest.initial_state, sensor.pressure_behind
 
 
 def make_work(states: int, considered: int) -> tuple[np.ndarray, ...]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pam_antagonist.identification.freedom import FreeParameter
 from pam_antagonist.identification.slopes import STEP, step_directions
 from pam_antagonist.identification.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
-from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -41,7 +41,7 @@ def simulate(trial: Trial, p: Floats, start: Floats) -> Floats:
         (N, 4) in the order of ``CHANNELS``.
     """
     behind = [sensor.pressure_behind(i, start[1 + i], p) for i in (0, 1)]
-    x0 = dynamics.initial_state(start[0], behind[0], behind[1], trial.given[0], p)
+    x0 = rest.initial_state(start[0], behind[0], behind[1], trial.given[0], p)
     states, torque, _ = dynamics.simulate(x0, trial.given, p, trial.dt, 1)
     shown = [sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)]
     return np.column_stack([states[:, 0], torque, *shown])
@@ -56,7 +56,7 @@ def first_state(trial: Trial, p: Floats) -> Floats:
     elif np.isfinite(first[:, ANGLE]).any():
         angle = float(np.nanmean(first[:, ANGLE]))
     else:
-        angle = float(dynamics.rest_angle(pressure[0], pressure[1], p))
+        angle = float(rest.rest_angle(pressure[0], pressure[1], p))
     return np.array([angle, *pressure])
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, joint
+from pam_antagonist.model import dynamics, joint, rest
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -149,7 +149,7 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
         p = rig.parameters(changes=named(theta))
         parts = []
         for trial in trials:
-            model = np.array([dynamics.closed_pressure(muscle, angle, p) for angle in trial.angle])
+            model = np.array([rest.closed_pressure(muscle, angle, p) for angle in trial.angle])
             parts.append(model - trial.pressure[:, muscle])
         return np.concatenate(parts)
 

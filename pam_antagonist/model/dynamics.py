@@ -6,22 +6,16 @@ State ``x = [ψ, ψ̇, P_1, P_2]`` [rad, rad/s, Pa, Pa], input ``u = [u_1, u_2]`
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model import flow, joint, muscle
 from pam_antagonist.model.parameters import (
     BASE_STATES,
-    CHARGE,
     LOCKED,
     PLAIN,
-    POLYTROPIC_VOLUME,
     SLOT_OF,
     STATELESS_EFFECTS,
-    STATES,
-    STIFFNESS,
     STOP,
     SUPPLY,
 )
@@ -134,25 +128,28 @@ def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_
 
 
 @inlined
-def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p):
-    """The rows of equation (11a) for a plain rig, in scalars: a sigma point passes through registers, not memory."""
+def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, plain):
+    """The rows of equation (11a) without added states, in scalars: a sigma point passes through registers, not memory.
+
+    ``plain`` is a literal: a rig without options and effects is spared their branches.
+    """
     velocity = _stopped(angle, velocity, p)
     sine, cosine, _ = _leverage(angle, p)
     length_1 = _length(0, sine, p)
     length_2 = _length(1, sine, p)
     supply = p[SUPPLY]
     rate_1, _, _ = _air(
-        0, alpha_1, pressure_1, pressure_1, length_1, _length_rate(0, cosine, velocity, p), supply, p, True
+        0, alpha_1, pressure_1, pressure_1, length_1, _length_rate(0, cosine, velocity, p), supply, p, plain
     )
     rate_2, _, _ = _air(
-        1, alpha_2, pressure_2, pressure_2, length_2, _length_rate(1, cosine, velocity, p), supply, p, True
+        1, alpha_2, pressure_2, pressure_2, length_2, _length_rate(1, cosine, velocity, p), supply, p, plain
     )
     if p[LOCKED] != 0.0:
         return 0.0, 0.0, rate_1, rate_2
-    force_1 = _linear_force(0, length_1, pressure_1, p)
-    force_2 = _linear_force(1, length_2, pressure_2, p)
+    force_1 = _linear_force(0, length_1, pressure_1, p) if plain else _force(0, length_1, pressure_1, p)
+    force_2 = _linear_force(1, length_2, pressure_2, p) if plain else _force(1, length_2, pressure_2, p)
     acceleration, _ = _motion(
-        angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, p, True
+        angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, p, plain
     )
     return velocity, acceleration, rate_1, rate_2
 
@@ -268,6 +265,32 @@ def _extended_step(x, u, p, dt, result):
     _stop(result, p)
 
 
+@inlined
+def _scalar_step(x, u, p, dt, result, plain):
+    """:func:`rk4_step` without added states."""
+    alpha_1 = _open_rate(0, u[0], p)
+    alpha_2 = _open_rate(1, u[1], p)
+    e = _outside(u)
+    half = 0.5 * dt
+    a, b, c, d = x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2]
+    a1, b1, c1, d1 = _slopes(a, b, c, d, alpha_1, alpha_2, e, p, plain)
+    a2, b2, c2, d2 = _slopes(a + half * a1, b + half * b1, c + half * c1, d + half * d1, alpha_1, alpha_2, e, p, plain)
+    a3, b3, c3, d3 = _slopes(a + half * a2, b + half * b2, c + half * c2, d + half * d2, alpha_1, alpha_2, e, p, plain)
+    a4, b4, c4, d4 = _slopes(a + dt * a3, b + dt * b3, c + dt * c3, d + dt * d3, alpha_1, alpha_2, e, p, plain)
+    sixth = dt / 6.0
+    result[ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+    result[VELOCITY] = b + sixth * (b1 + 2.0 * (b2 + b3) + b4)
+    result[PRESSURE_1] = c + sixth * (c1 + 2.0 * (c2 + c3) + c4)
+    result[PRESSURE_2] = d + sixth * (d1 + 2.0 * (d2 + d3) + d4)
+    _stop(result, p)
+
+
+@kernel
+def _optional_step(x, u, p, dt, result):
+    """:func:`rk4_step` with options or effects, but without added states."""
+    _scalar_step(x, u, p, dt, result, False)
+
+
 @kernel
 def rk4_step(x, u, p, dt, result):
     """One step of the fourth-order Runge-Kutta method with the input held, then the mechanical stop.
@@ -279,24 +302,12 @@ def rk4_step(x, u, p, dt, result):
         dt: step [s].
         result: state after the step (n,).
     """
-    if p[PLAIN] == 0.0:
+    if p[PLAIN] != 0.0:
+        _scalar_step(x, u, p, dt, result, True)
+    elif x.shape[0] == BASE_STATES:
+        _optional_step(x, u, p, dt, result)
+    else:
         _extended_step(x, u, p, dt, result)
-        return
-    alpha_1 = _open_rate(0, u[0], p)
-    alpha_2 = _open_rate(1, u[1], p)
-    e = _outside(u)
-    half = 0.5 * dt
-    a, b, c, d = x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2]
-    a1, b1, c1, d1 = _slopes(a, b, c, d, alpha_1, alpha_2, e, p)
-    a2, b2, c2, d2 = _slopes(a + half * a1, b + half * b1, c + half * c1, d + half * d1, alpha_1, alpha_2, e, p)
-    a3, b3, c3, d3 = _slopes(a + half * a2, b + half * b2, c + half * c2, d + half * d2, alpha_1, alpha_2, e, p)
-    a4, b4, c4, d4 = _slopes(a + dt * a3, b + dt * b3, c + dt * c3, d + dt * d3, alpha_1, alpha_2, e, p)
-    sixth = dt / 6.0
-    result[ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-    result[VELOCITY] = b + sixth * (b1 + 2.0 * (b2 + b3) + b4)
-    result[PRESSURE_1] = c + sixth * (c1 + 2.0 * (c2 + c3) + c4)
-    result[PRESSURE_2] = d + sixth * (d1 + 2.0 * (d2 + d3) + d4)
-    _stop(result, p)
 
 
 @inlined
@@ -320,97 +331,6 @@ def subsystem(x, p):
         )  # fmt: skip
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)
-
-
-@inlined
-def _pull(x, p):
-    """Torque [N m] that moves a joint which stands and does not stick."""
-    sine, _, _ = _leverage(x[ANGLE], p)
-    load = _load_torque(sine, p) if p[STATELESS_EFFECTS] != 0.0 else 0.0
-    return torque(x, p) + load - p[STIFFNESS] * x[ANGLE]
-
-
-@kernel
-def rest_angle(pressure_1, pressure_2, p):
-    """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within the stop.
-
-    Where the balance lies beyond the stop (or beyond ±60° without one), that bound.
-    """
-    high = min(p[STOP], math.pi / 3.0)
-    low = -high
-    x = np.array([low, 0.0, pressure_1, pressure_2])
-    if _pull(x, p) <= 0.0:
-        return low
-    x[ANGLE] = high
-    if _pull(x, p) >= 0.0:
-        return high
-    for _ in range(60):
-        x[ANGLE] = 0.5 * (low + high)
-        if _pull(x, p) > 0.0:
-            low = x[ANGLE]
-        else:
-            high = x[ANGLE]
-    return 0.5 * (low + high)
-
-
-@inlined
-def closed_pressure(i, angle, p):
-    """Pressure [Pa] of sealed muscle i at an angle [rad]: equation (4) without flow keeps P V^k_2 as it was charged."""
-    travel, _, _ = _leverage(angle, p)
-    volume, _ = _volume(i, _length(i, travel, p), p)
-    charged, _ = _volume(i, _length(i, 0.0, p), p)
-    return p[CHARGE + i] * math.exp(p[POLYTROPIC_VOLUME] * math.log(charged / volume))
-
-
-@kernel
-def start_angle(pressure_1, pressure_2, p):
-    """Angle [rad] at which a filter starts.
-
-    Of sealed muscles whose charge is known, the angle at which the ratio of the pressures is that of the
-    closed chambers; otherwise the angle of rest.
-    """
-    if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
-        return rest_angle(pressure_1, pressure_2, p)
-    ratio = pressure_1 / pressure_2
-    high = min(p[STOP], math.pi / 3.0)
-    low = -high
-    # Muscle 1 gets shorter and wider as the angle grows, muscle 2 longer and narrower.
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if closed_pressure(0, middle, p) > ratio * closed_pressure(1, middle, p):
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-@kernel
-def initial_state(angle, pressure_1, pressure_2, u, p):
-    """State of a joint that has stood for long: at rest, valves open as they are asked to, everything slow settled.
-
-    Args:
-        angle: ψ [rad].
-        pressure_1: P_1 [Pa].
-        pressure_2: P_2 [Pa].
-        u: input, as for :func:`rk4_step`.
-        p: parameter vector.
-
-    Returns:
-        State (n,), n = p[parameters.STATES].
-    """
-    x = np.zeros(int(p[STATES]))
-    x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2
-    sine, _, _ = _leverage(angle, p)
-    for i in range(2):
-        if p[_CHAMBER + i] > 0.0:
-            x[int(p[_CHAMBER + i])] = x[PRESSURE_1 + i]
-        if p[_OPEN_RATE + i] > 0.0:
-            x[int(p[_OPEN_RATE + i])] = _open_rate(i, u[i], p)
-        if p[_LATE + i] > 0.0:
-            muscle_length = _length(i, sine, p)
-            static = _force(i, muscle_length, x[PRESSURE_1 + i], p)
-            x[int(p[_LATE + i])] = _relaxing_force(i, muscle_length, static, p)
-    return x
 
 
 @kernel

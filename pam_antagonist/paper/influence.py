@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, rest
 from pam_antagonist.model.profiles import Span
 from pam_antagonist.paper.result import Beside, Context, Result, Spread
 from pam_antagonist.paper.scenario import START
@@ -81,7 +81,7 @@ def run(rig: Rig, voltage: Floats, factors: dict[str, float]) -> Floats:
     """States (N, 4) of the declared model with some parameters times a factor."""
     changes = {name: rig.value(name) * factor for name, factor in factors.items()}
     p = rig.parameters("free", 0.0, changes)
-    start = dynamics.initial_state(float(dynamics.rest_angle(*START, p)), *START, voltage[0], p)
+    start = rest.initial_state(float(rest.rest_angle(*START, p)), *START, voltage[0], p)
     return np.asarray(dynamics.simulate(start, voltage, p, rig.sample_period, 1)[0])
 
 

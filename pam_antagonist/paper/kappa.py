@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.valve_curve import SteadyPoints, steady_open_rate, steady_points, valve_curve
-from pam_antagonist.model import dynamics, flow
+from pam_antagonist.model import dynamics, flow, rest
 from pam_antagonist.paper.result import Beside, Context, Result, Spread
 from pam_antagonist.paper.scenario import START
 from pam_antagonist.paper.seed_work import SeedWork
@@ -44,7 +44,7 @@ def simulated_pressures(work: SeedWork) -> Floats:
     for rate in _SIMULATED:
         voltage = np.full((round(60.0 / rig.sample_period), 2), 10.0 * rate)
         states, _, _ = dynamics.simulate(
-            dynamics.initial_state(0.0, *START, voltage[0], p), voltage, p, rig.sample_period, 1
+            rest.initial_state(0.0, *START, voltage[0], p), voltage, p, rig.sample_period, 1
         )
         out.append(states[-1, 2])
     return np.array(out)

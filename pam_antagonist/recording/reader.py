@@ -74,7 +74,8 @@ def read_bag(
     try:
         return _read(Path(path), topics, namespace, joint_name, restarts, recover)
     except MemoryError:
-        raise BadInput(f"{path}: needs more memory than there is; split the recording, or use a larger machine") from None
+        what = "needs more memory than there is; split the recording, or use a larger machine"
+        raise BadInput(f"{path}: {what}") from None
 
 
 def _read(

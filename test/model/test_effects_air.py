@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from states import ATMOSPHERE, TANK
 
 from pam_antagonist.estimation import simulate_model
-from pam_antagonist.model import dynamics, flow, sensor
+from pam_antagonist.model import dynamics, flow, rest, sensor
 from pam_antagonist.model import parameters as par
 
 T = paper.CORRECTED
@@ -30,7 +30,7 @@ def locked(rig, changes=None, **effects):
 def held(p, u, seconds, pressures=(450e3, 450e3), before=None, dt=DT):
     """States (N, n) of a joint held at 0°, voltages ``u`` from the first step on, ``before`` until then."""
     voltage = np.tile(np.asarray(u, dtype=np.float64), (round(seconds / dt) + 1, 1))
-    start = dynamics.initial_state(0.0, *pressures, np.array(u if before is None else before, dtype=np.float64), p)
+    start = rest.initial_state(0.0, *pressures, np.array(u if before is None else before, dtype=np.float64), p)
     return dynamics.simulate(start, voltage, p, dt, 1)[0]
 
 

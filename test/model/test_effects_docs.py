@@ -91,7 +91,7 @@ def applied(folder: Path) -> int:
 
 TRIAL = """
 import numpy as np
-from pam_antagonist.model import dynamics, parameters as par
+from pam_antagonist.model import dynamics, parameters as par, rest
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import load_rig
 
@@ -109,7 +109,7 @@ with_it, without = np.array(rates[:3]), np.array(rates[3:])
 z = rig.sample_period / rig.joint.inertia * rig.joint.viscous_friction
 assert with_it[0] == without[0], "within the gap it is not there"
 np.testing.assert_allclose((with_it - without)[1:] * (1 + z), [-40.0 * 0.1, 40.0 * 0.1], rtol=1e-9)
-rest = dynamics.rest_angle(700e3, 200e3, p), dynamics.rest_angle(700e3, 200e3, base)
+rest = rest.rest_angle(700e3, 200e3, p), rest.rest_angle(700e3, 200e3, base)
 assert 0.2 < rest[0] < rest[1] - 0.02, rest
 print("thirteen")
 """

@@ -10,7 +10,7 @@ import transcription as paper
 from scipy.integrate import trapezoid
 from states import held, sealed
 
-from pam_antagonist.model import dynamics, muscle
+from pam_antagonist.model import dynamics, muscle, rest
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import parameter_path
 
@@ -83,7 +83,7 @@ def pushed(p, peak, period=4.0):
     time = np.arange(round(2 * period / DT)) * DT
     push = peak * np.sin(2.0 * math.pi * time / period)
     voltage = np.column_stack([np.full((len(time), 2), 5.5), push])
-    states, _, _ = dynamics.simulate(dynamics.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 2)
+    states, _, _ = dynamics.simulate(rest.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 2)
     half = len(time) // 2
     return states[half:, 0], push[half:]
 
@@ -107,7 +107,7 @@ def test_a_joint_with_hysteresis_takes_more_work_in_a_cycle(rig):
 def test_creep_is_a_share_of_a_step_that_comes_late(rig):
     share, time = 0.1, 2.0
     p = with_effects(rig.parameters("locked", changes=SHUT), creep={"share_1": share, "share_2": 0.2, "time": time})
-    x = dynamics.initial_state(0.0, 450e3, 450e3, np.array([5.5, 5.5]), p)
+    x = rest.initial_state(0.0, 450e3, 450e3, np.array([5.5, 5.5]), p)
     before = dynamics.forces(x, p)[0]
     x[2] = 600e3  # the pressure jumps
     states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5], (10_001, 1)), p, DT, 1)
@@ -126,11 +126,11 @@ def test_creep_of_the_tube_is_of_its_length_and_not_of_the_pressure(rig):
     stiffness, time = 150.0, 2.0
     p = with_effects(rig.parameters("locked", changes=SHUT), creep={"stiffness": stiffness, "time": time})
     u = np.array([5.5, 5.5])
-    x = dynamics.initial_state(0.0, 450e3, 450e3, u, p)
+    x = rest.initial_state(0.0, 450e3, 450e3, u, p)
     x[2] = 600e3
     assert dynamics.forces(x, p)[0] == pytest.approx(paper.force(T, 1, T["L_0"], 600e3), rel=1e-12)
     # The same joint held elsewhere: muscle 1 is shorter and pulls less by κ Δl, until the tube has given way.
-    x = dynamics.initial_state(0.0, 450e3, 450e3, u, p)
+    x = rest.initial_state(0.0, 450e3, 450e3, u, p)
     x[0] = 0.2
     states, _, _ = dynamics.simulate(x, np.tile(u, (6001, 1)), p, DT, 1)
     for i in (1, 2):
@@ -148,10 +148,10 @@ def test_creep_of_the_tube_is_of_its_length_and_not_of_the_pressure(rig):
 def test_a_load_moves_the_angle_of_rest(rig, constant, sine):
     p = with_effects(sealed(rig), load_torque={"constant": constant, "sine": sine})
     for pressures in ((450e3, 450e3), (600e3, 350e3), (300e3, 450e3)):
-        angle = dynamics.rest_angle(*pressures, p)
+        angle = rest.rest_angle(*pressures, p)
         tau = paper.torque(T, angle, *pressures)
         assert tau + constant + sine * math.sin(angle) - T["k_s"] * angle == pytest.approx(0.0, abs=1e-9)
-    positive = dynamics.rest_angle(450e3, 450e3, p) - dynamics.rest_angle(450e3, 450e3, sealed(rig))
+    positive = rest.rest_angle(450e3, 450e3, p) - rest.rest_angle(450e3, 450e3, sealed(rig))
     if sine == 0.0:
         assert math.copysign(1.0, positive) == math.copysign(1.0, constant)
 
@@ -167,7 +167,7 @@ def test_a_torque_meter_on_the_muscles_does_not_see_the_load(rig):
 
 def stands(p, push):
     """Whether a joint at its angle of rest stays there under a push."""
-    x = np.array([dynamics.rest_angle(450e3, 450e3, p), 0.0, 450e3, 450e3])
+    x = np.array([rest.rest_angle(450e3, 450e3, p), 0.0, 450e3, 450e3])
     states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5, push], (20, 1)), p, DT, 1)
     return abs(states[-1, 0] - states[0, 0]) < 1e-6
 
@@ -175,7 +175,7 @@ def stands(p, push):
 @pytest.mark.parametrize(("coulomb", "stribeck"), [(0.05, 0.0), (0.0, 0.04), (0.03, 0.02), (-0.04, 0.0)])
 def test_the_stick_band_is_wider_by_what_is_added_at_rest(rig, coulomb, stribeck):
     p = with_effects(held(rig), friction={"coulomb": coulomb, "stribeck": stribeck, "velocity": 0.3})
-    angle = dynamics.rest_angle(450e3, 450e3, p)
+    angle = rest.rest_angle(450e3, 450e3, p)
     _, band, _ = paper.balance(T, [angle, 0.0, 450e3, 450e3])
     band += coulomb + stribeck
     for way in (1.0, -1.0):

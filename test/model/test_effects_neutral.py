@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from states import random_states
 
-from pam_antagonist.model import dynamics, profiles, sensor
+from pam_antagonist.model import dynamics, profiles, rest, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import load_rig
@@ -23,7 +23,7 @@ NAMES = (
 
 def run(p: np.ndarray, substeps: int = 1, start: np.ndarray | None = None):
     if start is None:
-        start = dynamics.initial_state(0.05, 430e3, 470e3, VOLTAGE[0], p)
+        start = rest.initial_state(0.05, 430e3, 470e3, VOLTAGE[0], p)
     return dynamics.simulate(start, VOLTAGE, p, 1e-3, substeps)
 
 

@@ -1,0 +1,118 @@
+"""Where a joint stands before anything moves: angle of rest, closed chambers, and the state from which a run starts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pam_antagonist._jit import inlined, kernel
+from pam_antagonist.model import dynamics, flow, joint, muscle
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2
+from pam_antagonist.model.parameters import (
+    CHARGE,
+    POLYTROPIC_VOLUME,
+    SLOT_OF,
+    STATELESS_EFFECTS,
+    STATES,
+    STIFFNESS,
+    STOP,
+)
+
+_CHAMBER, _LATE, _OPEN_RATE = SLOT_OF["chamber_1"], SLOT_OF["creep_1"], SLOT_OF["open_rate_1"]
+
+# numba compiles calls of plain names, not of attributes that it would have to look up again.
+_leverage, _length, _volume = muscle.leverage, muscle.length, muscle.volume
+_force, _relaxing_force = muscle.force, muscle.relaxing_force
+_open_rate, _load_torque, _torque = flow.open_rate, joint.load_torque, dynamics.torque
+
+
+@inlined
+def _pull(x, p):
+    """Torque [N m] that moves a joint which stands and does not stick."""
+    sine, _, _ = _leverage(x[ANGLE], p)
+    load = _load_torque(sine, p) if p[STATELESS_EFFECTS] != 0.0 else 0.0
+    return _torque(x, p) + load - p[STIFFNESS] * x[ANGLE]
+
+
+@kernel
+def rest_angle(pressure_1, pressure_2, p):
+    """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within the stop.
+
+    Where the balance lies beyond the stop (or beyond ±60° without one), that bound.
+    """
+    high = min(p[STOP], math.pi / 3.0)
+    low = -high
+    x = np.array([low, 0.0, pressure_1, pressure_2])
+    if _pull(x, p) <= 0.0:
+        return low
+    x[ANGLE] = high
+    if _pull(x, p) >= 0.0:
+        return high
+    for _ in range(60):
+        x[ANGLE] = 0.5 * (low + high)
+        if _pull(x, p) > 0.0:
+            low = x[ANGLE]
+        else:
+            high = x[ANGLE]
+    return 0.5 * (low + high)
+
+
+@inlined
+def closed_pressure(i, angle, p):
+    """Pressure [Pa] of sealed muscle i at an angle [rad]: equation (4) without flow keeps P V^k_2 as it was charged."""
+    travel, _, _ = _leverage(angle, p)
+    volume, _ = _volume(i, _length(i, travel, p), p)
+    charged, _ = _volume(i, _length(i, 0.0, p), p)
+    return p[CHARGE + i] * math.exp(p[POLYTROPIC_VOLUME] * math.log(charged / volume))
+
+
+@kernel
+def start_angle(pressure_1, pressure_2, p):
+    """Angle [rad] at which a filter starts.
+
+    Of sealed muscles whose charge is known, the angle at which the ratio of the pressures is that of the
+    closed chambers; otherwise the angle of rest.
+    """
+    if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
+        return rest_angle(pressure_1, pressure_2, p)
+    ratio = pressure_1 / pressure_2
+    high = min(p[STOP], math.pi / 3.0)
+    low = -high
+    # Muscle 1 gets shorter and wider as the angle grows, muscle 2 longer and narrower.
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if closed_pressure(0, middle, p) > ratio * closed_pressure(1, middle, p):
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@kernel
+def initial_state(angle, pressure_1, pressure_2, u, p):
+    """State of a joint that has stood for long: at rest, valves open as they are asked to, everything slow settled.
+
+    Args:
+        angle: ψ [rad].
+        pressure_1: P_1 [Pa].
+        pressure_2: P_2 [Pa].
+        u: input, as for :func:`dynamics.rk4_step`.
+        p: parameter vector.
+
+    Returns:
+        State (n,), n = p[parameters.STATES].
+    """
+    x = np.zeros(int(p[STATES]))
+    x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2
+    sine, _, _ = _leverage(angle, p)
+    for i in range(2):
+        if p[_CHAMBER + i] > 0.0:
+            x[int(p[_CHAMBER + i])] = x[PRESSURE_1 + i]
+        if p[_OPEN_RATE + i] > 0.0:
+            x[int(p[_OPEN_RATE + i])] = _open_rate(i, u[i], p)
+        if p[_LATE + i] > 0.0:
+            muscle_length = _length(i, sine, p)
+            static = _force(i, muscle_length, x[PRESSURE_1 + i], p)
+            x[int(p[_LATE + i])] = _relaxing_force(i, muscle_length, static, p)
+    return x
