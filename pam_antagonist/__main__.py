@@ -38,6 +38,9 @@ COMMANDS: dict[str, Command] = {
     "paper": Command("pam_antagonist.cli.paper:main", "every experiment of the paper on a simulated joint"),
     "benchmark": Command("pam_antagonist.cli.benchmark:main", "measure the speed of estimator, pipeline and replay"),
     "battery": Command("pam_antagonist.cli.battery:main", "how often the diagnosis is right, on simulated joints"),
+    "faults": Command(
+        "pam_antagonist.cli.faults:main", "make every fault in a running pipeline, tell what the valves did"
+    ),
     "device_emulator": Command(
         "pam_antagonist.cli.device_emulator:main", "a microcontroller that is not there, with a simulated joint"
     ),

@@ -203,7 +203,7 @@ class ControllerNode(PamNode):
         if self._stopped:
             self._send(self._pi.safe(Status.STOPPED), stamp)
             return
-        late = now - stamp > self._max_age or bool(flags & JointEstimate.LATE)
+        late = now - stamp > self._max_age or bool(flags & JointEstimate.LATE) or self._supervision.settling
         value = torque if self._mode is Mode.TORQUE else angle
         self._send(self._pi.step(self._mode, self._reference, value, late=late), stamp)
 

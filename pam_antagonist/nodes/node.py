@@ -24,7 +24,8 @@ _ANSWER = 0.5  # from a shutdown to the end of the process [s]
 
 SHARED_PARAMETERS = (
     *("rig", "joint", "lock_angle", "frame_id", "tuning", "max_age"),
-    *("safe_voltage", "safe_action", "vent_voltage", "vent_rate", "command_timeout", "max_slew", "max_pressure"),
+    *("safe_voltage", "safe_action", "vent_voltage", "vent_rate", "command_timeout", "max_command_age"),
+    *("max_slew", "max_pressure"),
 )
 """Parameters that a file for a whole pipeline may give to every node, whether it has them or not."""
 

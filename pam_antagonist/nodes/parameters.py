@@ -106,6 +106,13 @@ SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE)
 VALVE_OWNER = (
     *SAFETY,
     Parameter("command_timeout", 0.02, "time without a command until the valves become safe [s]", 0.002, 1.0),
+    Parameter(
+        "max_command_age",
+        0.05,
+        "age beyond which a command is left out, by the stamp of the sample that it answers; a stamp of 0 has none [s]",
+        0.005,
+        10.0,
+    ),
     Parameter("max_slew", 2000.0, "largest change of a valve's voltage by commands [V/s]", 1.0, 1e6),
     Parameter(
         "max_pressure",
@@ -119,7 +126,7 @@ VALVE_OWNER = (
     Parameter(
         "frozen_time",
         0.0,
-        "how long a pressure may be exactly the same [s]; 0: longer than its sensor's noise allows, at least 0.05",
+        "how long a pressure may be exactly the same [s]; 0: longer than its sensor's noise allows, at least 0.02",
         0.0,
         60.0,
     ),

@@ -71,6 +71,7 @@ class ValvePort:
             (first, second), values["over_pressure_time"], values["missing_time"], frozen, rig.sample_period
         )
         self._frozen = frozen
+        self._max_age = round(values["max_command_age"] * 1e9)
         self._node = node
         self._topic = TOPICS["valve_command"].relative
         self._unpack = wire.Incoming(wire.VALVES)
@@ -78,7 +79,7 @@ class ValvePort:
         self._holder: str | None = None  # identifier of the publisher that is obeyed, where that is certain
         self._rate = Rate()
         self._without = self._samples = 0
-        self._refused_before = 0
+        self._refused_before = self._late_before = 0
         node.create_service(Trigger, "~/clear_stop", self._on_clear)
 
     def listen(self) -> None:
@@ -104,11 +105,12 @@ class ValvePort:
 
     def accept(self, data: bytes, now_ns: int, sequence: int | None = None, publishers: int = 1) -> Verdict:
         """Take one command, serialised; see :meth:`ValveGuard.command`."""
-        _, first, second = self._unpack(data)
+        stamp_ns, first, second = self._unpack(data)
         if sequence is not None and sequence > _MOST_NUMBER:
             sequence = None
         was_stopped, refused = self.guard.stopped, self.guard.authority.refused
-        verdict = self.guard.command((first, second), now_ns, sequence, publishers)
+        late = stamp_ns > 0 and self._node.now_ns() - stamp_ns > self._max_age
+        verdict = self.guard.command((first, second), now_ns, sequence, publishers, late)
         if verdict is Verdict.LISTENING:
             self._holder = None
         elif verdict is Verdict.UNCLEAR and not was_stopped:
@@ -175,8 +177,11 @@ class ValvePort:
         if len(commanders) == 1:
             (self._holder,) = commanders
         without, self._without = self._without, 0
+        late, self._late_before = counts.late - self._late_before, counts.late
         level = Level.OK if not without else Level.WARN
         message = "obeyed" if not without else f"safe voltages for {without} samples: no command in time"
+        if late:
+            level, message = Level.WARN, f"{message}; {late} came too late"
         if refused:
             level, message = Level.ERROR, f"{refused} commands refused: {self._conflict()}"
         commands = Health(
@@ -186,6 +191,7 @@ class ValvePort:
                 "rate [Hz]": f"{self._rate.take(counts.commands, steady_ns):.1f}",
                 "samples at safe voltages": without,
                 "refused, not finite": counts.not_finite,
+                "refused, too late": counts.late,
                 "refused, second commander": authority.refused,
                 "clamped": counts.clamped,
                 "samples slew-limited": counts.slewed,

@@ -53,6 +53,7 @@ class GuardCounts:
     Attributes:
         commands: accepted.
         not_finite: left out, as if they had not come.
+        late: left out likewise, since they are too old.
         clamped: of the accepted, beyond the valves' limits.
         slewed: outputs that could not follow the command within one sample.
         safe: outputs of the safe action.
@@ -60,6 +61,7 @@ class GuardCounts:
 
     commands: int = 0
     not_finite: int = 0
+    late: int = 0
     clamped: int = 0
     slewed: int = 0
     safe: int = 0
@@ -151,7 +153,12 @@ class ValveGuard:
             self.authority.release()
 
     def command(
-        self, voltage: tuple[float, float], now_ns: int, sequence: int | None = None, publishers: int = 1
+        self,
+        voltage: tuple[float, float],
+        now_ns: int,
+        sequence: int | None = None,
+        publishers: int = 1,
+        late: bool = False,
     ) -> Verdict:
         """Take a command.
 
@@ -160,6 +167,7 @@ class ValveGuard:
             now_ns: when it came [ns].
             sequence: the number that its publisher gave to it, see :class:`Authority`.
             publishers: how many publishers there are.
+            late: whether it is too old: commands that lay somewhere on the way keep coming, and feed no watchdog.
 
         Returns:
             What became of it; ``UNCLEAR`` has stopped the guard. ``ACCEPTED`` does not mean obeyed: while the guard is
@@ -172,6 +180,9 @@ class ValveGuard:
             return verdict
         if not (math.isfinite(voltage[0]) and math.isfinite(voltage[1])):
             self.counts.not_finite += 1  # as if it had not come: the time-out takes care
+            return verdict
+        if late:
+            self.counts.late += 1
             return verdict
         self.counts.commands += 1
         self._heard, self._heard_ns = True, now_ns

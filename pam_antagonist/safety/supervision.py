@@ -12,45 +12,54 @@ import math
 from collections import deque
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.filter import MISSING_PRESSURE_1, MISSING_PRESSURE_2, OUTLIER
+from pam_antagonist.estimation.filter import MISSING_PRESSURE_1, MISSING_PRESSURE_2, OUTLIER, PATIENCE, RESTART_AFTER_NS
 
 _CHANCE = 1e-15  # of a sound sensor taken for frozen, a sample: once in 30,000 years at 1 kHz
 _SHARE = 0.15  # of the samples; with innovations twice as large as they should be, 18 % are out of bounds
 _FEWEST = 3.0  # samples, since after a stall there may be but a few
+_SLOWEST = 30.0  # low-pass of a sensor's amplifier, a sixth of what docs/hardware.md asks for [Hz]
+_GAP = 20  # samples in a row that are missing: the valves have become safe meanwhile, for want of commands
+_SETTLING = 2 * PATIENCE  # samples until the filter has taken the pressures behind a gap for what they are
 _LONGEST_FROZEN = 1.0  # a sensor that may stand still for longer by chance cannot be judged so [s]
 
 
-def frozen_samples(noise: float, step: float) -> float:
+def frozen_samples(noise: float, step: float, correlation: float = 0.0) -> float:
     """How many equal readings in a row a sound sensor does not give.
 
-    At constant pressure a reading falls into the code around it with probability p = erf(step / (2 sqrt(2) noise)), so
-    n in a row have a probability of less than p^(n-1).
+    At constant pressure a reading falls into the code of the one before with a probability of at most
+    p = erf(step / (2 sqrt(2) s)), where s = noise sqrt(1 - correlation^2) is what is left open by that one. So n in a
+    row have a probability of at most p^(n-1).
 
     Args:
         noise: standard deviation of its readings before the converter [Pa].
         step: of its converter [Pa]; 0: none.
+        correlation: between the noise of one reading and that of the next, 0 to below 1 [-].
 
     Returns:
         The least n at which that is less than 1e-15; infinite for a sensor that is so quiet that it may stand still.
     """
     if noise <= 0.0:
         return math.inf
-    chance = math.erf(step / (2.0 * math.sqrt(2.0) * noise))
+    chance = math.erf(step / (2.0 * math.sqrt(2.0) * noise * math.sqrt(1.0 - correlation**2)))
     if chance >= 1.0:
         return math.inf
     return 2.0 if chance <= 0.0 else 1.0 + math.ceil(math.log(_CHANCE) / math.log(chance))
 
 
-def frozen_time(noise: float, step: float, period: float, least: float = 0.05) -> float | None:
+def frozen_time(noise: float, step: float, period: float, least: float = 0.02) -> float | None:
     """Time of equal readings after which a sensor counts as frozen [s]; None: it cannot be judged so.
+
+    Amplifiers filter, which makes equal readings more likely: the noise is taken for that behind a low-pass of first
+    order and 30 Hz.
 
     Args:
         noise: standard deviation of a reading [Pa].
         step: of the converter [Pa].
         period: between two readings [s].
-        least: not less than this, since amplifiers and converters filter, which makes equal readings more likely [s].
+        least: not less than this, since some converters give every result several times [s].
     """
-    time = max(least, frozen_samples(noise, step) * period)
+    correlation = math.exp(-2.0 * math.pi * _SLOWEST * period)
+    time = max(least, frozen_samples(noise, step, correlation) * period)
     return time if time <= _LONGEST_FROZEN else None
 
 
@@ -183,6 +192,9 @@ class EstimateSupervision:
     100 samples that is noticed before the filter, which refuses 20 in a row, gives in and is dragged along. Too small
     innovations are no reason to stop: a tuning may be cautious.
 
+    Behind a gap of 20 samples or more nothing is counted for 40: nobody has told the filter what was on the valves
+    meanwhile, so that it has to refuse pressures until it gives in. Whoever acts on estimates should not act on these.
+
     Args:
         highest_angle: largest magnitude of the angle [rad].
         angle_time: how long it may be larger [s].
@@ -196,6 +208,7 @@ class EstimateSupervision:
 
     Attributes:
         present: what was wrong with the last estimate for long enough, in words; empty if nothing was.
+        settling: whether the last estimate stands behind a gap, so that it is not to be acted on.
     """
 
     def __init__(
@@ -211,6 +224,7 @@ class EstimateSupervision:
             if not (math.isfinite(value) and value > 0.0):
                 raise BadInput(f"limit {value!r} of the estimates: expected a finite number above 0")
         self.present = ""
+        self.settling = False
         self._highest = highest_angle
         self._limit = nis_limit
         self._window = round(nis_time * 1e9)
@@ -219,6 +233,9 @@ class EstimateSupervision:
         self._blind = _pair(blind_time, period)
         self._samples: deque[tuple[int, bool]] = deque()
         self._outside = 0
+        self._gap, self._settle = round(_GAP * period * 1e9), round(_SETTLING * period * 1e9)
+        self._last_ns: int | None = None
+        self._settled_ns = 0
 
     def reset(self) -> None:
         """Forget what was seen."""
@@ -228,6 +245,7 @@ class EstimateSupervision:
             item.gone()
         self._samples.clear()
         self._outside = 0
+        self.settling, self._last_ns, self._settled_ns = False, None, 0
 
     def check(self, stamp_ns: int, angle: float, nis: float, flags: int) -> str:
         """Look at one estimate.
@@ -241,7 +259,13 @@ class EstimateSupervision:
         Returns:
             What has been wrong for long enough, in words; empty if nothing has.
         """
-        words = self._consistency(stamp_ns, nis > self._limit or bool(flags & OUTLIER))
+        self.settling = self._behind_a_gap(stamp_ns)
+        if self.settling:
+            self._samples.clear()
+            self._outside = 0
+            words = ""
+        else:
+            words = self._consistency(stamp_ns, nis > self._limit or bool(flags & OUTLIER))
         if flags & _MISSING:
             for index, bit in enumerate((MISSING_PRESSURE_1, MISSING_PRESSURE_2)):
                 if not flags & bit:
@@ -257,6 +281,15 @@ class EstimateSupervision:
             words = f"the estimated angle is {angle:+.3f} rad, beyond {self._highest:g} rad"
         self.present = words
         return words
+
+    def _behind_a_gap(self, stamp_ns: int) -> bool:
+        last = self._last_ns
+        if last is None or not 0 <= last - stamp_ns <= RESTART_AFTER_NS:  # one that comes late leaves no gap behind it
+            self._last_ns = stamp_ns
+        if last is not None and stamp_ns - last > self._gap:
+            self._settled_ns = stamp_ns + self._settle
+        # The clock may be set back: what lies too far ahead is no end of a settling.
+        return 0 < self._settled_ns - stamp_ns <= self._settle
 
     def _consistency(self, stamp_ns: int, outside: bool) -> str:
         samples = self._samples

@@ -111,7 +111,7 @@ def test_a_host_finds_a_device_with_a_joint_behind_the_link(tmp_path: Path) -> N
     assert samples[-1].pressure[0] > samples[0].pressure[0]  # valve 1 is open further
     assert samples[-1].encoder is not None and samples[-1].encoder != samples[0].encoder
     stopped = [sample for sample in samples if sample.status & Status.STOPPED]
-    assert 80 <= len(stopped) <= 120
+    assert 80 <= len(stopped) <= 300  # the fault ends by the clock, also on a machine that stalls
     assert {sample.voltage for sample in stopped[2:]} == {(5.0, 5.25)}
     device.close()
     with pytest.raises(DeviceLost, match="closed"):

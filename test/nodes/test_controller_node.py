@@ -108,18 +108,28 @@ def test_estimates_that_cannot_be_used_give_safe_voltages_and_the_next_one_goes_
 def test_references_that_cannot_be_used_give_safe_voltages_until_a_better_one_comes(
     node: Any, mode: int, value: float
 ) -> None:
+    begin = node.now_ns() + 10**9  # never late, and a sample apart, however long this takes
     refer(node, 0, 0.1)
-    estimate(node, node.now_ns(), angle=0.1)
+    estimate(node, begin, angle=0.1)
     refer(node, mode, value)
-    for _ in range(3):
-        estimate(node, node.now_ns(), angle=0.0)
+    for k in range(1, 4):
+        estimate(node, begin + k * MS, angle=0.0)
         assert node.published[-1][1] == SAFE
     assert node.health(1)["commands"].level == 2
     refer(node, 0, 0.1)
-    estimate(node, node.now_ns(), angle=0.0)
-    estimate(node, node.now_ns(), angle=0.0)
+    estimate(node, begin + 4 * MS, angle=0.0)
+    estimate(node, begin + 5 * MS, angle=0.0)
     assert node.published[-1][1][0] == pytest.approx(5.5 + 0.545, abs=1e-2)
     assert node.health(2)["commands"].level < 2
+
+
+def test_estimates_behind_a_gap_give_safe_voltages_until_the_filter_has_settled(node: Any) -> None:
+    begin = node.now_ns() + 10**9
+    refer(node, 0, 0.3)
+    for k in (*range(10), *range(40, 90)):
+        estimate(node, begin + k * MS, angle=0.1)
+    safe = [voltage == SAFE for _, voltage in node.published]
+    assert safe[1:] == [False] * 9 + [True] * 40 + [False] * 10  # the very first one is what the valves have
 
 
 def test_silence_gives_safe_voltages_in_the_order_of_stamps(node: Any) -> None:

@@ -56,6 +56,17 @@ def test_what_is_no_number_counts_as_not_come(wrong: tuple[float, float]) -> Non
     assert guard.counts.not_finite == 29
 
 
+def test_commands_that_are_too_old_keep_the_right_of_their_publisher_and_nothing_else() -> None:
+    guard = make()
+    guard.command((7.0, 3.0), 0)
+    voltages = []
+    for k in range(1, 30):
+        assert guard.command((8.0, 2.0), k * MS, late=True) is Verdict.ACCEPTED
+        voltages.append(guard.output(k * MS).voltage)
+    assert voltages == [(7.0, 3.0)] * 20 + [SAFE] * 9
+    assert (guard.counts.late, guard.counts.commands) == (29, 1)
+
+
 def test_clamps() -> None:
     guard = make()
     guard.command((12.0, -3.0), 0)

@@ -68,7 +68,7 @@ def test_a_recording_of_a_sound_joint_or_one_with_an_effect_stops_nothing(case: 
     assert first_of_estimates(estimated(case, given.pressure)) == (-1, "")
 
 
-@pytest.mark.parametrize(("fault", "after"), [("stuck", (50, 52)), ("gone", (20, 21))])
+@pytest.mark.parametrize(("fault", "after"), [("stuck", (29, 31)), ("gone", (20, 21))])
 def test_a_sensor_that_fails_in_such_a_recording_stops_the_valves(fault: str, after: tuple[int, int]) -> None:
     given, at = recording(CHOSEN[0]), 20_000
     pressure = given.pressure.copy()

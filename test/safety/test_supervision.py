@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.filter import OUTLIER
 from pam_antagonist.safety import EstimateSupervision, PressureSupervision, frozen_samples, frozen_time
 
 MS = 1_000_000
@@ -100,7 +101,9 @@ def test_readings_that_a_sound_sensor_does_not_give() -> None:
     assert frozen_samples(600.0, 0.0) == 2
     assert frozen_samples(0.0, 244.0) == math.inf
     assert frozen_samples(10.0, 244.0) == math.inf
-    assert frozen_time(600.0, 244.0, 1e-3) == 0.05
+    assert frozen_samples(600.0, 244.0, 0.83) == pytest.approx(29, abs=1)  # behind a low-pass of 30 Hz
+    assert frozen_time(600.0, 244.0, 1e-3) == pytest.approx(0.029, abs=0.001)
+    assert frozen_time(600.0, 0.0, 1e-3) == 0.02
     assert frozen_time(600.0, 244.0, 5e-3) == pytest.approx(0.1, abs=0.01)
     assert frozen_time(10.0, 244.0, 1e-3) is None and frozen_time(0.0, 0.0, 1e-3) is None
 
@@ -159,3 +162,25 @@ def test_limits_have_to_be_numbers() -> None:
         pressures(frozen_time=0.0)
     with pytest.raises(BadInput):
         estimates(highest_angle=math.inf)
+
+
+@pytest.mark.parametrize("missing", [19, 20, 500])
+def test_behind_a_gap_the_filter_may_settle_before_anything_counts(missing: int) -> None:
+    watch = estimates()
+    for k in range(200):
+        assert watch.check(k * MS, 0.1, 2.0, 0) == "" and not watch.settling
+    first = 200 + missing
+    settling = []
+    for k in range(first, first + 30):  # as a filter refuses pressures until it gives in
+        words = watch.check(k * MS, 0.1, 500.0 if k < first + 20 else 2.0, OUTLIER if k < first + 20 else 0)
+        settling.append(watch.settling)
+        assert bool(words) == (missing < 20 and k >= first + 14)
+    assert settling == [missing >= 20] * 30
+    for k in range(first + 30, first + 300):
+        watch.check(k * MS, 0.1, 2.0, 0)
+        assert watch.settling == (missing >= 20 and k < first + 40)
+    for k in range(first + 300, first + 330):
+        words = watch.check(k * MS, 0.1, 500.0, OUTLIER)
+    assert "disagree" in words
+    watch.check(5 * MS, 0.1, 2.0, 0)  # the clock was set back
+    assert not watch.settling

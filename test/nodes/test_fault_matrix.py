@@ -1,0 +1,24 @@
+"""The fault matrix with real processes: the lines that matter most, and all of them with PAM_PROOF=1."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from pam_antagonist.cli.faults import chosen
+from pam_antagonist.faults.catalogue import FAULTS
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+MOST_IMPORTANT = ("controller killed", "device unplugged", "pressure stuck", "second commander", "bridge killed")
+
+
+def test_the_valves_are_safe_in_time_and_control_comes_back() -> None:
+    from pam_antagonist.faults.run import run_faults
+
+    names = None if os.environ.get("PAM_PROOF") else MOST_IMPORTANT
+    outcomes = run_faults(chosen(FAULTS, names), "shin2022")
+    assert len(outcomes) == len(names or FAULTS)
+    assert {outcome.fault.name: outcome.failures for outcome in outcomes if not outcome.held} == {}
+    assert any(outcome.safe_ms and outcome.by == "device" for outcome in outcomes)
