@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -85,12 +87,29 @@ def test_faults_begin_and_end_and_hit_what_they_name() -> None:
     assert plan.dropped()
 
 
-def test_a_host_finds_a_device_with_a_joint_behind_the_link(tmp_path: Path) -> None:
+@pytest.fixture
+def started() -> Iterator[Callable[[list[str]], subprocess.Popen[str]]]:
+    """Starts commands, and leaves none of them behind."""
+    with contextlib.ExitStack() as stack:
+
+        def start(command: list[str]) -> subprocess.Popen[str]:
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            return process
+
+        yield start
+
+
+@pytest.mark.realtime
+def test_a_host_finds_a_device_with_a_joint_behind_the_link(
+    tmp_path: Path, started: Callable[[list[str]], subprocess.Popen[str]]
+) -> None:
     link, log = tmp_path / "device", tmp_path / "log.csv"
     command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
     # its counter wraps half a second after the start
     command += ["--link", str(link), "--log", str(log), "--first-us", str(2**32 - 500_000), "--fault", "stop@0.5-0.6"]
-    emulator = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    emulator = started(command)
     assert emulator.stdout is not None
     assert emulator.stdout.readline().strip() == str(link)
     assert os.path.exists(link)
