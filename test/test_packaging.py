@@ -303,4 +303,5 @@ def test_pip_installation_replays_without_ros(plain_python: Path, tmp_path: Path
     succeeds(*package, "replay", "bag", "--rig", "shin2022", "--out", "result", cwd=tmp_path, env=environment)
     report = json.loads((tmp_path / "result/report.json").read_text(encoding="utf-8"))
     assert report["samples"] == pytest.approx(2000, abs=2)
-    assert (tmp_path / "result/report.html").is_file()
+    assert report["software"]["pam_antagonist"] != "not installed"
+    assert "Plotly" in (tmp_path / "result/report.html").read_text(encoding="utf-8")
