@@ -102,8 +102,11 @@ def test_replay_gives_the_very_bits_that_were_published(run: Run) -> None:
     assert live is not None
     first = int(np.searchsorted(recording.stamp_ns, live.started_ns[0]))
     assert recording.stamp_ns[first] == live.started_ns[0]
+    pressure = recording.pressure.copy()
+    for muscle in (0, 1):  # what the machine held up for longer than a sample waits, the estimator did without
+        pressure[np.isin(recording.stamp_ns, live.stamp_ns[live.flags & 1 << muscle != 0]), muscle] = np.nan
     replay = Estimator(load_rig("shin2022")).run(
-        recording.stamp_ns[first:], recording.pressure[first:], recording.voltage[first:]
+        recording.stamp_ns[first:], pressure[first:], recording.voltage[first:]
     )
     _, at_live, at_replay = np.intersect1d(live.stamp_ns, replay.stamp_ns, return_indices=True)
     assert len(at_live) == len(live) > 3000
