@@ -31,8 +31,10 @@ TABLES = {node.__name__.rsplit(".", 1)[1]: node.PARAMETERS for node in (plant, b
 # import name -> rosdep key; None: rosdep has no key, and the nodes do without.
 ROSDEP = {
     "joblib": "python3-joblib",
+    "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
+    "PIL": "python3-pil",
     "plotly": None,
     "pydantic": "python3-pydantic",
     "rosbags": "python3-rosbags-pip",
@@ -46,6 +48,8 @@ ROSDEP = {
     "lz4": "python3-rosbags-pip",
     "typing_extensions": "python3-rosbags-pip",
 }
+# distribution -> import name, where that is another one
+IMPORTED_AS = {"pillow": "PIL", "pyserial": "serial", "pyyaml": "yaml"}
 
 
 def run(*command: object, cwd: Path = ROOT, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
@@ -115,8 +119,7 @@ def test_setup_py_names_every_import_that_is_not_ros() -> None:
     requirements = metadata.requires("pam_antagonist")
     assert requirements is not None
     declared = {
-        re.split(r"[^A-Za-z0-9_-]", text)[0].lower().replace("pyyaml", "yaml").replace("pyserial", "serial")
-        for text in requirements
+        IMPORTED_AS.get(name, name) for name in (re.split(r"[^A-Za-z0-9_-]", text)[0].lower() for text in requirements)
     }
     assert imported(*(ROOT / "pam_antagonist").rglob("*.py")) & set(ROSDEP) <= declared
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import ProcessFailed
-from pam_antagonist.paper import page
+from pam_antagonist.paper import docs, page
 from pam_antagonist.paper.experiments import EXPERIMENTS, Options, run
 from pam_antagonist.paper.scenario import load_scenario
 from pam_antagonist.paths import config_dir
@@ -52,8 +52,12 @@ def parser() -> common.Parser:
     add("--seeds", type=int, default=20, metavar="N", help="how many virtual rigs (default: 20)")
     add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
     add("--short", action="store_true", help="live runs of 30 s and less, in place of 130, 62, 38 and 20 s")
-    add("--no-figures", action="store_true", help="leave the figures out of report.html")
-    add("--docs", type=Path, metavar="FILE", help="write the tables as Markdown to FILE as well (docs/paper.md)")
+    add("--no-figures", action="store_true", help="leave the figures out")
+    docs_help = (
+        "write tables and figures as Markdown to FILE as well (docs/paper.md); the figures are pictures in a folder of "
+        "that name (docs/paper)"
+    )
+    add("--docs", type=Path, metavar="FILE", help=docs_help)
     map_help = (
         "force map of a real muscle, CSV (default: ../shared/data/measured/force_maps/dmsp_20_300.csv, if it is there)"
     )
@@ -71,10 +75,14 @@ def _main(argv: Sequence[str] | None) -> int:
     options = _options(arguments)
     scenario = load_scenario()
     common.check_output(arguments.out)
-    _check_docs(arguments.docs)
-    # plotly is looked for before minutes are spent.
-    if options.with_figures and importlib.util.find_spec("plotly") is None:
-        raise BadInput("plotly is not installed: install python3-plotly (or plotly by pip), or give --no-figures")
+    if arguments.docs is not None:
+        docs.check(arguments.docs, options.names)
+    # What draws is looked for before minutes are spent.
+    for needed in ("plotly", "matplotlib") if arguments.docs else ("plotly",):
+        if options.with_figures and importlib.util.find_spec(needed) is None:
+            raise BadInput(
+                f"{needed} is not installed: install python3-{needed} (or {needed} by pip), or give --no-figures"
+            )
     with common.output_folder(arguments.out) as folder:
         with tempfile.TemporaryDirectory(prefix="live.", dir=folder) as recordings:
             try:
@@ -88,7 +96,7 @@ def _main(argv: Sequence[str] | None) -> int:
         html = page.page(results, scenario, options.seeds, took).render()
         (folder / "report.html").write_text(html, encoding="utf-8")
     if arguments.docs is not None:
-        arguments.docs.write_text(page.markdown(results, scenario, options.seeds), encoding="utf-8")
+        docs.write(arguments.docs, results, scenario, options.seeds)
     print(f"\n{page.overview(results).text()}\n\n{page.CAUTION}\n")
     print(f"report: {arguments.out / 'report.html'} and report.json, after {sum(took.values()):.0f} s")
     return common.DONE
@@ -117,21 +125,6 @@ def _options(arguments: argparse.Namespace) -> Options:
         raise BadInput(f"{force_map}: no such file; expected a CSV with length, pressure and force")
     seeds = range(arguments.seed, arguments.seed + arguments.seeds)
     return Options(names, tuple(seeds), arguments.jobs, not arguments.no_figures, arguments.short, force_map)
-
-
-def _check_docs(path: Path | None) -> None:
-    """Refuse to write over a file that this command has not written.
-
-    Raises:
-        BadInput: such a file, or a folder that is not there.
-    """
-    if path is None:
-        return
-    if not path.parent.is_dir():
-        raise BadInput(f"{path}: the folder {path.parent} does not exist")
-    if path.exists():
-        if not path.is_file() or not path.read_text(encoding="utf-8", errors="replace").startswith(page.MARK):
-            raise BadInput(f"{path}: exists and was not written by this command; nothing is overwritten")
 
 
 if __name__ == "__main__":

@@ -88,10 +88,12 @@ def of_estimator(recording: Recording, rig: Rig, experiment: Experiment) -> Filt
     measured[:, PRESSURE_1:] = recording.pressure[index]
     estimate = np.column_stack([rows["angle"], rows["torque"], rows["pressure"]])
     result = of(measured - estimate, measured, experiment.channels)
-    for name, channel, std in (("angle", ANGLE, rig.sensors.angle_std), ("torque", TORQUE, rig.sensors.torque_std)):
+    for name, channel in (("angle", ANGLE), ("torque", TORQUE)):
         if result[name] is not None:
             variance = rows["covariance"][:, 0, 0] if channel == ANGLE else rows["covariance"][:, 2, 2]
-            result[name]["coverage95"] = metrics.coverage(measured[:, channel] - estimate[:, channel], variance, std)
+            result[name]["coverage95"] = metrics.coverage(
+                measured[:, channel] - estimate[:, channel], variance, rig.sensors.reading(name)
+            )
     normal = rows["innovation"] / np.sqrt(np.diagonal(rows["innovation_covariance"], axis1=1, axis2=2))
     result["innovation"] = {
         "nis_mean": float(np.nanmean(rows["nis"])),

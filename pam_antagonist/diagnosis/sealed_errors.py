@@ -84,7 +84,7 @@ def of_estimator(recording: Recording, rig: Rig, trial: Trial, fitted: int) -> d
     result = errors.of(measured - estimate, measured, channels)
     if result["angle"] is not None:
         result["angle"]["coverage95"] = metrics.coverage(
-            measured[:, ANGLE] - estimate[:, ANGLE], rows["covariance"][:, 0, 0], rig.sensors.angle_std
+            measured[:, ANGLE] - estimate[:, ANGLE], rows["covariance"][:, 0, 0], rig.sensors.reading("angle")
         )
     normal = rows["innovation"] / np.sqrt(np.diagonal(rows["innovation_covariance"], axis1=1, axis2=2))
     result["innovation"] = {

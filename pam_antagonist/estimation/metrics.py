@@ -16,13 +16,22 @@ is left, the answer is NaN, never a number that looks like one.
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaincc, gammaincinv, ndtri
+from scipy.special import gammaincc, gammaincinv, ndtr, ndtri
+
+from pam_antagonist.rig import Reading
 
 FloatArray = NDArray[np.float64]
+
+EXACT = Reading()
+"""A reference that does not err."""
+_EVEN = 200.0
+"""Half steps of a converter, in standard deviations of the normal error, from which on only the step counts."""
 
 
 def _finite(values: ArrayLike) -> FloatArray:
@@ -76,38 +85,65 @@ def estimation_ratio(error: ArrayLike, signal: ArrayLike) -> float:
     return max_error(error) / span if span > 0.0 else float("nan")
 
 
-def interval_half_width(variance: ArrayLike, reference_std: float = 0.0, level: float = 0.95) -> FloatArray:
+@functools.lru_cache(maxsize=8)
+def _quantiles(level: float) -> tuple[FloatArray, FloatArray]:
+    """Two-sided quantile of a standard normal plus an error that is even between -r and r, over r; both (K,)."""
+    ratio = np.concatenate(([0.0], np.geomspace(0.01, _EVEN, 600)))
+
+    def integral(x: FloatArray) -> FloatArray:  # of the normal distribution function
+        return np.asarray(x * ndtr(x) + np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi))
+
+    low, high = np.zeros_like(ratio), float(ndtri(0.5 * (1.0 + level))) + ratio
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        with np.errstate(invalid="ignore"):
+            below = (integral(middle + ratio) - integral(middle - ratio)) / (2.0 * ratio)
+        below[0] = ndtr(middle[0])
+        enough = 2.0 * below - 1.0 >= level
+        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+    return ratio, 0.5 * (low + high)
+
+
+def interval_half_width(variance: ArrayLike, reference: Reading = EXACT, level: float = 0.95) -> FloatArray:
     """Half width of the interval in which a *measured* value is expected around the estimate.
 
-    The reference sensor is noisy too: its variance adds to that of the estimate, or an exact estimate
-    with an exact covariance would seem to miss.
+    The reference sensor errs too: its noise adds to the variance of the estimate, and its converter puts what it reads
+    half a step off at most, or an exact estimate with an exact covariance would seem to miss.
 
     Args:
         variance: variance of the estimate, (N,).
-        reference_std: standard deviation of the reference sensor, in the unit of the estimate.
+        reference: how the reference sensor errs, in the unit of the estimate.
         level: probability of the two-sided interval, between 0 and 1.
 
     Returns:
-        z sqrt(variance + reference_std^2), (N,), with z = 1.96 for 95 %.
+        The quantile of a normal error plus one that is even within a step of the converter, (N,):
+        z sqrt(variance + std^2) with z = 1.96 for 95 % where there is no step, 0.475 step where there is nothing else.
     """
-    z = float(ndtri(0.5 * (1.0 + level)))
-    return z * np.sqrt(np.asarray(variance, dtype=np.float64) + reference_std**2)
+    std = np.sqrt(np.asarray(variance, dtype=np.float64) + reference.std**2)
+    if reference.step == 0.0:
+        return np.asarray(float(ndtri(0.5 * (1.0 + level))) * std)
+    half = 0.5 * reference.step
+    ratio, quantile = _quantiles(level)
+    with np.errstate(divide="ignore"):
+        relative = half / std
+    # Far beyond the table the normal part is too small to matter.
+    return np.asarray(np.where(relative < _EVEN, std * np.interp(relative, ratio, quantile), level * half))
 
 
-def coverage(error: ArrayLike, variance: ArrayLike, reference_std: float, level: float = 0.95) -> float:
+def coverage(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT, level: float = 0.95) -> float:
     """Share of the samples whose measured value lies inside the estimate's interval.
 
     Args:
         error: estimate minus measurement, (N,).
         variance: variance of the estimate, (N,).
-        reference_std: standard deviation of the sensor that measured the reference.
+        reference: how the sensor errs that measured the reference.
         level: probability that the interval claims, between 0 and 1.
 
     Returns:
         A share between 0 and 1 (`level` for an honest filter), NaN where nothing can be judged.
     """
     z = np.asarray(error, dtype=np.float64)
-    half = interval_half_width(variance, reference_std, level)
+    half = interval_half_width(variance, reference, level)
     known = np.isfinite(z) & np.isfinite(half)
     return float(np.mean(np.abs(z[known]) <= half[known])) if known.any() else float("nan")
 

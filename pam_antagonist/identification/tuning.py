@@ -96,7 +96,9 @@ def tune(
 
 
 def own_tuning(rig: Rig, trial: Trial, found: Fit, inner: Fit, index: int, jobs: int = 1) -> Rig:
-    """The rig with one recording's own values, and with what these are not known to in place of the common ones'.
+    """The rig with one recording's own values, with what these are not known to in place of the common ones', and Q.
+
+    The Q of the common values covers what these miss in a single recording: for its own values it is too large.
 
     Args:
         rig: with the common values and the tuning that was found for them.
@@ -106,9 +108,10 @@ def own_tuning(rig: Rig, trial: Trial, found: Fit, inner: Fit, index: int, jobs:
         index: of the recording.
         jobs: threads.
     """
-    own = moved(rig, found.own_values(index))
-    directions = considered_directions(own, [short_part(trial)], found.problem.free, found.own_covariance(index), jobs)
-    early = moved(rig, inner.own_values(index))
+    own, part = moved(rig, found.own_values(index)), short_part(trial)
+    directions = considered_directions(own, [part], found.problem.free, found.own_covariance(index), jobs)
+    own, _, _ = _tune_process(with_directions(own, directions, 1.0), [part], jobs)
+    early = moved(own, inner.own_values(index))
     scale, _ = calibrate(early, [trial], inner, inner.own_covariance(index), jobs)
     return with_directions(own, directions, scale)
 

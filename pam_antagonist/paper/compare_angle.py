@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -95,8 +96,8 @@ def _linear(work: SeedWork, samples: int) -> dict[str, Any]:
     model = linear.identify(measured_of(data, "angle"), data.pressure, data.voltage)
     estimate = linear.estimate(model, work.free.pressure[:samples], work.free.voltage[:samples])
     variance = np.full(samples, estimate.angle_variance)
-    std = float(np.degrees(work.rig.declared.sensors.angle_std))
-    errors = figures_of(estimate.angle, measured_of(work.free, "angle")[:samples], variance, std)
+    reading = work.rig.declared.sensors.reading("angle").scaled(math.degrees(1.0))
+    errors = figures_of(estimate.angle, measured_of(work.free, "angle")[:samples], variance, reading)
     lower, upper = metrics.chi_square_bounds(2)
     own = {
         **dataclasses.asdict(errors),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -146,8 +147,17 @@ def document(
     }
 
 
-def markdown(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int]) -> str:
-    """The tables as Markdown, for ``docs/paper.md``."""
+def markdown(
+    results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], places: Mapping[str, Sequence[str]]
+) -> str:
+    """The report as Markdown, for ``docs/paper.md``.
+
+    Args:
+        results: of the experiments.
+        scenario: what the virtual rigs are.
+        seeds: of the virtual rigs.
+        places: by experiment, where the picture of each of its figures is, as seen from the Markdown file.
+    """
     lines = [
         MARK,
         "",
@@ -159,8 +169,9 @@ def markdown(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int]
         "",
     ]
     lines += [
-        "`./run paper --out DIR` makes all of it again, with figures, in `DIR/report.html`; `DIR/report.json` holds "
-        "every number of every seed. Median (least … largest) over the virtual rigs throughout.",
+        "`./run paper --out DIR` makes all of it again, with figures to zoom into, in `DIR/report.html`; "
+        "`DIR/report.json` holds every number of every seed; `--docs FILE` writes this file and its pictures. Median "
+        "(least … largest) over the virtual rigs throughout.",
         "",
     ]
     lines += [*_table(mismatches(scenario, seeds)), ""]
@@ -173,6 +184,9 @@ def markdown(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int]
         for table in result.tables:
             lines += [f"*{table.caption}*", ""] if table.caption else []
             lines += [*_table(table), ""]
+        for figure, place in zip(result.figures, places[result.name], strict=True):
+            alt = re.sub(r"([\[\]\\])", r"\\\1", figure.title)
+            lines += [f"**{figure.title}.** {figure.about}", "", f"![{alt}]({place})", ""]
     return "\n".join(lines).rstrip() + "\n"
 
 

@@ -15,7 +15,7 @@ from pam_antagonist.estimation import Estimator, metrics, simulate_model
 from pam_antagonist.model import profiles
 from pam_antagonist.paper.scenario import Scenario, Truth, VirtualRig, drive, virtual_rig
 from pam_antagonist.recording import Recording
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Reading, Rig
 
 Floats = NDArray[np.float64]
 TUNINGS = ("published", "default")
@@ -107,16 +107,20 @@ def judged(track: Track, recording: Recording, rig: Rig, quantity: str) -> Error
     """
     measured = measured_of(recording, quantity)[: len(track.angle)]
     if quantity == "angle":
-        value, variance, std = track.angle, track.angle_variance, math.degrees(rig.sensors.angle_std)
+        value, variance = track.angle, track.angle_variance
+        reading = rig.sensors.reading("angle").scaled(math.degrees(1.0))
     else:
-        value, variance, std = track.torque, track.torque_variance, rig.sensors.torque_std
-    return figures_of(value, measured, variance, std)
+        value, variance = track.torque, track.torque_variance
+        reading = rig.sensors.reading("torque")
+    return figures_of(value, measured, variance, reading)
 
 
-def figures_of(value: Floats, measured: Floats, variance: Floats | None = None, std: float = 0.0) -> Errors:
+def figures_of(
+    value: Floats, measured: Floats, variance: Floats | None = None, reading: Reading = metrics.EXACT
+) -> Errors:
     """Errors of a value (N,) against its measurement (N,)."""
     error = value - measured
-    held = math.nan if variance is None else metrics.coverage(error, variance, std)
+    held = math.nan if variance is None else metrics.coverage(error, variance, reading)
     return Errors(metrics.rmse(error), metrics.max_error(error), metrics.estimation_ratio(error, measured), held)
 
 

@@ -19,6 +19,7 @@ from pam_antagonist.report.html import Figure
 from pam_antagonist.report.identify import Judged
 from pam_antagonist.report.replay import Replay
 from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, QUIET, SECOND
+from pam_antagonist.rig import Reading
 
 FloatArray = NDArray[np.float64]
 
@@ -31,10 +32,11 @@ def held_out_figures(judged: Judged, found: Identified, index: int) -> list[Figu
     trial = found.trials[index]
     out = []
     scale = float(np.degrees(1.0))
+    reading = found.tuned.rig.sensors.reading
     if trial.has(ANGLE):
-        out.append(_held_out(judged, "angle", "Joint angle", "°", scale, 0, found.tuned.rig.sensors.error("angle")))
+        out.append(_held_out(judged, "angle", "Joint angle", "°", scale, 0, reading("angle")))
     if trial.has(TORQUE):
-        out.append(_held_out(judged, "torque", "Joint torque", "N m", 1.0, 2, found.tuned.rig.sensors.error("torque")))
+        out.append(_held_out(judged, "torque", "Joint torque", "N m", 1.0, 2, reading("torque")))
     out.append(_pressures(judged))
     return out
 
@@ -43,13 +45,13 @@ def _clock(replay: Replay) -> Clock:
     return Clock.from_stamps(replay.run.stamp_ns, int(replay.recording.stamp_ns[0]), replay.rig.sample_period)
 
 
-def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, place: int, noise: float) -> Figure:
+def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, place: int, reading: Reading) -> Figure:
     before, now = judged.whole["as_configured"], judged.whole["identified"]
     recorded = now.measured_angle if name == "angle" else now.measured_torque
     assert recorded is not None
     measured = np.asarray(recorded * scale)
     window = max(1, round(0.1 / now.rig.sample_period))
-    half = metrics.interval_half_width(now.run.rows["covariance"][:, place, place] * scale**2, noise * scale)
+    half = metrics.interval_half_width(now.run.rows["covariance"][:, place, place] * scale**2, reading.scaled(scale))
     value = now.run.rows[name] * scale
     signal: list[Part] = [Line("measured", measured, MEASURED), Line("UKF, identified", value, ESTIMATE)]
     alone: list[Part] = []

@@ -41,7 +41,7 @@ from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report.live import LiveInput, as_live, compare_with_live
 from pam_antagonist.report.software import bag_name
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Reading, Rig
 
 FloatArray = NDArray[np.float64]
 
@@ -260,8 +260,8 @@ def _judge(
         "duration_s": float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9 + rig.sample_period,
         "realtime_factor": None,
         "ukf": {
-            "angle": _angle(angle, rows["angle"], variance[:, 0, 0], sensors.error("angle")),
-            "torque": _torque(torque, rows["torque"], variance[:, 2, 2], sensors.error("torque")),
+            "angle": _angle(angle, rows["angle"], variance[:, 0, 0], sensors.reading("angle")),
+            "torque": _torque(torque, rows["torque"], variance[:, 2, 2], sensors.reading("torque")),
             "pressure": _pressure(pressure, _readings(rig, rows["pressure"])),
             "external_torque": _external(recording, run),
         },
@@ -329,26 +329,31 @@ def _figures(measured: FloatArray, value: FloatArray, unit: str, scale: float) -
 
 
 def _judged(
-    measured: FloatArray | None, value: FloatArray, variance: FloatArray | None, std: float, unit: str, scale: float
+    measured: FloatArray | None,
+    value: FloatArray,
+    variance: FloatArray | None,
+    reading: Reading,
+    unit: str,
+    scale: float,
 ) -> dict[str, float] | None:
     if measured is None or not np.isfinite(measured).any():
         return None
     out = _figures(measured, value, unit, scale)
     if variance is not None:
-        out["coverage95"] = metrics.coverage(value - measured, variance, std)
+        out["coverage95"] = metrics.coverage(value - measured, variance, reading)
     return out
 
 
 def _angle(
-    measured: FloatArray | None, value: FloatArray, variance: FloatArray | None = None, std: float = 0.0
+    measured: FloatArray | None, value: FloatArray, variance: FloatArray | None = None, reading: Reading = metrics.EXACT
 ) -> dict[str, float] | None:
-    return _judged(measured, value, variance, std, "deg", math.degrees(1.0))
+    return _judged(measured, value, variance, reading, "deg", math.degrees(1.0))
 
 
 def _torque(
-    measured: FloatArray | None, value: FloatArray, variance: FloatArray | None = None, std: float = 0.0
+    measured: FloatArray | None, value: FloatArray, variance: FloatArray | None = None, reading: Reading = metrics.EXACT
 ) -> dict[str, float] | None:
-    return _judged(measured, value, variance, std, "nm", 1.0)
+    return _judged(measured, value, variance, reading, "nm", 1.0)
 
 
 def _pressure(measured: FloatArray, value: FloatArray) -> dict[str, list[float]]:

@@ -13,6 +13,7 @@ from pam_antagonist.report.figures import Band, Clock, Level, Line, Panel, Part
 from pam_antagonist.report.html import Figure
 from pam_antagonist.report.replay import Replay
 from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, QUIET, SECOND
+from pam_antagonist.rig import Reading
 
 FloatArray = NDArray[np.float64]
 
@@ -48,7 +49,7 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
                 "Angle [°]",
                 (rows["angle"] * scale, variance[:, 0, 0] * scale**2, replay.model.angle * scale),
                 None if replay.measured_angle is None else replay.measured_angle * scale,
-                replay.rig.sensors.error("angle") * scale,
+                replay.rig.sensors.reading("angle").scaled(scale),
                 clock,
                 link,
                 _tenth(replay),
@@ -60,7 +61,7 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
             "Torque [N m]",
             (rows["torque"], variance[:, 2, 2], replay.model.torque),
             replay.measured_torque,
-            replay.rig.sensors.error("torque"),
+            replay.rig.sensors.reading("torque"),
             clock,
             link,
             _tenth(replay),
@@ -80,14 +81,14 @@ def _estimate_figure(
     axis: str,
     estimate: tuple[FloatArray, FloatArray, FloatArray],
     measured: FloatArray | None,
-    reference_std: float,
+    reference: Reading,
     clock: Clock,
     link: str,
     window: int,
 ) -> Figure:
     """Signal above, error below; estimate is value, variance and model alone, in the axis' unit."""
     value, variance, model = estimate
-    half = metrics.interval_half_width(variance, reference_std)
+    half = metrics.interval_half_width(variance, reference)
     signal: list[Part] = [Band("95 % interval", value - half, value + half, BAND)]
     if measured is not None:
         signal.append(Line("measured", measured, MEASURED))

@@ -174,7 +174,7 @@ DEFINITIONS = (
     (
         "95 % interval",
         "Where the filter expects the measured value in 95 % of the samples: ±1.96 standard deviations of its own "
-        "covariance, with the reference sensor's noise counted in.",
+        "covariance, with the reference sensor's noise and the step of its converter counted in.",
     ),
     ("Innovation", "Measured minus predicted pressure: what the pressures told that the model did not know."),
     (

@@ -1,6 +1,6 @@
 """Rigs: one validated YAML file each, and what the physics and the estimator read from it."""
 
 from pam_antagonist.rig.load import load_rig, rig_names
-from pam_antagonist.rig.schema import Rig, Tuning
+from pam_antagonist.rig.schema import Reading, Rig, Tuning
 
-__all__ = ["Rig", "Tuning", "load_rig", "rig_names"]
+__all__ = ["Reading", "Rig", "Tuning", "load_rig", "rig_names"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Dict, Literal, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+from typing import Any, Dict, Literal, NamedTuple, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
 
 import numpy as np
 from pydantic import Field
@@ -138,6 +138,27 @@ class Friction(Strict):
     velocity: float = Field(0.8, gt=0.0, lt=100.0, description="x_k of law 'tondu' [rad/s]")
 
 
+class Reading(NamedTuple):
+    """How a reading errs: by normal noise, and by a converter that may be off by half its step to either side.
+
+    Attributes:
+        std: of the noise, in the unit of the reading.
+        step: of the converter, likewise.
+    """
+
+    std: float = 0.0
+    step: float = 0.0
+
+    @property
+    def error(self) -> float:
+        """Standard deviation of both together."""
+        return math.hypot(self.std, self.step / math.sqrt(12.0))
+
+    def scaled(self, factor: float) -> Reading:
+        """The same in another unit."""
+        return Reading(self.std * factor, self.step * factor)
+
+
 class Sensors(Strict):
     """Noise (one standard deviation) and step of the converter (0: none) of each sensor."""
 
@@ -148,13 +169,21 @@ class Sensors(Strict):
     torque_std: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
     torque_step: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
 
+    def reading(self, quantity: str) -> Reading:
+        """How one reading errs.
+
+        Args:
+            quantity: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m].
+        """
+        return Reading(getattr(self, f"{quantity}_std"), getattr(self, f"{quantity}_step"))
+
     def error(self, quantity: str) -> float:
         """Standard deviation of one reading, noise and converter together.
 
         Args:
             quantity: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m].
         """
-        return math.hypot(getattr(self, f"{quantity}_std"), getattr(self, f"{quantity}_step") / math.sqrt(12.0))
+        return self.reading(quantity).error
 
 
 _Diagonal = Tuple[float, float, float, float]  # noqa: UP006

@@ -38,7 +38,7 @@ def test_figures_are_the_papers():
     assert figures_of(error + 10.0, np.array([10.0, 10.0, 10.0]) + [0.0, 0.0, 0.0]).rmse == pytest.approx(
         (25 / 3) ** 0.5
     )
-    found = figures_of(np.array([1.0, 5.0, 8.0]), np.array([0.0, 5.0, 10.0]), np.array([1.0, 1.0, 1.0]), 0.0)
+    found = figures_of(np.array([1.0, 5.0, 8.0]), np.array([0.0, 5.0, 10.0]), np.array([1.0, 1.0, 1.0]))
     assert found == Errors(pytest.approx((5 / 3) ** 0.5), 2.0, 0.2, pytest.approx(2 / 3))
 
 

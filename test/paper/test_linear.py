@@ -32,7 +32,7 @@ def test_a_linear_joint_is_found_and_estimated_from_pressures_alone():
     settled = slice(3000, None)
     error = (found.angle - angle)[settled]
     assert metrics.rmse(error) < 0.02 * np.ptp(angle)
-    assert metrics.coverage(error, np.full(len(error), found.angle_variance), 0.0) == pytest.approx(0.95, abs=0.06)
+    assert metrics.coverage(error, np.full(len(error), found.angle_variance)) == pytest.approx(0.95, abs=0.06)
     assert found.nis[150:].mean() == pytest.approx(2.0, rel=0.25)
 
 

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from pam_antagonist.estimation import metrics
+from pam_antagonist.rig import Reading
 
 NAN = float("nan")
 
@@ -37,7 +38,7 @@ def test_nothing_gives_nan_and_not_zero(empty: list[float]) -> None:
     assert math.isnan(metrics.rmse(empty))
     assert math.isnan(metrics.max_error(empty))
     assert math.isnan(metrics.estimation_ratio(empty, [0.0, 1.0]))
-    assert math.isnan(metrics.coverage(empty, empty, 0.1))
+    assert math.isnan(metrics.coverage(empty, empty, Reading(0.1)))
 
 
 def test_ratio_of_a_signal_without_range_is_not_known() -> None:
@@ -46,7 +47,7 @@ def test_ratio_of_a_signal_without_range_is_not_known() -> None:
 
 def test_interval_counts_the_reference_sensors_noise_in() -> None:
     # A 3-4-5 triangle: the deviations add in squares.
-    half = metrics.interval_half_width([9.0], reference_std=4.0)
+    half = metrics.interval_half_width([9.0], Reading(4.0))
     assert half[0] == pytest.approx(1.959963984540054 * 5.0, rel=1e-12)
 
 
@@ -54,14 +55,31 @@ def test_coverage_of_an_honest_gaussian_estimate() -> None:
     rng = np.random.default_rng(1)
     variance = rng.uniform(0.5, 4.0, 200_000)
     error = rng.normal(0.0, np.sqrt(variance)) + rng.normal(0.0, 0.7, len(variance))
-    assert metrics.coverage(error, variance, 0.7) == pytest.approx(0.95, abs=0.002)
-    assert metrics.coverage(error, variance, 0.7, level=0.5) == pytest.approx(0.5, abs=0.005)
+    assert metrics.coverage(error, variance, Reading(0.7)) == pytest.approx(0.95, abs=0.002)
+    assert metrics.coverage(error, variance, Reading(0.7), level=0.5) == pytest.approx(0.5, abs=0.005)
     # Without the sensor's noise the same honest estimate would seem too sure of itself.
-    assert metrics.coverage(error, variance, 0.0) < 0.94
+    assert metrics.coverage(error, variance) < 0.94
+
+
+@pytest.mark.parametrize("std", [1e-9, 0.003, 0.1, 0.4, 2.0, 30.0])
+def test_interval_with_a_converter_holds_the_share_that_it_claims(std: float) -> None:
+    rng = np.random.default_rng(2)
+    error = rng.normal(0.0, std, 400_000) + rng.uniform(-0.5, 0.5, 400_000)
+    for level in (0.5, 0.95):
+        assert metrics.coverage(error, np.full(len(error), std**2), Reading(0.0, 1.0), level) == pytest.approx(
+            level, abs=0.002
+        )
+
+
+def test_interval_of_a_converter_alone_and_of_noise_alone() -> None:
+    assert metrics.interval_half_width([0.0], Reading(0.0, 2.0))[0] == pytest.approx(0.95)
+    assert metrics.interval_half_width([1.0], Reading(0.0, 1e-6))[0] == pytest.approx(1.959963984540054, rel=1e-9)
+    # A reading that is half a step off at most is not as bad as normal noise of the same deviation.
+    assert metrics.interval_half_width([0.0], Reading(0.0, 1.0)) < metrics.interval_half_width([0.0], Reading(12**-0.5))
 
 
 def test_coverage_by_hand() -> None:
-    assert metrics.coverage([0.0, 1.9, 2.0, -1.9, NAN], [1.0] * 5, 0.0) == 0.75
+    assert metrics.coverage([0.0, 1.9, 2.0, -1.9, NAN], [1.0] * 5) == 0.75
 
 
 @pytest.mark.parametrize("dof", [1, 2, 4])
