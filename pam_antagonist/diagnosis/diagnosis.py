@@ -6,7 +6,18 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from pam_antagonist.diagnosis import agreement, errors, findings, heldout, outside, quality, rigs, rules, visible
+from pam_antagonist.diagnosis import (
+    agreement,
+    errors,
+    findings,
+    heldout,
+    innovations,
+    outside,
+    quality,
+    rigs,
+    rules,
+    visible,
+)
 from pam_antagonist.diagnosis.advice import experiments_that_tell
 from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.profiles import profile_sizes
@@ -102,6 +113,13 @@ def diagnose(
     verdict, share = _judge(experiments, selection)
     model = findings.without_idle(experiments, base, selection.model, jobs) if verdict == "effect" else base
     found, values, warnings = findings.found(experiments, base, model, jobs)
+    if model.effects and innovations.decide([*experiments, *held]):
+        said("innovations before and after")
+        compared = heldout.compared(experiments, held, base, model, values)
+        gained = innovations.evidence([*recordings, *held_out], compared, jobs)
+        if gained < STRONG:
+            verdict, model, found, values = "unexplained", base, (), {}
+        warnings += [quality.decided(selection.model.effects, gained, gained >= STRONG)]
     lap("backward step")
     warnings += quality.implausible(experiments, base) + agreement.of_base(experiments, base)
     warnings += agreement.of_effects(experiments, model, found, values, jobs)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.estimation import Estimator, metrics
+from pam_antagonist.estimation import EstimateRun, Estimator, metrics
 from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, TORQUE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -68,6 +68,21 @@ class FilterRun:
     innovation: Floats
 
 
+def filtered(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[EstimateRun, NDArray[np.bool_]]:
+    """The estimator over a recording, and which of its samples were held out (M,).
+
+    Args:
+        recording: as read; the filter runs over all of it.
+        rig: whose default tuning is used.
+        experiment: the recording on its even grid: condition of the joint, what was held out.
+    """
+    trial = experiment.trial
+    estimator = Estimator(rig, joint=trial.joint, lock_angle=trial.lock_angle)
+    run = estimator.run(recording.stamp_ns, recording.pressure, recording.voltage)
+    late = recording.stamp_ns[run.index] >= recording.stamp_ns[0] + round(experiment.fitted * trial.dt * 1e9)
+    return run, np.asarray(late)
+
+
 def of_estimator(recording: Recording, rig: Rig, experiment: Experiment) -> FilterRun:
     """Errors of the estimator, which knows pressures and voltages only, on the samples that were held out.
 
@@ -76,10 +91,7 @@ def of_estimator(recording: Recording, rig: Rig, experiment: Experiment) -> Filt
         rig: whose default tuning is used.
         experiment: the recording on its even grid: condition of the joint, measurements, what was held out.
     """
-    trial = experiment.trial
-    estimator = Estimator(rig, joint=trial.joint, lock_angle=trial.lock_angle)
-    run = estimator.run(recording.stamp_ns, recording.pressure, recording.voltage)
-    late = recording.stamp_ns[run.index] >= recording.stamp_ns[0] + round(experiment.fitted * trial.dt * 1e9)
+    run, late = filtered(recording, rig, experiment)
     rows, index = run.rows[late], run.index[late]
     measured = np.full((len(rows), 4), np.nan)
     for channel, values in ((ANGLE, recording.angle), (TORQUE, recording.torque)):

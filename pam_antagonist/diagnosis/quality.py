@@ -73,8 +73,8 @@ def unseen(trials: Sequence[Trial], invisible: Sequence[str] = ()) -> tuple[str,
         )
     if not any(trial.has(TORQUE) or trial.has(ANGLE) for trial in trials):
         said.append(
-            "Pressures alone decide here, and the estimator's innovations: only effects of the air, the valves and "
-            "their sensors can be found."
+            "Pressures alone decide here, and of a candidate that they call for the estimator's innovations: only "
+            "effects of the air, the valves and their sensors can be found."
         )
     if invisible:
         said.append(
@@ -82,3 +82,20 @@ def unseen(trials: Sequence[Trial], invisible: Sequence[str] = ()) -> tuple[str,
             "That they were not found says nothing about them."
         )
     return tuple(said)
+
+
+def decided(effects: Sequence[str], evidence: float, taken: bool) -> str:
+    """What the innovations said where pressures alone were measured.
+
+    Args:
+        effects: that the pressures call for.
+        evidence: twice the logarithm of how much likelier the held-out innovations are with them.
+        taken: whether that was enough.
+    """
+    which = " and ".join(effects)
+    if taken:
+        return f"pressures alone were measured: the estimator's innovations, too, speak for {which} ({evidence:+.0f})"
+    return (
+        f"the pressures call for {which}, the estimator's innovations on the held-out part do not ({evidence:+.0f}): "
+        "not taken; expected an angle or a torque to be measured as well"
+    )

@@ -83,3 +83,19 @@ def test_pressures_alone_say_so(rig, recorded) -> None:
     assert found.errors["extended"]["torque"] is None
     assert found.effects and found.effects[0].name in ("valve_offset", "pressure_sensor", "leak")
     assert np.isfinite(found.share)
+    decided = next(line for line in found.warnings if "innovations" in line)
+    evidence = float(decided.rsplit("(", 1)[1].split(")")[0])
+    assert evidence > 6.0 and "speak for" in decided
+
+
+def test_innovations_that_do_not_agree_have_the_last_word(rig, recorded, monkeypatch) -> None:
+    """The pressures of a model that is run alone may call for an effect that tells an estimator nothing."""
+    import dataclasses
+
+    from pam_antagonist.diagnosis import innovations
+
+    monkeypatch.setattr(innovations, "evidence", lambda recordings, parts, jobs: 5.0)
+    bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
+    found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False)
+    assert found.verdict == "unexplained" and not found.effects
+    assert any("innovations on the held-out part do not (+5)" in line for line in found.warnings)
