@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Literal
 
+import numpy as np
+
 from pam_antagonist.diagnosis import (
     agreement,
     errors,
@@ -190,10 +192,13 @@ def _trial(recording: Recording, rig: Rig, joint: str, lock_angle: float | None)
 def _judge(experiments: Sequence[Experiment], selection: Selection) -> tuple[Verdict, float]:
     """The verdict, and the share of the held-out excess that is explained."""
     base, model = selection.recalibrated, selection.model
-    share = removed(*(excess_squares(experiments, m, held=True) for m in (base, model)))
+    held, fitted = ([excess_squares(experiments, m, part) for m in (base, model)] for part in (True, False))
+    share = removed(*held)
     if not model.effects:
         return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), 0.0
-    if share >= rules.EXPLAINED[len(model.effects) - 1] or rules.at_noise(experiments, model):
+    if removed(*(np.concatenate(pair) for pair in zip(held, fitted, strict=True))) >= rules.EXPLAINED[
+        len(model.effects) - 1
+    ] or rules.at_noise(experiments, model):
         return "effect", share
     return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share
 

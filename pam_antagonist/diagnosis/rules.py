@@ -21,9 +21,11 @@ another effect is there too, it need not be much."""
 FURTHER_SHARE = 0.05
 """Likewise a further one, of what is left: most of that may be what another form of the first one leaves."""
 EXPLAINED = (0.8, 0.8, 0.85)
-"""Share of the held-out excess that one, two or three effects must remove to be called the explanation.
+"""Share of the excess, fitted and held out together, that one, two or three effects must remove to be called the
+explanation.
 
-The more laws may be chosen, the more of anything they imitate."""
+That they foretell is asked before (:func:`worth`). Here a single event of a third of a recording would decide alone if
+only that third counted. The more laws may be chosen, the more of anything they imitate."""
 _LEAST_UNKNOWNS = 2
 
 

@@ -8,6 +8,7 @@ Keys::
                  values in place of the common ones
     coverage95   share of all measured angles and torques of the held-out parts, one mean over channels and recordings,
                  in the identified rig's 95 % interval; null where nothing was measured
+    coverage95_own  the same with each recording's own values; null of a single recording
     parameters   [{name, start, value, std, relative_change, prior_std, determined, record, own: [...], own_std: [...]}]
     stages       [{name, source, values, before, after, note}], residuals by channel [rad, N m, Pa, Pa]
     correlations [{first, second, correlation}], the strong ones
@@ -111,6 +112,7 @@ def document(
             for item in judged
         ],
         "coverage95": pooled_coverage(judged),
+        "coverage95_own": pooled_coverage(judged, "own"),
         "parameters": parameters(found),
         "stages": [
             {
@@ -166,17 +168,15 @@ def _figures(item: Replay | None) -> dict[str, Any] | None:
     return {key: item.report[key] for key in ("samples", "duration_s", "ukf", "model_alone", "innovation")}
 
 
-def pooled_coverage(judged: Sequence[Judged]) -> float:
-    """Mean over recordings and channels of the coverage of the identified rig's 95 % interval; NaN where there is none.
+def pooled_coverage(judged: Sequence[Judged], rig: str = "identified") -> float:
+    """Mean over recordings and channels of the coverage of a rig's 95 % interval; NaN where there is none.
 
     Args:
         judged: of :func:`judge`.
+        rig: ``identified``, or ``own`` for each recording's own values.
     """
-    shares = [
-        channel.coverage(item.held["identified"].report)
-        for item in judged
-        for channel in channels.judged(item.held["identified"].report)
-    ]
+    reports = [item.held[rig].report for item in judged if rig in item.held]
+    shares = [channel.coverage(report) for report in reports for channel in channels.judged(report)]
     return sum(shares) / len(shares) if shares else math.nan
 
 

@@ -89,7 +89,9 @@ def _coverage(document: Document) -> list[Finding]:
     share = document["coverage95"]
     if not math.isfinite(share):
         return []
-    text = f"All held-out parts and channels together: {percent(share)} lie in the 95 % interval."
+    own = document["coverage95_own"]
+    beside = f"; with each recording's own values {percent(own)}" if math.isfinite(own) else ""
+    text = f"All held-out parts and channels together: {percent(share)} lie in the 95 % interval{beside}."
     return [Finding("good" if _LOW <= share <= _HIGH else "note", text)]
 
 
