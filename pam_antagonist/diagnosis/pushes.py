@@ -32,8 +32,11 @@ _MARGIN = 12
 _STANDS_OUT = 3.0
 _MOST_ACTIVE = 0.5
 """A torque that is there more than half of the time does not come and go."""
+_LEAST_EPISODES = 2
+"""What happened once may have been anything."""
 _EXPLAINED = 0.75
-"""Share of the excess that must go with the pushes: they were told from the same angle, so more than of a law."""
+"""Share of the excess, fitted and held out together, that must go with the pushes, told from the same angle: of either
+part alone there may be little, where nothing pushed in it."""
 _rk4_step = dynamics.rk4_step
 
 
@@ -61,7 +64,7 @@ class Pushes:
         fitted: the base parameters beside it.
         torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the pushes.
         active: share of the time with one.
-        shares: share of the held-out and of the fitted excess that goes with it, in hindsight; the latter twice where
+        shares: share of the held-out excess, and of all of it, that goes with it, in hindsight; the latter twice where
             all of it was fitted.
         noise: size of the random walk that it looks like [N m/s^0.5].
     """
@@ -81,7 +84,8 @@ class Pushes:
     @property
     def explains(self) -> bool:
         """Whether pushes at some times, and nothing at the others, leave little of the residual."""
-        return self.active <= _MOST_ACTIVE and min(self.shares) >= _EXPLAINED
+        comes_and_goes = self.episodes >= _LEAST_EPISODES and self.active <= _MOST_ACTIVE
+        return comes_and_goes and self.shares[1] >= _EXPLAINED
 
 
 def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
@@ -112,11 +116,12 @@ def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
         before = (experiment.held(experiment.residual(fitted.point, whole=True)), fitted.residual)
         after = (pushed.held(pushed.residual(base.point, whole=True)), base.residual)
         pairs = [pair for pair in zip(before, after, strict=True) if len(pair[0])]
-        shares = tuple(_gone(experiment, old, new) for old, new in pairs)
+        over = np.array([[_over(experiment, part) for part in pair] for pair in pairs])
+        shares = tuple(1.0 - new / max(old, 1e-12) for old, new in (over[0], over.sum(axis=0)))
         steps = np.diff(torque[::_LOOK])
         noise = float(np.sqrt(np.mean(steps**2) / (_LOOK * BLOCK * trial.dt)))
-        found = Pushes(pushed, base, torque, float(np.mean(torque != 0.0)), (shares[0], shares[-1]), noise)
-        if best is None or min(found.shares) > min(best.shares):
+        found = Pushes(pushed, base, torque, float(np.mean(torque != 0.0)), shares, noise)
+        if best is None or found.shares[1] > best.shares[1]:
             best = found
     return best
 
@@ -140,6 +145,6 @@ def _episodes(torque: Floats) -> NDArray[np.bool_]:
     return np.convolve(out, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
 
 
-def _gone(experiment: Experiment, before: Floats, after: Floats) -> float:
-    old, new = (np.maximum(excess(experiment, part) ** 2 - 1.0, 0.0).sum() for part in (before, after))
-    return 1.0 - float(new) / max(float(old), 1e-12)
+def _over(experiment: Experiment, residual: Floats) -> float:
+    """Squares beyond the noise's, in units of it."""
+    return float(np.maximum(excess(experiment, residual) ** 2 - 1.0, 0.0).sum())
