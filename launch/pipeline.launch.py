@@ -3,6 +3,7 @@
 ros2 launch pam_antagonist pipeline.launch.py
 ros2 launch pam_antagonist pipeline.launch.py namespace:=left/elbow parameters:=/path/to/parameters.yaml \
     source:=bridge
+ros2 launch pam_antagonist pipeline.launch.py source:=bridge enclave:=/pam
 """
 
 from pathlib import Path
@@ -29,6 +30,42 @@ def require_parameters(context: LaunchContext) -> None:
         raise FileNotFoundError(f"parameters:={path}: no such file; expected a YAML file with parameters of the nodes")
 
 
+def nodes(context: LaunchContext) -> list[Node]:
+    """The nodes, each with its own enclave where there are enclaves.
+
+    Raises:
+        ValueError: the enclaves' folder is no absolute name.
+    """
+    enclaves = LaunchConfiguration("enclave").perform(context)
+    if enclaves and not enclaves.startswith("/"):
+        raise ValueError(f"enclave:={enclaves}: expected a name that begins with a slash, such as /pam")
+
+    def node(name: str, **options: object) -> Node:
+        common: dict[str, object] = {
+            "package": PACKAGE,
+            "executable": name,
+            "name": name,
+            "namespace": LaunchConfiguration("namespace"),
+            "parameters": [LaunchConfiguration("parameters")],
+            "output": "screen",
+        }
+        if enclaves:  # an argument without a value would be refused
+            common["ros_arguments"] = ["--enclave", f"{enclaves.rstrip('/')}/{name}"]
+        return Node(**{**common, **options})
+
+    return [
+        node("plant", condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), "plant"))),
+        node(
+            "bridge",
+            package=LaunchConfiguration("bridge_package"),
+            executable=LaunchConfiguration("bridge_executable"),
+            condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), "bridge")),
+        ),
+        node("estimator"),
+        node("controller"),
+    ]
+
+
 def generate_launch_description() -> LaunchDescription:
     """The nodes and their arguments."""
     arguments = [
@@ -49,31 +86,11 @@ def generate_launch_description() -> LaunchDescription:
             description="YAML file with the parameters of all nodes",
         ),
         DeclareLaunchArgument("namespace", default_value="pam", description="namespace of nodes and topics"),
+        DeclareLaunchArgument(
+            "enclave",
+            default_value="",
+            description="where the nodes' SROS2 enclaves are in the keystore, such as /pam for /pam/bridge and so on; "
+            "empty: no enclaves (docs/security.md)",
+        ),
     ]
-
-    def node(name: str, **options: object) -> Node:
-        common: dict[str, object] = {
-            "package": PACKAGE,
-            "executable": name,
-            "name": name,
-            "namespace": LaunchConfiguration("namespace"),
-            "parameters": [LaunchConfiguration("parameters")],
-            "output": "screen",
-        }
-        return Node(**{**common, **options})
-
-    return LaunchDescription(
-        [
-            *arguments,
-            OpaqueFunction(function=require_parameters),
-            node("plant", condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), "plant"))),
-            node(
-                "bridge",
-                package=LaunchConfiguration("bridge_package"),
-                executable=LaunchConfiguration("bridge_executable"),
-                condition=IfCondition(EqualsSubstitution(LaunchConfiguration("source"), "bridge")),
-            ),
-            node("estimator"),
-            node("controller"),
-        ]
-    )
+    return LaunchDescription([*arguments, OpaqueFunction(function=require_parameters), OpaqueFunction(function=nodes)])

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import types
+import xml.etree.ElementTree as ET
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -182,7 +183,9 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
     entities = launch_file["generate_launch_description"]()
-    nodes = [options for kind, options in entities if kind == "node"]
+    first, second = [function for kind, function in entities if kind == "function"]
+    assert (first, second) == (launch_file["require_parameters"], launch_file["nodes"])
+    nodes = [options for _, options in second({"enclave": ""})]
     arguments = {options["name"]: options for kind, options in entities if kind == "argument"}
 
     plant, bridge, *always = nodes
@@ -193,10 +196,29 @@ def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
     assert arguments["bridge_executable"]["default_value"] in COMMANDS
     assert all(node["namespace"] == "namespace" and node["parameters"] == ["parameters"] for node in nodes)
     assert [node.get("condition") for node in nodes] == [("source", "plant"), ("source", "bridge"), None, None]
-    assert set(arguments) == {"source", "parameters", "namespace", "bridge_package", "bridge_executable"}
+    assert not any("ros_arguments" in node for node in nodes)
+    assert set(arguments) == {"source", "parameters", "namespace", "enclave", "bridge_package", "bridge_executable"}
+    assert arguments["enclave"]["default_value"] == ""
     assert arguments["namespace"]["default_value"] == "pam"
     assert arguments["source"]["default_value"] in arguments["source"]["choices"]
     assert Path(arguments["parameters"]["default_value"]) == config_dir() / "pipeline.yaml"
+
+
+@pytest.mark.parametrize("enclave", ["/pam", "/pam/", "/lab/left"])
+def test_launch_file_gives_each_node_its_own_enclave(launch_file: dict[str, Any], enclave: str) -> None:
+    nodes = [options for _, options in launch_file["nodes"]({"enclave": enclave})]
+    folder = enclave.rstrip("/")
+    assert [node["ros_arguments"] for node in nodes] == [
+        ["--enclave", f"{folder}/{name}"] for name in ("plant", "bridge", "estimator", "controller")
+    ]
+    if folder == "/pam":  # what the documentation makes, by the policy
+        enclaves = ET.parse(config_dir() / "security" / "policy.xml").getroot().iter("enclave")
+        assert {node["ros_arguments"][1] for node in nodes} <= {item.attrib["path"] for item in enclaves}
+
+
+def test_launch_file_refuses_an_enclave_that_is_no_absolute_name(launch_file: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="begins with a slash, such as /pam"):
+        launch_file["nodes"]({"enclave": "pam"})
 
 
 def test_launch_file_refuses_parameters_that_are_not_there(launch_file: dict[str, Any], tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pam_antagonist.benchmark.figure import Figure, at_most
 from pam_antagonist.benchmark.pipeline import NODES, cpu_seconds, resident_mb, start_real
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.accounting import STAGES, Accounting, account
+from pam_antagonist.nodes.accounting import STAGES, Accounting, OverTime, account, over_time
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.rig import load_rig
@@ -23,8 +23,10 @@ from pam_antagonist.rig import load_rig
 WARM_UP = 60.0
 """Time from which on memory may not grow [s]; a third of the run, where that is shorter."""
 
+BLOCK = 10.0
+"""Length of the blocks over which samples are counted and the quickest delivery is taken [s]."""
+
 _WATCHED = (*NODES, "record")
-_BLOCK = 10.0  # blocks over which the quickest delivery is taken [s]
 _FILE = 60.0  # length of one file of the recording, as on a rig [s]
 
 
@@ -45,11 +47,19 @@ class Usage:
 
 @dataclass(frozen=True)
 class Soak:
-    """A finished run: figures with bounds, and the series behind them."""
+    """A finished run: figures with bounds, and the series behind them.
+
+    Attributes:
+        figures: what came out.
+        usage: memory and processor time.
+        drift: see :func:`clock_drift`, a value each :data:`BLOCK` (B,) [ms].
+        samples: losses and round trips, a value each :data:`BLOCK`.
+    """
 
     figures: list[Figure]
     usage: Usage
     drift: NDArray[np.float64]
+    samples: OverTime
 
 
 def measure(rig: str, duration: float, progress: Callable[[float], object] = lambda seconds: None) -> Soak:
@@ -70,10 +80,11 @@ def measure(rig: str, duration: float, progress: Callable[[float], object] = lam
     except ProcessFailed as error:
         raise BadInput(f"soak: {error}") from None
     accounting = account(recording, period)
-    if accounting is None or accounting.expected == 0:
+    samples = over_time(recording, period, BLOCK)
+    if accounting is None or samples is None or accounting.expected == 0:
         raise BadInput("soak: the recording lacks a stage of the pipeline")
     drift = clock_drift(recording)
-    return Soak([*_memory(usage), _lost(accounting), _drift(drift, period), _processor(usage)], usage, drift)
+    return Soak([*_memory(usage), _lost(accounting), _drift(drift, period), _processor(usage)], usage, drift, samples)
 
 
 def _run(rig: str, duration: float, progress: Callable[[float], object]) -> tuple[Usage, Recording]:
@@ -136,7 +147,7 @@ def clock_drift(recording: Recording) -> NDArray[np.float64]:
     """
     arrivals = recording.received_ns["pressure_1"]
     lag = (arrivals.log_ns - arrivals.stamp_ns) * 1e-6
-    block = ((arrivals.stamp_ns - arrivals.stamp_ns[0]) * 1e-9 / _BLOCK).astype(int)
+    block = ((arrivals.stamp_ns - arrivals.stamp_ns[0]) * 1e-9 / BLOCK).astype(int)
     count = np.bincount(block)
     full = np.flatnonzero(count > 0.5 * count.max())  # the last one may be short
     quickest = np.array([lag[block == k].min() for k in full])

@@ -27,7 +27,8 @@ Measure what the package costs on this machine.
             and the round trip pressure -> command against that of a pipeline that passes messages through
 
   --soak S  instead of all that: the pipeline for S seconds, with what grows, what is lost and what drifts (600 is a
-            good while); looks at every process once a second
+            good while); looks at every process once a second, and with --json FILE writes the series as a page beside
+            it (FILE with the suffix .html)
 
 Every figure is a ratio of two things that were timed in turn, so that a busy machine slows both.
 Status: 0 whether or not a bound holds, 2 bad input.
@@ -91,6 +92,9 @@ def _soak(arguments: argparse.Namespace) -> int:
         raise BadInput(f"--soak {arguments.soak:g}: expected seconds from 15 to 86400")
     if arguments.only:
         raise BadInput("--soak and --only: expected one of them")
+    html = None if arguments.json is None else arguments.json.with_suffix(".html")
+    if html is not None and (html.exists() or html == arguments.json):
+        raise BadInput(f"--json {arguments.json}: {html} is the page that stands beside it; expected another name")
     from pam_antagonist.benchmark import soak
 
     with common.progress(round(arguments.soak), "soak", "s") as bar:
@@ -100,8 +104,18 @@ def _soak(arguments: argparse.Namespace) -> int:
         "resident_mb": {name: values.round(3).tolist() for name, values in result.usage.resident.items()},
         "cpu_s": {name: values.round(2).tolist() for name, values in result.usage.cpu.items()},
         "drift_ms": result.drift.round(4).tolist(),
+        "block_s": soak.BLOCK,
+        "lost": {stage: values.tolist() for stage, values in result.samples.lost.items()},
+        "round_trip_ms": {
+            name: getattr(result.samples, name).round(3).tolist() for name in ("median", "p99", "largest")
+        },
     }
     _tell(result.figures, arguments.json, {"duration_s": arguments.soak, "series": series})
+    if html is not None:
+        from pam_antagonist.report.soak_page import page
+
+        html.write_text(page(result, load_rig(arguments.rig).name).render(), encoding="utf-8")
+        print(f"\npage: {html}")
     return common.DONE
 
 

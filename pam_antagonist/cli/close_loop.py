@@ -9,6 +9,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,7 @@ def _main(argv: Sequence[str] | None) -> int:
         if not store.finished():
             shutil.rmtree(kept, ignore_errors=True)
         raise
+    found = replace(found, warnings=(*given.damage(arguments, recordings), *found.warnings))
     document = numbers.document(found, rig, hashes, arguments.seed, holdout)
     with common.output_folder(arguments.out) as folder:
         _write_rigs(folder, found, rig, hashes)

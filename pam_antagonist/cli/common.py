@@ -227,6 +227,11 @@ def _topic(text: str) -> tuple[str, str]:
     return name, other
 
 
+def add_recover(parser: argparse.ArgumentParser) -> None:
+    """``--recover``."""
+    parser.add_argument("--recover", action="store_true", help="of a damaged bag, read what stands before the damage")
+
+
 def topics(arguments: argparse.Namespace) -> dict[str, str]:
     """The topics that were given other names.
 

@@ -160,9 +160,12 @@ def _fitted(recordings: Sequence[_Given], held_from: Sequence[float]) -> list[st
 
 
 def _read(arguments: argparse.Namespace) -> list[_Given]:
+    recordings = given.read(arguments)
+    for text in given.damage(arguments, recordings):
+        print(textwrap.fill(f"! {text}", 100, subsequent_indent="  "))
     return [
         (recording, joint_condition(recording, arguments.joint, arguments.lock_angle), bag_name(bag))
-        for recording, bag in zip(given.read(arguments), arguments.bags, strict=True)
+        for recording, bag in zip(recordings, arguments.bags, strict=True)
     ]
 
 

@@ -28,10 +28,11 @@ def add_bags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_names_and_report(parser: argparse.ArgumentParser) -> None:
-    """Names of topics and joint, and what the report holds."""
+    """Names of topics and joint, damaged bags, and what the report holds."""
     common.add_topics(parser)
     parser.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
     parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    common.add_recover(parser)
     parser.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
     parser.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
 
@@ -74,13 +75,25 @@ def read(arguments: argparse.Namespace, further: Sequence[Path] = ()) -> list[Re
     names = common.topics(arguments)
     bags = [*arguments.bags, *further]
     recordings = [
-        read_bag(bag, topics=names, namespace=arguments.namespace, joint_name=arguments.joint_name) for bag in bags
+        read_bag(
+            bag,
+            topics=names,
+            namespace=arguments.namespace,
+            joint_name=arguments.joint_name,
+            recover=arguments.recover,
+        )
+        for bag in bags
     ]
     hashes = [bag_hash(recording.path) for recording in recordings]
     for k, value in enumerate(hashes):
         if value in hashes[:k]:
             raise BadInput(f"{bags[k]}: the same recording as {bags[hashes.index(value)]}")
     return recordings
+
+
+def damage(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> list[str]:
+    """With ``--recover``: what there is to say of each recording, since something is missing from it."""
+    return [issue for recording in recordings for issue in recording.issues] if arguments.recover else []
 
 
 def tell_where(arguments: argparse.Namespace, rig: str = "rig.yaml") -> None:

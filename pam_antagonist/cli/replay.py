@@ -51,7 +51,7 @@ def parser() -> common.Parser:
         "--restarts", choices=("refuse", "last"), default="refuse",
         help="of a bag whose clock was set back: refuse it, or read what came after the last time (default: refuse)",
     )  # fmt: skip
-    out.add_argument("--recover", action="store_true", help="of a damaged bag, read what stands before the damage")
+    common.add_recover(out)
     out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
     out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
     return out

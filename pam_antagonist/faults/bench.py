@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from pam_antagonist.faults import valve_log
+from pam_antagonist.faults.stepped import Step
 from pam_antagonist.faults.valve_log import BRIDGE_SAFE, CONTROLLER_SAFE, Row, ValveLog
 from pam_antagonist.faults.watcher import Watcher
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
@@ -37,6 +38,7 @@ class Bench:
         rig: name or path, of every node and of the device.
         relayed: topics that go through a relay.
         simulated: a plant in simulated time rather than a device and its bridge.
+        stepped: nodes whose clock can be set, with the device and its bridge.
 
     Attributes:
         processes: the nodes.
@@ -55,6 +57,7 @@ class Bench:
         rig: str = "shin2022",
         relayed: tuple[str, ...] = (),
         simulated: bool = False,
+        stepped: bool = False,
     ) -> None:
         folder.mkdir(parents=True)
         self.folder, self.domain = folder, domain
@@ -64,17 +67,18 @@ class Bench:
         self.rig = rig
         self._namespace = namespace
         self._relayed, self._simulated = relayed, simulated
+        self._step = folder / "step" if stepped else None
         self._log = ValveLog(folder / "voltages.csv")
         self._port, self._pipe = folder / "device", folder / "orders"
-        self._clock: SimulatedClock | None = None
+        self._clock: SimulatedClock | Step | None = None if self._step is None else Step(self._step, new=True)
         self._stack = ExitStack()
 
     def __enter__(self) -> Bench:
         with ExitStack() as stack:
             stack.enter_context(self.watcher)
             if self._simulated:
-                self._clock = SimulatedClock(self.watcher)
-                stack.callback(self._clock.stop)  # before the watcher, through which it speaks
+                self._clock = clock = SimulatedClock(self.watcher)
+                stack.callback(clock.stop)  # before the watcher, through which it speaks
             stack.enter_context(self.processes)
             stack.callback(self._end_second)
             self._start()
@@ -123,7 +127,12 @@ class Bench:
             parameters["use_sim_time"] = True
         remappings = {"__ns": self._namespace}
         remappings |= {t: f"relayed/{t}" for t in self._relayed if _HEARD_BY.get(t) == name}
-        self.processes.start(name, ros_arguments({**parameters, **(more or {})}, remappings), self._environment())
+        arguments = ros_arguments({**parameters, **(more or {})}, remappings)
+        if self._step is None:
+            self.processes.start(name, arguments, self._environment())
+        else:
+            arguments = [str(self._step), *arguments]
+            self.processes.start(name, arguments, self._environment(), module="pam_antagonist.faults.stepped")
 
     def record(self, out: Path) -> None:
         """Start a recorder."""
@@ -175,10 +184,10 @@ class Bench:
         return now
 
     def set_clock_back(self, seconds: float) -> int:
-        """Set simulated time back; when [ns since 1970]."""
+        """Set the nodes' time back, or ahead where that is negative; when [ns since 1970]."""
         assert self._clock is not None
         now = time.time_ns()
-        self._clock.offset_ns -= round(seconds * 1e9)
+        self._clock.ns -= round(seconds * 1e9)
         return now
 
     # ---------------------------------------------------------------- looking
@@ -281,11 +290,11 @@ class SimulatedClock:
         watcher: publishes it.
 
     Attributes:
-        offset_ns: to the steady clock [ns].
+        ns: to the steady clock [ns].
     """
 
     def __init__(self, watcher: Watcher) -> None:
-        self.offset_ns = 1000 * 10**9 - time.monotonic_ns()
+        self.ns = 1000 * 10**9 - time.monotonic_ns()
         self._watcher = watcher
         self._running = True
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -298,7 +307,7 @@ class SimulatedClock:
 
     def _run(self) -> None:
         while self._running:
-            self._watcher.tell_time(time.monotonic_ns() + self.offset_ns)
+            self._watcher.tell_time(time.monotonic_ns() + self.ns)
             time.sleep(1e-3)
 
 

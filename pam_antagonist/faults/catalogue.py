@@ -67,12 +67,21 @@ FAULTS: tuple[Fault, ...] = (
           (Said("recorder: bag", _ERROR, "the recording has ended"),), _KEPT, lasts=0.2),
     Fault("rig file makes no sense", "estimator started with it",
           WrongRig("estimator", "supply: {pressure: -1.0}", runs=False), _SAFE, (_NO_ESTIMATES,), _RESTART),
-    # The pressures cannot show it: kept here so that nobody takes it for covered.
+    # The pressures cannot show these: what the nodes tell about their files does.
     Fault("rig file of another joint", "estimator started with it: supply of 400 kPa",
-          WrongRig("estimator", "supply: {pressure: 400.0e+3}"), _ON, (), _KEPT),
+          WrongRig("estimator", "supply: {pressure: 400.0e+3}"), _SAFE,
+          (Said("controller: commands", _ERROR, "the rig file of the estimator"),), _CLEAR, clear=("controller",)),
+    Fault("rig file of other valves", "bridge started with it: inflow areas ten times as large",
+          WrongRig("bridge", "valve_1: {inflow_area: 5.184e-7}\nvalve_2: {inflow_area: 5.184e-7}"), _SAFE,
+          (Said("controller: commands", _ERROR, "the rig file of the bridge"),), _CLEAR, clear=("controller",)),
+    Fault("rig file with refined values", "estimator started with it: areas off by 10 %, a leak",
+          WrongRig("estimator", "valve_1: {inflow_area: 5.7e-8}\neffects: {leak: {area_1: 1.0e-10}}"), _ON,
+          (Said("controller: rig", _OK, "the same joint; estimator with other values"),), _KEPT),
     Fault("rig file of another device", "bridge started with it: 250 Hz",
           WrongRig("bridge", "sample_period: 0.004"), _SAFE,
-          (Said("bridge: device", _ERROR, "samples every 1 ms"),), _RESTART),
+          (Said("bridge: device", _ERROR, "samples every 1 ms"),
+           Said("controller: rig", _ERROR, "sample_period 0.004 s rather than 0.001 s")), _CLEAR,
+          clear=("controller",)),
     Fault("two pipelines", "another one in /left/elbow; its controller killed", Beside(), _ON, (), _KEPT),
     # ---- messages
     Fault("messages lost", "20 % of pressure 1, estimates and commands", Messages("drop=0.2", _RELAYED), _ON,
@@ -91,5 +100,11 @@ FAULTS: tuple[Fault, ...] = (
     # ---- time
     Fault("clock set back", "/clock by 5 s", ClockSetBack(5.0), _ON,
           (Said("controller: commands", _WARN, "jumped backwards"),), lasts=1.0, bench="simulated"),
+    # For 0.3 s the bridge listens to the device's clock anew, and has no stamps for its samples.
+    Fault("machine's clock set back", "by 5 s, with device and bridge", ClockSetBack(5.0), _SAFE,
+          (Said("bridge: clock", _WARN, "listens"), Said("controller: commands", _WARN, "jumped backwards")),
+          lasts=0.2, bench="stepped"),
+    Fault("machine's clock set ahead", "by 5 s, with device and bridge", ClockSetBack(-5.0), _SAFE,
+          (Said("bridge: clock", _WARN, "listens"),), lasts=0.2, bench="stepped"),
 )  # fmt: skip
 """All of them; those of one pipeline stand together."""

@@ -155,10 +155,10 @@ class SecondCommander:
 
 @dataclass(frozen=True)
 class ClockSetBack:
-    """Simulated time goes back.
+    """The nodes' time goes back.
 
     Attributes:
-        seconds: by so much [s].
+        seconds: by so much; ahead where negative [s].
     """
 
     seconds: float

@@ -60,7 +60,11 @@ def run_faults(
 
 
 def _start(name: str, folder: Path, rig: str) -> Bench:
-    options: dict[str, dict[str, object]] = {"relayed": {"relayed": RELAYED}, "simulated": {"simulated": True}}
+    options: dict[str, dict[str, object]] = {
+        "relayed": {"relayed": RELAYED},
+        "simulated": {"simulated": True},
+        "stepped": {"stepped": True},
+    }
     try:
         bench = Bench(folder, free_domain(), rig=rig, **options.get(name, {}))  # type: ignore[arg-type]
         return bench.__enter__()

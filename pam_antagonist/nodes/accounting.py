@@ -67,19 +67,12 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
     Returns:
         The account; None where a stage is missing altogether.
     """
-    arrivals = recording.received_ns
-    if any(stage not in arrivals or len(arrivals[stage].stamp_ns) == 0 for stage in STAGES):
+    found = _between(recording)
+    if found is None:
         return None
-    # Commands at safe voltages for lack of estimates carry the time at which they were sent, which is no sample's.
+    stamps, first, last = found
     samples = recording.stamp_ns
-    stamps = {stage: np.intersect1d(arrivals[stage].stamp_ns, samples) for stage in STAGES}
-    if any(len(stamp) == 0 for stamp in stamps.values()):
-        return None
-    first = max(stamp[0] for stamp in stamps.values())
-    last = min(stamp[-1] for stamp in stamps.values())
-    # Counted from stamp to stamp: a device's period is a sample period on its own clock, which drifts against ours.
-    between = samples[(samples >= first) & (samples <= last)]
-    expected = round(np.rint(np.diff(between) / (sample_period * 1e9)).sum()) + 1 if first <= last else 0
+    expected = round(_steps(samples[(samples >= first) & (samples <= last)], sample_period).sum())
     inside = {stage: int(np.count_nonzero((stamp >= first) & (stamp <= last))) for stage, stamp in stamps.items()}
     late = 0
     if recording.estimate is not None:
@@ -94,6 +87,82 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
     )
 
 
+@dataclass(frozen=True)
+class OverTime:
+    """The same in blocks of equal length, one after the other.
+
+    Attributes:
+        time: middle of each block since the first sample that counts (B,) [s].
+        lost: stage -> samples without a message (B,).
+        median: time from pressure to command, as in :class:`Latency` (B,) [ms]; NaN in a block without any.
+        p99: (B,) [ms].
+        largest: (B,) [ms].
+    """
+
+    time: NDArray[np.float64]
+    lost: Mapping[str, NDArray[np.float64]]
+    median: NDArray[np.float64]
+    p99: NDArray[np.float64]
+    largest: NDArray[np.float64]
+
+
+def over_time(recording: Recording, sample_period: float, block: float) -> OverTime | None:
+    """Account for the samples block by block; the losses of all blocks are those of :func:`account`.
+
+    Args:
+        recording: of the whole pipeline.
+        sample_period: [s].
+        block: length of a block [s].
+
+    Returns:
+        The account; None where a stage is missing altogether.
+    """
+    found = _between(recording)
+    if found is None or found[1] > found[2]:
+        return None
+    stamps, first, last = found
+    samples = recording.stamp_ns[(recording.stamp_ns >= first) & (recording.stamp_ns <= last)]
+
+    def number(stamp_ns: Stamps) -> NDArray[np.int64]:
+        return ((stamp_ns - first) // round(block * 1e9)).astype(np.int64)
+
+    count = int(number(samples)[-1]) + 1
+    # What is missing between two samples counts in the block of the later one.
+    expected = np.bincount(number(samples), _steps(samples, sample_period), count)
+    lost: dict[str, NDArray[np.float64]] = {}
+    for stage, stamp in stamps.items():
+        there = np.bincount(number(stamp[(stamp >= first) & (stamp <= last)]), minlength=count)
+        lost[stage] = np.asarray(expected - there, dtype=np.float64)
+    stamp, took = _took(recording, first, last)
+    ends = np.searchsorted(number(stamp), np.arange(count + 1))
+    figures = np.full((3, count), np.nan)
+    for k, (begin, end) in enumerate(zip(ends, ends[1:], strict=False)):
+        if end > begin:
+            figures[:, k] = *np.percentile(took[begin:end], [50.0, 99.0]), took[begin:end].max()
+    return OverTime(np.linspace(0.5, count - 0.5, count) * block, lost, *figures)
+
+
+def _between(recording: Recording) -> tuple[dict[str, Stamps], int, int] | None:
+    """Stage -> stamps of samples; the first and the last one that all of them have."""
+    arrivals = recording.received_ns
+    if any(stage not in arrivals or len(arrivals[stage].stamp_ns) == 0 for stage in STAGES):
+        return None
+    # Commands at safe voltages for lack of estimates carry the time at which they were sent, which is no sample's.
+    stamps = {stage: np.intersect1d(arrivals[stage].stamp_ns, recording.stamp_ns) for stage in STAGES}
+    if any(len(stamp) == 0 for stamp in stamps.values()):
+        return None
+    return stamps, max(int(stamp[0]) for stamp in stamps.values()), min(int(stamp[-1]) for stamp in stamps.values())
+
+
+def _steps(samples: Stamps, sample_period: float) -> NDArray[np.float64]:
+    """How many samples each one stands for, itself included: those that are missing before it as well.
+
+    Counted from stamp to stamp: a device's period is a sample period on its own clock, which drifts against ours.
+    """
+    steps = np.rint(np.diff(samples) / (sample_period * 1e9))
+    return np.concatenate([np.ones(min(1, len(samples))), steps])
+
+
 def _out_of_order(recording: Recording, stage: str, first: int, last: int) -> int:
     log, stamp = recording.received_ns[stage]
     keep = np.isin(stamp, recording.stamp_ns) & (stamp >= first) & (stamp <= last)
@@ -101,11 +170,17 @@ def _out_of_order(recording: Recording, stage: str, first: int, last: int) -> in
     return int(np.count_nonzero(np.diff(log[keep][order]) < 0))
 
 
-def _latency(recording: Recording, first: int, last: int) -> Latency:
+def _took(recording: Recording, first: int, last: int) -> tuple[Stamps, NDArray[np.float64]]:
+    """Stamps of the samples with pressure and command, and the time between the two [ms]."""
     pressure, command = recording.received_ns["pressure_1"], recording.received_ns["valve_command"]
-    _, one, two = np.intersect1d(pressure.stamp_ns, command.stamp_ns, return_indices=True)
-    inside = (pressure.stamp_ns[one] >= first) & (pressure.stamp_ns[one] <= last)
-    took = (command.log_ns[two] - pressure.log_ns[one])[inside] * 1e-6
+    stamp, one, two = np.intersect1d(pressure.stamp_ns, command.stamp_ns, return_indices=True)
+    inside = (stamp >= first) & (stamp <= last)
+    took = (command.log_ns[two] - pressure.log_ns[one])[inside]
+    return stamp[inside], np.asarray(took * 1e-6, dtype=np.float64)
+
+
+def _latency(recording: Recording, first: int, last: int) -> Latency:
+    _, took = _took(recording, first, last)
     if len(took) == 0:
         return Latency(0, math.nan, math.nan, math.nan)
     median, p99 = np.percentile(took, [50.0, 99.0])

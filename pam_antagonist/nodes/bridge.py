@@ -21,7 +21,7 @@ A device that is unplugged is opened again when it is back.
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter where there are some, for
-             validation only)
+             validation only), rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
 services:    ~/clear_stop (std_srvs/Trigger); ~/measure_rest (std_srvs/Trigger: with both muscles open to the air, takes
              what the sensors show for the atmosphere's pressure); and those of a lifecycle node

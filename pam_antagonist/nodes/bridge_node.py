@@ -24,6 +24,7 @@ from pam_antagonist.nodes.bridge import PARAMETERS
 from pam_antagonist.nodes.health import Health
 from pam_antagonist.nodes.messages import set_stamp
 from pam_antagonist.nodes.node import JOINT_NAME, PamNode
+from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
@@ -109,6 +110,7 @@ class BridgeNode(PamNode):
         self._valves = wire.Outgoing(self, ValveCommand, TOPICS["valve_state"].relative, "valves", wire.VALVES)
         self._joint = JointOutput(self, values["frame_id"])
         self.create_service(Trigger, "~/measure_rest", self._on_measure_rest)
+        announce(self, rig)
         self.start_diagnostics(rig.name)
 
     def activate(self) -> None:

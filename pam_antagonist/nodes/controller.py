@@ -19,8 +19,9 @@ stops, until it is cleared, when the estimated angle is too large, when measured
 when the estimate goes without a pressure for too long (docs/safety.md).
 
 subscribes:  joint_estimate (pam_antagonist_msgs/JointEstimate), reference (pam_antagonist_msgs/JointReference; held),
-             valve_state (pam_antagonist_msgs/ValveCommand, to start from what is on the valves)
-publishes:   valve_command (pam_antagonist_msgs/ValveCommand)
+             valve_state (pam_antagonist_msgs/ValveCommand, to start from what is on the valves), rig (std_msgs/String:
+             which rig file the other nodes were given; that of another joint stops the valves)
+publishes:   valve_command (pam_antagonist_msgs/ValveCommand), rig
 services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 

@@ -17,6 +17,7 @@ from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.controller import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
 from pam_antagonist.safety import EstimateSupervision, Following, safe_action
@@ -84,6 +85,7 @@ class ControllerNode(PamNode):
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/clear_stop", self._on_clear)
+        self._rigs = RigWatch(self, announce(self, rig), self._stop)
         self.start_diagnostics(rig.name)
 
     def cleanup(self) -> None:
@@ -134,10 +136,12 @@ class ControllerNode(PamNode):
         return response
 
     def _on_clear(self, _request: Any, response: Any) -> Any:
+        self._rigs.forget_the_gone()
         recent = self._heard_ns is not None and self.now_ns() - self._heard_ns <= self._max_age
         response.success, response.message = True, "was not stopped"
-        if self._stopped and recent and self._supervision.present:
-            response.success, response.message = False, f"still so: {self._supervision.present}"
+        present = self._rigs.present or (recent and self._supervision.present)
+        if self._stopped and present:
+            response.success, response.message = False, f"still so: {present}"
         elif self._stopped:
             response.message = f"cleared: {self._stopped}"
             self._stopped = ""
@@ -289,6 +293,7 @@ class ControllerNode(PamNode):
         else:
             output = Health(Level.OK, self._last.value)
         return {
+            "rig": self._rigs.health(),
             "commands": Health(
                 output.level,
                 output.message,
@@ -298,11 +303,11 @@ class ControllerNode(PamNode):
                     "mode": self._mode.name.lower() if self._mode is not None else "none",
                     "reference [rad or N m]": self._reference,
                     "integral term [V]": f"{self._pi.integral:.4f}",
-                    "cause of a stop is there": self._supervision.present or "no",
+                    "cause of a stop is there": self._supervision.present or self._rigs.present or "no",
                     "jumps backwards": self._jumps,
                     "times not obeyed": self._following.astray_count,
                     **{status.value: count for status, count in statuses.items() if count},
                     **self._latency.take().as_values("age of the estimate", "ms", 1e6),
                 },
-            )
+            ),
         }

@@ -17,6 +17,7 @@ from pam_antagonist.nodes.estimator import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import JOINT_NAME, PamNode
 from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
+from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
 from pam_antagonist_msgs.msg import JointEstimate, ValveCommand
@@ -54,6 +55,7 @@ class EstimatorNode(PamNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetState, "~/set_state", self._on_set_state)
         self.add_on_set_parameters_callback(self._on_parameters)
+        announce(self, rig)
         self.start_diagnostics(rig.name)
 
     def cleanup(self) -> None:

@@ -78,6 +78,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     Attributes:
         values: the parameters.
         active: whether it is in the state "active".
+        about_rig: what ``/diagnostics`` says about its rig, where it has one.
         finished: set by a node that has nothing left to do, or was shut down by its lifecycle service.
 
     Raises:
@@ -92,6 +93,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         self._owned: list[_Owned] = []
         self._reaching: str | None = None  # which transition is under way
         self._transition_error: BaseException | None = None
+        self.about_rig: dict[str, str] = {}
         super().__init__(name, namespace=DEFAULT_NAMESPACE)
         self.values: dict[str, Any] = declare(self, (*table, AUTOSTART, DIAGNOSTICS_PERIOD), SHARED_PARAMETERS)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -264,7 +266,8 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     def _diagnose(self) -> None:
         parts = dict(self.health(time.monotonic_ns()))
-        parts["lifecycle"] = Health(Level.OK, "active") if self.active else Health(Level.WARN, "not active")
+        level, state = (Level.OK, "active") if self.active else (Level.WARN, "not active")
+        parts["lifecycle"] = Health(level, state, self.about_rig)
         self._diagnostics.publish(parts)
         # The automatic collection is off, and what existed before the first sample is out of its sight (see spin.py):
         # what is left to look through takes microseconds.

@@ -17,7 +17,8 @@ commands are clamped and slew-limited, and the valves become safe when commands 
 may be (docs/safety.md).
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
-             measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only)
+             measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only),
+             rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
 services:    ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """

@@ -11,6 +11,7 @@ from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import JOINT_NAME, PamNode
 from pam_antagonist.nodes.plant import PARAMETERS
+from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
@@ -64,6 +65,7 @@ class PlantNode(PamNode):
         name = TOPICS["measured_joint_states"].relative
         self._joint = wire.Outgoing(self, JointState, name, values["frame_id"], body)
         self.steady_timer(self._period * 1e-9, self._tick)
+        announce(self, rig)
         self.start_diagnostics(rig.name)
 
     def activate(self) -> None:

@@ -7,6 +7,7 @@
 * ``COMMAND``: what the valves listen to. Reliable; of several commands of one publisher only the newest counts, and a
   time-out watches over it. Deep enough that a second publisher cannot push the first one's commands out unseen.
 * ``REFERENCE``: reliable, depth 1, volatile, so that any publisher matches; it is held until the next one.
+* ``LATCHED``: said once, and kept for those who come later.
 * ``GLANCE``: best effort, depth 1, for displays that look at the latest value now and then.
 """
 
@@ -15,12 +16,12 @@ from __future__ import annotations
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 
-def _profile(depth: int, reliable: bool = True) -> QoSProfile:
+def _profile(depth: int, reliable: bool = True, kept: bool = False) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.VOLATILE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
     )
 
 
@@ -29,4 +30,5 @@ RECORD = _profile(5000)
 COMMAND = _profile(100)
 REFERENCE = _profile(1)
 GLANCE = _profile(1, reliable=False)
+LATCHED = _profile(10, kept=True)
 DIAGNOSTICS = _profile(10)

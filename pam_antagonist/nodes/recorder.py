@@ -30,7 +30,7 @@ options:
   --max-duration S  begin a new file after so many seconds (default: one file)
 
 subscribes:  pressure_1, pressure_2, valve_state, valve_command, joint_estimate, joint_states, reference,
-             measured/joint_states, measured/external_torque, /diagnostics
+             measured/joint_states, measured/external_torque, rig, /diagnostics
 """
 
 PARAMETERS: tuple[Parameter, ...] = ()

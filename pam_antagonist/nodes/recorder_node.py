@@ -78,7 +78,8 @@ class RecorderNode(PamNode):
         """Listen."""
         for topic in TOPICS.values():
             name = self.resolve_topic_name(topic.relative)
-            self._topics[name] = self.collect(message_class(topic.type), topic.relative, qos.RECORD)
+            profile = qos.LATCHED if topic.name == "rig" else qos.RECORD
+            self._topics[name] = self.collect(message_class(topic.type), topic.relative, profile)
         self._since = time.monotonic()
         if self._options.duration is not None:
             self._until = self._since + self._options.duration

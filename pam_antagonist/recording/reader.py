@@ -17,6 +17,7 @@ from .compression import CompressionError
 from .naming import READ_TOPICS, choose_topics
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
+from .rigs import rig_texts
 from .stamps import Restarts
 from .storage import RawBag, read_raw, unpack_messages
 from .topics import SAMPLE_TOPICS, TOPICS
@@ -88,7 +89,7 @@ def _read(
 ) -> Recording:
     if restarts not in ("refuse", "last"):
         raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
-    bag = read_raw(path, {TOPICS[name].type for name in READ_TOPICS}, recover=recover)
+    bag = read_raw(path, {TOPICS[name].type for name in (*READ_TOPICS, "rig")}, recover=recover)
     chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
     if restarts == "last":
         _cut(chosen, bag.issues)
@@ -113,6 +114,7 @@ def _read(
         received_ns={name: topic.arrival for name, topic in chosen.items()},
         topics={name: topic.actual for name, topic in chosen.items()},
         issues=tuple(bag.issues),
+        rigs=rig_texts(bag, chosen["valve_state"].actual),
     )
 
 

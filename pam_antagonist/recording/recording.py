@@ -150,6 +150,7 @@ class Recording:
         received_ns: Logical topic name -> :class:`Arrival`, for latencies and losses.
         topics: Logical topic name -> name in the bag, for the topics that were used.
         issues: Sentences about what was repaired, dropped or is doubtful.
+        rigs: What the nodes said about their rigs, oldest first, for :meth:`pam_antagonist.rig.RigIdentity.read`.
     """
 
     path: Path
@@ -164,6 +165,7 @@ class Recording:
     received_ns: Mapping[str, Arrival] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=dict)
     issues: tuple[str, ...] = ()
+    rigs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         size = len(self.stamp_ns)
@@ -184,6 +186,7 @@ class Recording:
         object.__setattr__(self, "received_ns", MappingProxyType(arrivals))
         object.__setattr__(self, "topics", MappingProxyType(dict(self.topics)))
         object.__setattr__(self, "issues", tuple(self.issues))
+        object.__setattr__(self, "rigs", tuple(self.rigs))
 
     def __len__(self) -> int:
         return len(self.stamp_ns)

@@ -74,6 +74,7 @@ _TABLE = (
         "geometry_msgs/msg/WrenchStamped",
         "torque applied from outside about +z [N m], for validation and identification only",
     ),
+    Topic("rig", "rig", "std_msgs/msg/String", "the rig that each node was given, as JSON; kept for late subscribers"),
     Topic("diagnostics", "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "health of the nodes"),
 )
 

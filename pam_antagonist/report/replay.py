@@ -9,7 +9,8 @@ them for figures. Keys of a report, one recording::
                   external_torque: {rmse_nm, max_nm, q} | null: of a rig that estimates it, where it was recorded}
     model_alone  the same without coverage95
     innovation   {nis_mean, nis_in_95, whiteness_p, largest_correlation, samples}
-    recording    {name, sha256, topics, first_stamp_ns, issues}
+    recording    {name, sha256, topics, first_stamp_ns, issues,
+                  rigs: {node: {name, fingerprint, same: as the replay's}}, where the bag tells them}
     joint        {condition, lock_angle_rad | null, told_from}
     estimator    {started_ns: [...], counts: {...}}
     live_equal   null, or how the estimates recorded live compare with these, bit by bit
@@ -41,7 +42,7 @@ from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report.live import LiveInput, as_live, compare_with_live
 from pam_antagonist.report.software import bag_name
-from pam_antagonist.rig import Reading, Rig
+from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerprint
 
 FloatArray = NDArray[np.float64]
 
@@ -282,7 +283,8 @@ def _judge(
             "sha256": bag_hash(recording.path),
             "topics": dict(recording.topics),
             "first_stamp_ns": int(recording.stamp_ns[0]),
-            "issues": [*recording.issues, *_sealed(recording, rig)],
+            "issues": [*recording.issues, *_sealed(recording, rig), *_other_joint(recording, rig)],
+            "rigs": _rigs(recording, rig),
         },
         "joint": {
             "condition": joint.condition,
@@ -317,6 +319,40 @@ def _sealed(recording: Recording, rig: Rig) -> list[str]:
         return []
     which = f"muscle {sealed[0]} was" if len(sealed) == 1 else "both muscles were"
     return [f"{which} sealed, as the bag says, but rig {rig.name} lets air through its valves: expect large errors"]
+
+
+def _told(recording: Recording) -> dict[str, RigIdentity]:
+    """Node -> the rig that it was given last while the bag was recorded."""
+    told = {}
+    for text in recording.rigs:
+        try:
+            identity = RigIdentity.read(text)
+        except BadInput:
+            continue  # not ours to judge: a bag may hold anything
+        told[identity.node] = identity
+    return told
+
+
+def _rigs(recording: Recording, rig: Rig) -> dict[str, dict[str, Any]]:
+    own = fingerprint(rig)
+    return {
+        node: {"name": told.name, "fingerprint": told.fingerprint, "same": told.fingerprint == own}
+        for node, told in _told(recording).items()
+    }
+
+
+def _other_joint(recording: Recording, rig: Rig) -> list[str]:
+    """What to say where the rig is another joint's than the one of the recording."""
+    own = RigIdentity.of(rig)
+    out = []
+    for told in {told.fingerprint: told for told in _told(recording).values()}.values():
+        found = differences(told, own)
+        if found:
+            more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+            out.append(
+                f"recorded with rig {told}, as its {told.node} said; rig {own} is another joint's: {found[0]}{more}"
+            )
+    return out
 
 
 def _figures(measured: FloatArray, value: FloatArray, unit: str, scale: float) -> dict[str, float]:

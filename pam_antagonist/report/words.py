@@ -124,10 +124,18 @@ def _live(report: Report) -> list[Finding]:
         return []
     without = report["live_without"]
     late = f"The live filter went without part of {without} samples, which came too late; so does the replay."
-    return [*([Finding("warn", late)] if without else []), *_equality(live)]
+    return [*([Finding("warn", late)] if without else []), *_equality(live, _live_rig(report))]
 
 
-def _equality(live: dict[str, Any]) -> list[Finding]:
+def _live_rig(report: Report) -> str:
+    """What to add where the live filter had other values than the replay's."""
+    told = report["recording"].get("rigs", {}).get("estimator")
+    if told is None or told["same"]:
+        return ""
+    return f" It was published with other values: rig {told['name']} ({told['fingerprint']})."
+
+
+def _equality(live: dict[str, Any], rig: str = "") -> list[Finding]:
     if live["compared"] == 0:
         return [Finding("warn", "The estimate that was recorded live has no sample in common with the replay.")]
     if live["equal"] == live["compared"] and not live["only_live"] and not live["only_replay"]:
@@ -136,7 +144,7 @@ def _equality(live: dict[str, Any]) -> list[Finding]:
     fields = ", ".join(live["differing"]) or "none"
     text = (
         f"The replay equals the estimate published live in {live['equal']} of {live['compared']} samples "
-        f"(fields that differ: {fields}; {live['only_live']} samples only live, {live['only_replay']} only here)."
+        f"(fields that differ: {fields}; {live['only_live']} samples only live, {live['only_replay']} only here).{rig}"
     )
     return [Finding("warn", text)]
 

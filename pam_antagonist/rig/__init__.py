@@ -1,6 +1,16 @@
 """Rigs: one validated YAML file each, and what the physics and the estimator read from it."""
 
+from pam_antagonist.rig.fingerprint import RigIdentity, differences, fingerprint
 from pam_antagonist.rig.load import load_rig, rig_names
 from pam_antagonist.rig.schema import Reading, Rig, Tuning
 
-__all__ = ["Reading", "Rig", "Tuning", "load_rig", "rig_names"]
+__all__ = [
+    "Reading",
+    "Rig",
+    "RigIdentity",
+    "Tuning",
+    "differences",
+    "fingerprint",
+    "load_rig",
+    "rig_names",
+]

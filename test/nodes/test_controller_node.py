@@ -165,3 +165,71 @@ def test_last_command_is_safe(node: Any) -> None:
     estimate(node, begin + MS)
     node.close()
     assert node.published[-1] == (begin + MS + 1, SAFE)
+
+
+def tell_rig(node: Any, who: str, rig: str) -> None:
+    from std_msgs.msg import String
+
+    from pam_antagonist.rig import RigIdentity, load_rig
+
+    node._rigs._on_rig(String(data=RigIdentity.of(load_rig(rig), who).text()))
+
+
+def clear(node: Any) -> tuple[bool, str]:
+    from std_srvs.srv import Trigger
+
+    response = node._on_clear(Trigger.Request(), Trigger.Response())
+    return response.success, response.message
+
+
+@pytest.mark.parametrize("who", ["estimator", "plant", "bridge"])
+def test_another_joints_rig_file_stops_until_the_files_agree(node: Any, who: str, monkeypatch) -> None:
+    begin = node.now_ns() + 10**9
+    refer(node, 0, 0.3)
+    for k in range(3):
+        estimate(node, begin + k * MS, angle=0.1)
+    assert node.published[-1][1] != SAFE
+    tell_rig(node, "estimator", "shin2022")
+    tell_rig(node, "bridge", "shin2022")
+    estimate(node, begin + 3 * MS, angle=0.1)
+    assert node.published[-1][1] != SAFE and node.health(1)["rig"].message == "the same for all"
+
+    monkeypatch.setattr(node._rigs, "forget_the_gone", lambda: None)  # nobody here is really there
+    tell_rig(node, who, "shin2022_as_printed")
+    estimate(node, begin + 4 * MS, angle=0.1)
+    assert node.published[-1][1] == SAFE
+    health = node.health(2)
+    assert health["commands"].level == health["rig"].level == 2
+    assert f"the rig file of the {who} is another joint's: force of muscle 2" in health["commands"].message
+    assert "(shin2022_as_printed (" in health["rig"].message and "here shin2022 (" in health["rig"].message
+    good, why = clear(node)
+    assert not good and why.startswith(f"still so: the rig file of the {who}")
+
+    tell_rig(node, who, "shin2022")
+    estimate(node, begin + 5 * MS, angle=0.1)
+    assert node.published[-1][1] == SAFE  # latched
+    assert node.health(3)["rig"].level == 0
+    assert clear(node)[0]
+    for k in range(6, 90):
+        estimate(node, begin + k * MS, angle=0.1)
+    assert node.published[-1][1] != SAFE
+
+
+def test_a_bridge_replaces_the_plant_and_who_is_gone_does_not_count(node: Any) -> None:
+    tell_rig(node, "plant", "shin2022_as_printed")
+    tell_rig(node, "bridge", "shin2022")
+    assert node._rigs.present == "" and "plant" not in node.health(1)["rig"].values
+    tell_rig(node, "estimator", "sealed_joint")
+    assert "estimator" in node._rigs.present
+    assert clear(node)[0]  # nobody of that name is there any more
+    assert node._rigs.present == ""
+
+
+def test_what_is_no_rig_is_passed_over(node: Any) -> None:
+    from std_msgs.msg import String
+
+    for text in ("", "shin2022", "{}", '{"node": "estimator"}'):
+        node._rigs._on_rig(String(data=text))
+    tell_rig(node, "controller", "sealed_joint")  # its own name: an earlier life's
+    assert node._rigs.present == "" and not node._stopped
+    assert node.health(1)["rig"].message == "no other node has told its rig yet"

@@ -16,7 +16,7 @@ from pam_antagonist.estimation import ESTIMATE_DTYPE, Estimator
 from pam_antagonist.nodes.accounting import Accounting, account
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
-from pam_antagonist.rig import load_rig
+from pam_antagonist.rig import RigIdentity, fingerprint, load_rig
 
 pytestmark = pytest.mark.ros
 
@@ -32,12 +32,16 @@ class Run:
     statuses: dict[str, int]
     said: str
     topics_read_by_estimator: set[str]
+    rigs_heard_late: list[str]
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
     """4.5 s at 1 kHz with two references; the whole pipeline, then the estimator alone, stopped for 0.3 s."""
     from probe import Probe
+    from std_msgs.msg import String
+
+    from pam_antagonist.nodes import qos
 
     folder = tmp_path_factory.mktemp("pipeline")
     with Processes(folder) as processes, Probe("valve_command") as probe:
@@ -57,6 +61,16 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
                     processes.running[name].popen.send_signal(number)
                 time.sleep(STALL if number == signal.SIGSTOP else 0.0)
             probe.wait(1.0)
+        late: list[str] = []
+        listener = probe.node.create_subscription(String, "rig", lambda message: None, qos.LATCHED)
+
+        def heard() -> bool:
+            with listener.handle:
+                while (taken := listener.handle.take_message(String, False)) is not None:
+                    late.append(taken[0].data)
+            return len(late) >= 3
+
+        probe.until(heard, 10.0, "what was said before")
         topics = {name for name, _ in probe.node.get_subscriber_names_and_types_by_node("estimator", "/pam")}
         processes.check()
         statuses = processes.stop("plant")
@@ -65,7 +79,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
     recording = read_bag(folder / "bag")
     accounting = account(recording, 1e-3)
     assert accounting is not None
-    return Run(recording, accounting, statuses, (folder / "record.log").read_text(), topics)
+    return Run(recording, accounting, statuses, (folder / "record.log").read_text(), topics, late)
 
 
 def test_every_process_ends_with_status_0(run: Run) -> None:
@@ -145,10 +159,19 @@ def test_estimator_reads_nothing_that_is_measured_for_validation(run: Run) -> No
     assert topics == {"/pam/pressure_1", "/pam/pressure_2", "/pam/valve_state"}
 
 
+def test_every_node_says_its_rig_once_and_to_whoever_comes_late(run: Run) -> None:
+    """A plant with a mismatch is the rig that its file declares."""
+    told = {identity.node: identity for identity in map(RigIdentity.read, run.recording.rigs)}
+    assert set(told) == {"plant", "estimator", "controller"} and len(run.recording.rigs) == 3
+    assert {identity.fingerprint for identity in told.values()} == {fingerprint(load_rig("shin2022"))}
+    assert sorted(run.rigs_heard_late) == sorted(run.recording.rigs)
+
+
 def test_recorder_says_what_it_recorded(run: Run) -> None:
     lines = {line.split()[0]: int(line.split()[1]) for line in run.said.splitlines() if line.startswith("  /")}
     assert lines["/pam/pressure_1"] == len(run.recording.received_ns["pressure_1"].stamp_ns)
     assert lines["/pam/reference"] == 2
+    assert lines["/pam/rig"] == 3
     assert lines["/pam/measured/external_torque"] == 0
     assert lines["/diagnostics"] >= 10
 

@@ -289,3 +289,27 @@ def test_hash_is_that_of_the_message_file(rig: FakeRig, tmp_path: Path) -> None:
     assert bag_hash(tmp_path / "other") == digest
     rig.pressure[0, 0] += 1.0
     assert bag_hash(rig.write(tmp_path / "third", rig.streams())) != digest
+
+
+def string_message(text: bytes, little_endian: bool = True) -> bytes:
+    order = "little" if little_endian else "big"
+    return bytes([0, int(little_endian), 0, 0]) + (len(text) + 1).to_bytes(4, order) + text + b"\0"
+
+
+@pytest.mark.parametrize(("storage", "compression"), [("mcap", "chunk"), ("mcap", "message"), ("sqlite3", "none")])
+def test_what_nodes_said_about_their_rigs(rig: FakeRig, tmp_path: Path, storage: str, compression: str) -> None:
+    told = [b'{"node": "plant"}', b'{"node": "estimator"}', "µ".encode(), b'{"node": "plant"}']
+    items = [(int(rig.stamp_ns[9 - k]), string_message(text, bool(k % 2))) for k, text in enumerate(told)]
+    streams = rig.streams("/lab") | {"/lab/rig": Stream("std_msgs/msg/String", items)}
+    streams |= {"/other/rig": Stream("std_msgs/msg/String", [(FIRST_NS, string_message(b"not ours"))])}
+    recording = read_bag(rig.write(tmp_path / "bag", streams, storage=storage, compression=compression))
+    rig.assert_same(recording)
+    assert recording.rigs == ('{"node": "plant"}', "µ", '{"node": "estimator"}')  # in the order of reception
+    assert recording.issues == () and "rig" not in recording.topics
+    assert recording.slice(0.0, 0.01).rigs == recording.rigs
+
+
+@pytest.mark.parametrize("data", [b"", b"\0", b"\0\1\0\0", b"\0\1\0\0\xff\xff\xff\xff", b"\0\1\0\0\0\0\0\0abc"])
+def test_a_text_that_is_none_is_passed_over(rig: FakeRig, tmp_path: Path, data: bytes) -> None:
+    streams = rig.streams() | {"/pam/rig": Stream("std_msgs/msg/String", [(FIRST_NS, data)])}
+    assert read_bag(rig.write(tmp_path / "bag", streams)).rigs == ()

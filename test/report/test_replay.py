@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import math
@@ -16,10 +17,11 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import EstimateRun, Estimator, simulate_model
 from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, write_bag
 from pam_antagonist.recording.notes import SEALED, write_notes
+from pam_antagonist.report import words
 from pam_antagonist.report.html import Text
 from pam_antagonist.report.replay import replay, replay_recording
 from pam_antagonist.report.replay_page import document, page, write_report
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig, RigIdentity, fingerprint, load_rig
 
 Changed = Callable[..., Recording]
 
@@ -265,3 +267,23 @@ def test_the_page_shows_every_figure_with_units(rig: Rig, free: Recording, locke
             titles = [axis["title"]["text"] for axis in axes if "title" in axis]
             assert titles and all("[" in text for text in titles), titles
             assert all(len(trace["x"]) <= 4100 for trace in data["data"] if trace["type"] == "scatter")
+
+
+def test_a_recording_with_another_rig_is_said(rig: Rig, free: Recording) -> None:
+    def replayed(*told: tuple[str, Rig]) -> dict[str, Any]:
+        texts = tuple(RigIdentity.of(used, node).text() for node, used in told)
+        return replay_recording(dataclasses.replace(free, rigs=("rubbish", *texts)).slice(0.0, 0.2), rig)
+
+    other = load_rig("shin2022_as_printed")
+    refined = rig.replaced(name="refined", joint=rig.joint.replaced(inertia=5e-4))
+    same = replayed(("plant", rig), ("estimator", rig))["recording"]
+    assert same["issues"] == list(free.issues)
+    assert same["rigs"]["plant"] == {"name": rig.name, "fingerprint": fingerprint(rig), "same": True}
+    told = replayed(("plant", rig), ("estimator", refined))
+    assert told["recording"]["issues"] == list(free.issues)
+    assert told["recording"]["rigs"]["estimator"]["same"] is False
+    assert f"rig refined ({fingerprint(refined)})" in words._live_rig(told)
+    told = replayed(("plant", rig), ("estimator", other), ("estimator", other))
+    (issue,) = told["recording"]["issues"][len(free.issues) :]
+    assert issue.startswith("recorded with rig shin2022_as_printed (") and "as its estimator said" in issue
+    assert "force of muscle 2 at angle 0 and supply pressure" in issue

@@ -25,6 +25,7 @@ PUBLISHERS = {
     "joint_estimate": {"estimator"},
     "joint_states": {"estimator"},
     "reference": {"operator"},
+    "rig": {*SOURCES, "estimator", "controller"},
     "diagnostics": set(NODES),
 }
 SERVICES = {
@@ -82,7 +83,7 @@ def test_who_may_hear() -> None:
     for node, topics in (
         *((source, {"valve_command"}) for source in SOURCES),
         ("estimator", {"pressure_1", "pressure_2", "valve_state"}),
-        ("controller", {"joint_estimate", "reference", "valve_state"}),
+        ("controller", {"joint_estimate", "reference", "valve_state", "rig"}),
     ):
         heard = found[node]["topic", "subscribe"] - {"/clock", "/parameter_events"}
         assert heard == {TOPICS[name].resolve("/pam") for name in topics}

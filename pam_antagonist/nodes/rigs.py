@@ -1,0 +1,100 @@
+"""Which rig file the nodes of a joint were given: each says so once, and the controller looks whether they agree.
+
+A wrong file is plausible as a rule: with another joint's the innovations may stay as they should be, and only the angle
+is wrong. So it cannot be left to the filter to notice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from std_msgs.msg import String
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.health import Health, Level
+from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.rig import Rig, RigIdentity, differences
+
+_SOURCES = ("plant", "bridge")
+
+
+def announce(node: PamNode, rig: Rig) -> RigIdentity:
+    """Say which rig a node was given, on the topic ``rig``: to those who listen now, and to those who come later.
+
+    Args:
+        node: being configured; what it says ends with its clean-up.
+        rig: its rig.
+    """
+    identity = RigIdentity.of(rig, node.get_name())
+    publisher = node.create_publisher(String, TOPICS["rig"].relative, qos.LATCHED)
+    publisher.publish(String(data=identity.text()))
+    node.about_rig = {"rig": identity.name, "fingerprint of the rig": identity.fingerprint}
+    return identity
+
+
+class RigWatch:
+    """Compares what other nodes say about their rigs with one's own.
+
+    Args:
+        node: being configured; listens as long as it is.
+        own: what it says itself.
+        disagree: called with what is wrong, in words, when a node with another joint's rig has spoken.
+    """
+
+    def __init__(self, node: PamNode, own: RigIdentity, disagree: Callable[[str], object]) -> None:
+        self._node = node
+        self._own = own
+        self._disagree = disagree
+        self._others: dict[str, RigIdentity] = {}
+        node.create_subscription(String, TOPICS["rig"].relative, self._on_rig, qos.LATCHED)
+
+    def _on_rig(self, message: String) -> None:
+        try:
+            told = RigIdentity.read(message.data)
+        except BadInput as error:
+            self._node.get_logger().warning(str(error))
+            return
+        if told.node == self._own.node:
+            return
+        if told.node in _SOURCES:  # one of them is there; whoever spoke last
+            for source in _SOURCES:
+                self._others.pop(source, None)
+        self._others[told.node] = told
+        problem = self._problem(told)
+        if problem:
+            self._disagree(problem)
+
+    def _problem(self, told: RigIdentity) -> str:
+        found = differences(self._own, told)
+        if not found:
+            return ""
+        more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+        return f"the rig file of the {told.node} is another joint's: {found[0]}{more} ({told}; here {self._own})"
+
+    @property
+    def present(self) -> str:
+        """What is wrong now, in words; empty if nothing is."""
+        return next(filter(None, map(self._problem, self._others.values())), "")
+
+    def forget_the_gone(self) -> None:
+        """Leave out what nodes have said that are no longer there."""
+        topic = self._node.resolve_topic_name(TOPICS["rig"].relative)
+        there = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
+        self._others = {name: told for name, told in self._others.items() if name in there}
+
+    def health(self) -> Health:
+        """For ``/diagnostics``."""
+        values: dict[str, Any] = {self._own.node: str(self._own)}
+        values |= {name: str(told) for name, told in sorted(self._others.items())}
+        others = [told for told in self._others.values() if told.fingerprint != self._own.fingerprint]
+        if self.present:
+            return Health(Level.ERROR, self.present, values)
+        if others:
+            names = " and ".join(sorted(told.node for told in others))
+            return Health(Level.OK, f"the same joint; {names} with other values than the controller", values)
+        if not self._others:
+            return Health(Level.OK, "no other node has told its rig yet", values)
+        return Health(Level.OK, "the same for all", values)

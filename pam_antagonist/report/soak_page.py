@@ -1,0 +1,160 @@
+"""The page of a soak run: what grew, what was lost, how long it took and what drifted, over the time of the run."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.benchmark.figure import Figure as Measured
+from pam_antagonist.benchmark.soak import BLOCK, WARM_UP, Soak
+from pam_antagonist.report.curves import PALETTE
+from pam_antagonist.report.figures import Clock, Level, Line, Panel, stack
+from pam_antagonist.report.html import Block, Definitions, Figure, Finding, Findings, Page, Section, Text, Tile, Tiles
+from pam_antagonist.report.software import versions
+from pam_antagonist.report.table import number
+
+Floats = NDArray[np.float64]
+
+_LINK = "soak"
+_SMOOTH = 10  # seconds over which processor time is taken
+_WORDS = {
+    "soak_memory_growth": ("Growth of a node's memory", "the largest of all nodes'"),
+    "soak_recorder_growth": ("Growth of the recorder's", "it keeps an index of its file"),
+    "soak_lost": ("Samples lost", "on the worst topic"),
+    "soak_drift": ("Drift of the clocks", "quickest deliveries"),
+    "soak_processor": ("Processor", "of one core, all processes"),
+}
+DEFINITIONS = (
+    (
+        "Resident memory",
+        "What a process has of the machine's memory, shared libraries included. It is looked at once a second; growth "
+        f"is counted from {WARM_UP:.0f} s on, or after a third of a shorter run.",
+    ),
+    (
+        "Lost",
+        "Samples without a message of that topic in the recording, whoever lost them, the recorder included; counted "
+        "from when all nodes have found each other.",
+    ),
+    (
+        "Round trip",
+        "From the reception of a sample's first pressure to that of the command that answers it, both at the recorder.",
+    ),
+    (
+        "Drift",
+        "The quickest delivery of a pressure in each block, against that of the first block: a busy machine delays "
+        "samples, but not the quickest of ten thousand; what is left is the drift between the device's clock, which "
+        "counts its samples, and the machine's.",
+    ),
+)
+
+
+def page(soak: Soak, rig: str) -> Page:
+    """The page.
+
+    Args:
+        soak: a finished run.
+        rig: name of its rig.
+    """
+    length = f"{soak.usage.time[-1] / 60.0:.3g} min"
+    broken = [figure for figure in soak.figures if figure.holds is False]
+    verdict = "Every bound held." if not broken else f"{len(broken)} of {len(soak.figures)} figures broke their bound."
+    lede = (
+        f"Plant, estimator, controller and recorder as processes for {length}, on rig {rig}, with "
+        "nothing else to do than to go on."
+    )
+    content: tuple[Block, ...] = (
+        Text(lede, "lede"),
+        Text(verdict, "verdict"),
+        Tiles(tuple(map(_tile, soak.figures))),
+        Findings(tuple(map(_finding, broken))),
+        _memory(soak),
+        _processor(soak),
+        _losses(soak),
+        _round_trip(soak),
+        _drift(soak),
+        Section("What the words mean", (Definitions(DEFINITIONS),), folded=True),
+    )
+    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return Page("Soak run of the live pipeline", f"{length} of {rig}", content, footer)
+
+
+def _tile(figure: Measured) -> Tile:
+    title, note = _WORDS[figure.name]
+    return Tile(
+        title,
+        f"{number(figure.value)} {figure.unit}",
+        f"{note}; {figure.wanted} {figure.unit}" if figure.wanted else note,
+    )
+
+
+def _finding(figure: Measured) -> Finding:
+    return Finding("warn", f"{figure.meaning}: {number(figure.value)} {figure.unit}, expected {figure.wanted}.")
+
+
+def _clock(seconds: Floats) -> Clock:
+    return Clock(seconds, np.zeros(len(seconds), dtype=np.int64))
+
+
+def _lines(values: dict[str, Floats], quiet: bool = False) -> list[Line]:
+    return [
+        Line(name, line, color, quiet=quiet, width=1.7)
+        for (name, line), color in zip(values.items(), PALETTE, strict=False)
+    ]
+
+
+def _memory(soak: Soak) -> Figure:
+    usage = soak.usage
+    warm = int(np.searchsorted(usage.time, min(WARM_UP, usage.time[-1] / 3.0)))
+    grown = {name: values - np.median(values[warm : warm + 10]) for name, values in usage.resident.items()}
+    panels = [
+        Panel("Resident [MB]", _lines(usage.resident), 200),
+        Panel("Growth [MB]", [*_lines(grown, quiet=True), Level(2.0, "bound of a node")], 200, bounds=_around(grown)),
+    ]
+    about = "Above, what each process has; below, against what it had after the warm-up. A leak is a line that climbs."
+    return Figure("Memory", about, stack(panels, _clock(usage.time)), _LINK)
+
+
+def _around(grown: dict[str, Floats]) -> tuple[float, float]:
+    """Bounds that show the end of the run; what was there before the warm-up may leave the picture."""
+    late = np.concatenate([values[len(values) // 3 :] for values in grown.values()])
+    return float(min(-1.0, late.min() * 1.1)), float(max(2.5, late.max() * 1.1))
+
+
+def _processor(soak: Soak) -> Figure:
+    usage = soak.usage
+    span = min(_SMOOTH, len(usage.time) - 1)
+    passed = usage.time[span:] - usage.time[:-span]
+    share = {name: 100.0 * (cpu[span:] - cpu[:-span]) / passed for name, cpu in usage.cpu.items()}
+    panel = Panel("Of one core [%]", _lines(share), 200)
+    about = f"Share of one core over the last {span} seconds."
+    return Figure("Processor", about, stack([panel], _clock(usage.time[span:])), _LINK)
+
+
+def _losses(soak: Soak) -> Figure:
+    samples = soak.samples
+    most = max(float(values.max()) for values in samples.lost.values())
+    panel = Panel("Lost [samples]", _lines(dict(samples.lost)), 180, bounds=(-0.02 * max(most, 5.0), max(most, 5.0)))
+    about = f"Samples without a message of a topic, in blocks of {BLOCK:g} s."
+    return Figure("Losses", about, stack([panel], _clock(samples.time)), _LINK)
+
+
+def _round_trip(soak: Soak) -> Figure:
+    samples = soak.samples
+    trips = {"median": samples.median, "99th percentile": samples.p99, "largest": samples.largest}
+    known = np.concatenate(list(trips.values()))
+    known = known[np.isfinite(known) & (known > 0.0)]
+    decades = (math.floor(math.log10(known.min())), math.ceil(math.log10(known.max()))) if len(known) else (-1, 1)
+    bounds = (10.0 ** decades[0], 10.0 ** max(decades[1], decades[0] + 1))
+    panel = Panel("Round trip [ms]", _lines(trips), 230, log=True, bounds=bounds)
+    about = f"The time from a pressure to the command that answers it, in blocks of {BLOCK:g} s."
+    return Figure("Round trip", about, stack([panel], _clock(samples.time)), _LINK)
+
+
+def _drift(soak: Soak) -> Figure:
+    count = len(soak.drift)
+    seconds = np.linspace(0.5, count - 0.5, count) * BLOCK
+    panel = Panel("Drift [ms]", _lines({"quickest delivery": soak.drift}), 180)
+    about = "Device time against the machine's; a straight slope would be clocks that run apart."
+    return Figure("Drift", about, stack([panel], _clock(seconds)), _LINK)
