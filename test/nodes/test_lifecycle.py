@@ -17,6 +17,7 @@ pytestmark = pytest.mark.ros
 
 SAFE = (5.0, 5.2)
 SECOND = 10**9
+COMMON = {"use_sim_time": True, "safe_voltage": list(SAFE), "diagnostics_period": 0.2}
 
 
 class Clock:
@@ -39,7 +40,7 @@ class Clock:
             message = self._message()
             message.clock.sec, message.clock.nanosec = divmod(time.monotonic_ns() + self.offset_ns, SECOND)
             self._publisher.publish(message)
-            time.sleep(0.001)
+            time.sleep(0.004)  # every node hears it: a tick a sample would be half the work of a slow machine
 
     def stop(self) -> None:
         self._running = False
@@ -51,14 +52,13 @@ def pipeline(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> I
     """Three nodes in simulated time; the controller waits to be told to configure itself."""
     from probe import Probe
 
-    common = {"use_sim_time": True, "safe_voltage": list(SAFE), "diagnostics_period": 0.2}
     with (
         Processes(tmp_path_factory.mktemp("lifecycle")) as processes,
         Probe("valve_command", "valve_state", "joint_estimate", "diagnostics", "measured_joint_states") as probe,
     ):
-        processes.start("estimator", ros_arguments(common, {}))
-        processes.start("controller", ros_arguments({**common, "autostart": False}, {}))
-        processes.start("plant", ros_arguments(common, {}))
+        processes.start("estimator", ros_arguments(COMMON, {}))
+        processes.start("controller", ros_arguments({**COMMON, "autostart": False}, {}))
+        processes.start("plant", ros_arguments(COMMON, {}))
         clock = Clock(probe)
         try:
             probe.until(lambda: len(probe.seen["joint_estimate"]) > 50, 60.0, "estimates")
@@ -87,6 +87,7 @@ def refer(probe: Any, degrees: float) -> None:
     """
     from std_srvs.srv import Trigger
 
+    controlling(probe)
     probe.until(lambda: probe.call(Trigger, "controller/clear_stop").success, 10.0, "a clear")
     probe.until(lambda: probe.matched("reference"), 20.0, "a controller")
 
@@ -98,8 +99,27 @@ def refer(probe: Any, degrees: float) -> None:
     probe.until(following, 15.0, "voltages that follow the reference")
 
 
+def controlling(probe: Any) -> None:
+    """Let the controller be active, whatever it was."""
+    for state, label in (("unconfigured", "configure"), ("inactive", "activate")):
+        if probe.state("controller") == state:
+            assert probe.transition("controller", label)
+
+
+def current(probe: Any, clock: Clock) -> None:
+    """Wait until the estimates are those of now: a machine that is busy elsewhere lets them fall behind."""
+
+    def age() -> int:
+        return time.monotonic_ns() + clock.offset_ns - stamp(probe.seen["joint_estimate"][-1][1])
+
+    probe.until(lambda: bool(probe.seen["joint_estimate"]) and 0 <= age() < SECOND // 4, 30.0, "estimates of now")
+
+
 def test_without_autostart_a_node_waits_for_its_transitions(pipeline: tuple[Processes, Any, Clock]) -> None:
     _, probe, _ = pipeline
+    for state, label in (("active", "deactivate"), ("inactive", "cleanup")):  # left by another test
+        if probe.state("controller") == state:
+            assert probe.transition("controller", label)
     assert probe.state("controller") == "unconfigured"
     assert (probe.state("plant"), probe.state("estimator")) == ("active", "active")
     assert rate(probe, "valve_command") == 0
@@ -114,6 +134,7 @@ def test_without_autostart_a_node_waits_for_its_transitions(pipeline: tuple[Proc
 
 def test_stamps_are_those_of_simulated_time(pipeline: tuple[Processes, Any, Clock]) -> None:
     _, probe, clock = pipeline
+    controlling(probe)
     rate(probe, "joint_estimate")
     for topic in ("valve_state", "joint_estimate", "valve_command"):
         now = time.monotonic_ns() + clock.offset_ns
@@ -152,6 +173,7 @@ def test_inactive_plant_has_safe_voltages_while_its_joint_lives_on(pipeline: tup
 @pytest.mark.parametrize("node", ["estimator", "plant", "controller"])
 def test_a_node_can_be_cleaned_up_and_started_again(pipeline: tuple[Processes, Any, Clock], node: str) -> None:
     processes, probe, _ = pipeline
+    controlling(probe)
     for label in ("deactivate", "cleanup"):
         assert probe.transition(node, label), label
     assert probe.state(node) == "unconfigured"
@@ -213,10 +235,12 @@ def test_another_tuning_is_taken_and_an_unknown_one_is_refused_with_the_reason(
 def test_a_clock_that_is_set_back_resets_and_is_said_once(pipeline: tuple[Processes, Any, Clock]) -> None:
     processes, probe, clock = pipeline
     refer(probe, 8.0)
+    current(probe, clock)
     before = probe.seen["joint_estimate"][-1][1].started
     probe.clear()
     clock.offset_ns -= 5 * SECOND
     probe.wait(1.2)
+    current(probe, clock)
     processes.check()
     estimates = [message for _, message in probe.seen["joint_estimate"]]
     now = time.monotonic_ns() + clock.offset_ns
@@ -229,15 +253,3 @@ def test_a_clock_that_is_set_back_resets_and_is_said_once(pipeline: tuple[Proces
         assert len(said) == 1, part
     assert stamp(probe.seen["valve_command"][-1][1]) == pytest.approx(stamp(estimates[-1]), abs=0.5 * SECOND)
     refer(probe, 12.0)
-
-
-def test_a_node_that_is_shut_down_ends(pipeline: tuple[Processes, Any, Clock]) -> None:
-    processes, probe, _ = pipeline
-    assert probe.transition("controller", "shutdown")
-    process = processes.running.pop("controller").popen
-    assert process.wait(10.0) == 0
-    probe.wait(0.1)
-    assert tuple(probe.seen["valve_command"][-1][1].voltage) == SAFE
-    processes.check()
-    for running in processes.running.values():
-        assert "Traceback" not in running.log.read_text()

@@ -1,0 +1,34 @@
+"""A node that is asked to shut down, over the standard service of its life cycle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.nodes.processes import Processes, ros_arguments
+
+pytestmark = pytest.mark.ros
+
+SAFE = (5.0, 5.2)
+
+
+def test_a_controller_that_is_shut_down_leaves_safe_voltages_and_ends(tmp_path: Path, module_domain: None) -> None:
+    from probe import Probe
+
+    with Processes(tmp_path) as processes, Probe("valve_command") as probe:
+        processes.start("controller", ros_arguments({"safe_voltage": list(SAFE)}, {}))
+        processes.start("estimator", ros_arguments({}, {}))
+        processes.start("plant", ros_arguments({"safe_voltage": list(SAFE)}, {}))
+        probe.until(lambda: len(probe.seen["valve_command"]) > 50, 60.0, "commands")
+        probe.refer(0, 0.2)
+        other = lambda: tuple(probe.seen["valve_command"][-1][1].voltage) != SAFE  # noqa: E731
+        probe.until(other, 15.0, "commands that follow a reference")
+        assert probe.transition("controller", "shutdown")
+        process = processes.running.pop("controller").popen
+        assert process.wait(10.0) == 0
+        probe.wait(0.1)
+        assert tuple(probe.seen["valve_command"][-1][1].voltage) == SAFE
+        processes.check()
+        logs = [running.log.read_text() for running in processes.running.values()]
+        assert not any("Traceback" in log for log in logs)
