@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import time
 import xml.etree.ElementTree as ET
 from collections import defaultdict
+from collections.abc import Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
@@ -35,6 +38,7 @@ SERVICES = {
     "controller": {"clear_stop", "enable"},
     "recorder": set(),
 }
+COMMAND_LINE = "_ros2cli_requester_std_srvs_Trigger"  # as ros2 service calls its node; the others: _ros2cli_NUMBER
 Rules = dict[tuple[str, str], set[str]]
 
 
@@ -87,8 +91,25 @@ def test_who_may_hear() -> None:
     ):
         heard = found[node]["topic", "subscribe"] - {"/clock", "/parameter_events"}
         assert heard == {TOPICS[name].resolve("/pam") for name in topics}
-    everything = set().union(*(mine["topic", "publish"] for mine in found.values()))
-    assert not [name for name in everything if "*" in name or "?" in name]
+
+
+def test_wildcards_cover_nothing_but_the_command_line() -> None:
+    """The middleware reads ``*``, ``?`` and ``[`` as a shell does; a slash is no border for it."""
+    wild = {
+        (node, *rule, name)
+        for node, mine in rules().items()
+        for rule, names in mine.items()
+        for name in names
+        if set("*?[") & set(name)
+    }
+    assert wild and {entry[:3] for entry in wild} == {("operator", "service", "reply")}
+    assert all(name.startswith("/_ros2cli_*/") and name.count("*") == 1 for *_, name in wild)
+
+
+def test_another_namespace_is_a_change_of_the_profiles_alone() -> None:
+    """docs/security.md: with ns= and path= changed nothing of the old namespace is left."""
+    names = ET.parse(POLICY).getroot().iter()
+    assert not [item.text for item in names if item.tag in ("topic", "service") and "pam" in str(item.text)]
 
 
 def test_the_operator_alone_calls_services() -> None:
@@ -102,47 +123,95 @@ def test_the_operator_alone_calls_services() -> None:
         assert all(name.startswith(f"/pam/{node}/") for name in found[node]["service", "reply"])
 
 
-@pytest.mark.ros
-def test_the_policy_allows_what_the_nodes_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every entity of the running nodes is in the policy, and no node may publish what it never does."""
-    rclpy = pytest.importorskip("rclpy")
-    from rclpy.node import Node
+class Auditor:
+    """A node that is called like one of the command line, and looks at others.
 
+    Args:
+        context: of ROS.
+    """
+
+    def __init__(self, context: object) -> None:
+        from rclpy.node import Node
+
+        self._node = Node(COMMAND_LINE, context=context)
+        self._looks = {
+            ("topic", "publish"): self._node.get_publisher_names_and_types_by_node,
+            ("topic", "subscribe"): self._node.get_subscriber_names_and_types_by_node,
+            ("service", "reply"): self._node.get_service_names_and_types_by_node,
+            ("service", "request"): self._node.get_client_names_and_types_by_node,
+        }
+
+    def wait(self, processes: Processes, *names: str) -> None:
+        """Wait until nodes of ``/pam`` are configured, and a moment longer for the rest of what they have."""
+
+        def configured(name: str) -> bool:
+            return name in self._node.get_node_names() and "/diagnostics" in self.has(name)["topic", "publish"]
+
+        processes.wait(lambda: ", ".join(name for name in names if not configured(name)))
+        time.sleep(1.0)
+
+    def has(self, name: str, namespace: str = "/pam") -> Rules:
+        """The entities of a running node."""
+        return {key: {entity for entity, _ in look(name, namespace)} for key, look in self._looks.items()}
+
+    def close(self) -> None:
+        self._node.destroy_node()
+
+
+@pytest.fixture
+def auditor(monkeypatch: pytest.MonkeyPatch) -> Iterator[Auditor]:
+    rclpy = pytest.importorskip("rclpy")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    auditor = Auditor(context)
+    try:
+        yield auditor
+    finally:
+        auditor.close()
+        rclpy.shutdown(context=context)
+
+
+def check_node(name: str, has: Rules) -> None:
+    """A running node has what it is allowed to, and is allowed to publish nothing that it never does."""
+    allowed = rules()[name]
+    for key, there in has.items():
+        assert there <= allowed[key], (name, key)
+    optional = {"/pam/measured/external_torque"}
+    assert not allowed["topic", "publish"] - has["topic", "publish"] - optional
+
+
+@pytest.mark.ros
+def test_the_policy_allows_what_the_nodes_do(tmp_path: Path, auditor: Auditor) -> None:
     from pam_antagonist.nodes.watch import Watch
 
     names = ("plant", "estimator", "controller", "recorder")
-    found = rules()
     with Processes(tmp_path) as processes:
         processes.start("record", ["--out", str(tmp_path / "bag")])
         for name in names[:3]:
             processes.start(name)
         with Watch() as watch:
             processes.wait(watch.missing)
-        context = rclpy.Context()
-        rclpy.init(args=[], context=context)
-        node = Node("auditor", context=context)
-        looks = {
-            ("topic", "publish"): node.get_publisher_names_and_types_by_node,
-            ("topic", "subscribe"): node.get_subscriber_names_and_types_by_node,
-            ("service", "reply"): node.get_service_names_and_types_by_node,
-            ("service", "request"): node.get_client_names_and_types_by_node,
-        }
-        try:
-            import time
+        auditor.wait(processes, *names)
+        for name in names:
+            check_node(name, auditor.has(name))
 
-            end = time.monotonic() + 20.0
-            while time.monotonic() < end and not set(names) <= set(node.get_node_names()):
-                time.sleep(0.1)
-            time.sleep(1.0)
-            for name in names:
-                for (kind, verb), look in looks.items():
-                    there = {entity for entity, _ in look(name, "/pam")}
-                    assert there <= found[name][kind, verb], (name, kind, verb)
-                published = {entity for entity, _ in looks["topic", "publish"](name, "/pam")}
-                optional = {"/pam/measured/external_torque"}
-                assert found[name]["topic", "publish"] - published <= optional
-        finally:
-            node.destroy_node()
-            rclpy.shutdown(context=context)
+
+@pytest.mark.ros
+def test_the_policy_allows_what_the_bridge_does(tmp_path: Path, auditor: Auditor) -> None:
+    """It has all of it without a device, for which it waits."""
+    with Processes(tmp_path) as processes:
+        processes.start("bridge", ["--ros-args", "-p", f"port:={tmp_path / 'absent'}"])
+        auditor.wait(processes, "bridge")
+        check_node("bridge", auditor.has("bridge"))
+
+
+@pytest.mark.ros
+def test_the_policy_allows_what_the_command_line_does(auditor: Auditor) -> None:
+    """Every command of ROS 2 makes a node; without its own services, which it never needs, it would not start."""
+    allowed = rules()["operator"]
+    has = auditor.has(COMMAND_LINE, "/")
+    assert has["service", "reply"]
+    for key, there in has.items():
+        assert not [name for name in there if not any(fnmatchcase(name, rule) for rule in allowed[key])], key
