@@ -248,6 +248,7 @@ def test_over_pressure_stops_the_plant_and_nothing_whips_when_it_is_cleared(benc
     assert errors and "do not get what is commanded" in errors[-1]
     bench.feeder.usual()
     bench.probe.refer(0, 0.12)
+    bench.probe.wait(0.3)  # in which the controller takes note of both: a new reference is a step in any state
     bench.probe.clear()
     answer = bench.trigger("plant/clear_stop")
     assert answer.success and "above 500.0 kPa" in answer.message
