@@ -88,20 +88,21 @@ def considered_directions(
     plain = rig.replaced(tunings={**rig.tunings, "default": rig.tuning("default").replaced(consider=False)})
     settle = round(SETTLE_S / rig.sample_period)
 
+    def changed(step: Floats) -> Rig:
+        values = {i.name: rig.value(i.name) + i.prior_std * float(s) for i, s in zip(free, step, strict=True)}
+        return moved(plain, values)
+
     def estimate(step: Floats) -> tuple[Floats, Floats]:
-        now = moved(
-            plain,
-            {item.name: rig.value(item.name) + item.prior_std * float(s) for item, s in zip(free, step, strict=True)},
-        )
+        now = changed(step)
         rows = np.concatenate([run_filter(now, trial).rows[settle::10] for trial in trials])
         variances = rows["covariance"][:, (0, 2), (0, 2)]
         return np.column_stack([rows["angle"], rows["torque"]]), variances
 
+    low, high = rig.value("atmosphere.pressure"), rig.value("supply.pressure")
+    grid = [low + share * (high - low) for share in _GRID]
+
     def at_rest(step: Floats) -> Floats:
-        values = {i.name: rig.value(i.name) + i.prior_std * float(s) for i, s in zip(free, step, strict=True)}
-        p = moved(rig, values).parameters("free", 0.0)
-        low, high = rig.value("atmosphere.pressure"), rig.value("supply.pressure")
-        grid = [low + share * (high - low) for share in _GRID]
+        p = changed(step).parameters("free", 0.0)
         return np.array([rest.rest_angle(first, second, p) for first in grid for second in grid])
 
     # A tenth of a standard deviation: far enough for the slope, near enough to stay with it.
@@ -109,7 +110,8 @@ def considered_directions(
     steps = [np.zeros(len(free)), *(near * roots.T)]
     runs = Parallel(n_jobs=jobs, prefer="threads")(delayed(estimate)(step) for step in steps)
     effect = np.stack([(run - runs[0][0]) / near for run, _ in runs[1:]], axis=2)
-    stands = np.stack([(at_rest(step) - at_rest(steps[0])) / near for step in steps[1:]], axis=1)
+    before = at_rest(steps[0])
+    stands = np.stack([(at_rest(step) - before) / near for step in steps[1:]], axis=1)
     scaled = np.vstack(
         [
             _relative(effect.reshape(-1, len(free)), np.maximum(runs[0][1], 0.0).ravel()),
