@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.diagnosis.experiment import Experiment
-from pam_antagonist.diagnosis.refit import Fitted, excess, refit
+from pam_antagonist.diagnosis.refit import Fitted, beyond, refit
+from pam_antagonist.diagnosis.select import removed
 from pam_antagonist.diagnosis.simulation import BLOCK, blocks
 from pam_antagonist.identification.trial import ANGLE, PRESSURE_1
 from pam_antagonist.model import dynamics, rest
@@ -116,8 +117,8 @@ def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
         before = (experiment.held(experiment.residual(fitted.point, whole=True)), fitted.residual)
         after = (pushed.held(pushed.residual(base.point, whole=True)), base.residual)
         pairs = [pair for pair in zip(before, after, strict=True) if len(pair[0])]
-        over = np.array([[_over(experiment, part) for part in pair] for pair in pairs])
-        shares = tuple(1.0 - new / max(old, 1e-12) for old, new in (over[0], over.sum(axis=0)))
+        over = np.array([[beyond(experiment, part) for part in pair] for pair in pairs])
+        shares = removed(*over[0]), removed(over[:, 0], over[:, 1])
         steps = np.diff(torque[::_LOOK])
         noise = float(np.sqrt(np.mean(steps**2) / (_LOOK * BLOCK * trial.dt)))
         found = Pushes(pushed, base, torque, float(np.mean(torque != 0.0)), shares, noise)
@@ -143,8 +144,3 @@ def _episodes(torque: Floats) -> NDArray[np.bool_]:
     smooth = np.convolve(torque, np.ones(_LOOK) / _LOOK, mode="same")
     out = np.abs(smooth) > max(_STANDS_OUT * float(np.median(np.abs(smooth))), 0.1 * float(np.max(np.abs(smooth))))
     return np.convolve(out, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
-
-
-def _over(experiment: Experiment, residual: Floats) -> float:
-    """Squares beyond the noise's, in units of it."""
-    return float(np.maximum(excess(experiment, residual) ** 2 - 1.0, 0.0).sum())

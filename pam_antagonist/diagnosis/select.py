@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.candidates import Candidate
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, cost_of, excess, refit, settled
+from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, beyond, cost_of, excess, refit, settled
 from pam_antagonist.diagnosis.score import Score, as_configured, score_all
 from pam_antagonist.diagnosis.store import Store, key_of
 
@@ -115,7 +115,7 @@ def excess_squares(experiments: Sequence[Experiment], model: Model, held: bool) 
         residual = fitted.residual
         if held:
             residual = experiment.held(experiment.residual(fitted.point, whole=True))
-        parts.append(np.maximum(excess(experiment, residual) ** 2 - 1.0, 0.0))
+        parts.append(beyond(experiment, residual))
     return np.concatenate(parts)
 
 
