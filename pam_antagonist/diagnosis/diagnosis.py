@@ -120,7 +120,7 @@ def diagnose(
         compared = heldout.compared(experiments, held, base, model, values)
         gained = innovations.evidence([*recordings, *held_out], compared, jobs)
         if gained < STRONG:
-            verdict, model, found, values = "unexplained", base, (), {}
+            verdict, share, model, found, values = "unexplained", 0.0, base, (), {}
         warnings += [quality.decided(selection.model.effects, gained, gained >= STRONG)]
     lap("backward step")
     warnings += quality.implausible(experiments, base) + agreement.of_base(experiments, base)
@@ -196,9 +196,8 @@ def _judge(experiments: Sequence[Experiment], selection: Selection) -> tuple[Ver
     share = removed(*held)
     if not model.effects:
         return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), 0.0
-    if removed(*(np.concatenate(pair) for pair in zip(held, fitted, strict=True))) >= rules.EXPLAINED[
-        len(model.effects) - 1
-    ] or rules.at_noise(experiments, model):
+    explained = removed(*(np.concatenate(pair) for pair in zip(held, fitted, strict=True)))
+    if explained >= rules.EXPLAINED[len(model.effects) - 1] or rules.at_noise(experiments, model):
         return "effect", share
     return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share
 

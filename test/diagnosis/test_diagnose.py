@@ -98,4 +98,5 @@ def test_innovations_that_do_not_agree_have_the_last_word(rig, recorded, monkeyp
     bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
     found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False)
     assert found.verdict == "unexplained" and not found.effects
+    assert found.share == 0.0  # the extended model is the recalibrated one
     assert any("innovations on the held-out part do not (+5)" in line for line in found.warnings)
