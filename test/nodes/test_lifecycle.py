@@ -237,6 +237,10 @@ def test_a_clock_that_is_set_back_resets_and_is_said_once(pipeline: tuple[Proces
     refer(probe, 8.0)
     current(probe, clock)
     before = probe.seen["joint_estimate"][-1][1].started
+    back, ahead = (
+        lambda sign=sign: processes.running["plant"].log.read_text().count(f"the clock is {sign}") for sign in "-+"
+    )
+    before_back, before_ahead = back(), ahead()
     probe.clear()
     clock.offset_ns -= 5 * SECOND
     probe.wait(1.2)
@@ -250,7 +254,8 @@ def test_a_clock_that_is_set_back_resets_and_is_said_once(pipeline: tuple[Proces
     messages = [(status.name, status.message) for _, m in probe.seen["diagnostics"] for status in m.status]
     for part in ("plant: sampling", "estimator: samples", "controller: commands"):
         said = [text for name, text in messages if name == f"pam/{part}" and "jumped" in text]
-        # To the plant, a clock whose publisher the machine held up for a moment has jumped as well.
-        assert len(said) in ((1, 2) if part == "plant: sampling" else (1,)), part
+        # To the plant, a clock that it cannot catch up with on a busy machine has jumped as well, but ahead.
+        assert 1 <= len(said) <= 1 + (ahead() - before_ahead if part == "plant: sampling" else 0), part
+    assert back() - before_back == 1
     assert stamp(probe.seen["valve_command"][-1][1]) == pytest.approx(stamp(estimates[-1]), abs=0.5 * SECOND)
     refer(probe, 12.0)
