@@ -22,7 +22,8 @@ _ENOUGH_OF_ALL = 2e-3
 AT_NOISE = 1.1
 """A channel is at its noise whose residual is at most so many times as large: 60 s tell the noise to a few per cent."""
 _NEAR = 4.0
-_STARTS = 2
+STARTS = 2
+"""Starts of a fit that are drawn, beside the first."""
 _TRIED = 2
 _HOPELESS = 40.0
 """A start is not followed that is so much behind after these steps, in −2 log posterior."""
@@ -147,7 +148,7 @@ def refit(
     return Fitted(point, tuple(unknowns), residual, base, effect, scale, cost, last.covariance)
 
 
-def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
+def settled(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
     """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
 
     Its derivatives are those at its own point, so that a model of which only the point was kept is the same again.
@@ -155,27 +156,28 @@ def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
     Args:
         experiment: the recording; its seed draws the starts.
         fitted: the model at the pace of one that lacks something.
+        starts: how many others are drawn.
 
     Returns:
         The best fit; where it ends at the noise of every channel, the finer one that counts every block.
     """
-    best = min((fitted, *_from_elsewhere(experiment, fitted)), key=lambda found: found.cost)
+    best = min((fitted, *_from_elsewhere(experiment, fitted, starts)), key=lambda found: found.cost)
     if np.max(excess(experiment, best.residual)) <= _NEAR:
         finer = refit(experiment, best.point, best.unknowns, best.base, renewals=2, pace=1.0)
         best = finer if np.max(excess(experiment, finer.residual)) < AT_NOISE else best
     return refit(experiment, best.point, best.unknowns, rounds=0, pace=best.scale.pace)
 
 
-def _from_elsewhere(experiment: Experiment, fitted: Fitted) -> list[Fitted]:
+def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list[Fitted]:
     """Fits from other starts: after a few steps the best of those that are drawn, to its end if it may get there."""
-    if not fitted.unknowns:
+    if not fitted.unknowns or starts == 0:
         return []
     # Each model has draws of its own, whatever was fitted before it and on which thread.
     name = zlib.crc32(" ".join(unknown.path for unknown in fitted.unknowns).encode())
     rng = np.random.default_rng([experiment.seed, name])
     drawn = [
         refit(experiment, _drawn(fitted, rng), fitted.unknowns, fitted.base, rounds=_TRIED, renewals=0)
-        for _ in range(_STARTS)
+        for _ in range(starts)
     ]
     best = min(drawn, key=lambda found: found.cost)
     if best.cost > fitted.cost + _HOPELESS:

@@ -15,6 +15,8 @@ from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, excess
 from pam_antagonist.diagnosis.select import STRONG, Model, Trial, price
 
+POSITIVE = 2.0
+"""Evidence that Kass and Raftery (1995) call positive, that is more than a bare mention."""
 FIRST_SHARE = 0.1
 """The first effect must remove this share of the held-out excess: a law that holds does so on data it never saw. Where
 another effect is there too, it need not be much."""
@@ -30,7 +32,10 @@ _LEAST_UNKNOWNS = 2
 
 
 def worth(trial: Trial) -> bool:
-    """Whether a refitted candidate goes into the model: strong evidence where it was fitted, and where it was not.
+    """Whether a refitted candidate goes into the model.
+
+    It pays where it was fitted, is strong where nothing was, and both together are as much as strong evidence twice: a
+    slow effect is seen few times in each part, and pays its price in the first one only.
 
     Args:
         trial: the candidate beside the model.
@@ -38,7 +43,8 @@ def worth(trial: Trial) -> bool:
     if trial.delta_bic is None or trial.foretold is None or trial.shares is None or trial.model is None:
         return False
     share = FIRST_SHARE if trial.round == 1 else FURTHER_SHARE
-    return min(trial.delta_bic, trial.foretold) >= STRONG and trial.shares[0] >= share
+    pays = trial.delta_bic >= POSITIVE and trial.foretold >= STRONG and trial.standing >= 2.0 * STRONG
+    return pays and trial.shares[0] >= share
 
 
 def could_pay(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool:

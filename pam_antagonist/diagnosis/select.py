@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.candidates import Candidate
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, beyond, cost_of, excess, refit, settled
+from pam_antagonist.diagnosis.refit import AT_NOISE, STARTS, Fitted, beyond, cost_of, excess, refit, settled
 from pam_antagonist.diagnosis.score import Score, as_configured, score_all
-from pam_antagonist.diagnosis.store import Store, key_of
+from pam_antagonist.diagnosis.store import Kept, Store, key_of
 
 Floats = NDArray[np.float64]
 
 MOST_EFFECTS = 3
 _REFITTED = 5
 """Candidates a round that are refitted in full simulation: those with the best scores."""
+_BEHIND = 0.5
+"""A candidate that has won less than this share of the best one's evidence is not tried from other starts."""
 _TOLD = 2.0
 """Score below which a recording has nothing to say about a candidate."""
 STRONG = 6.0
@@ -194,10 +195,8 @@ def _round(
         for r in range(len(experiments))
         if best[name][r][0][name].gain > min(_TOLD, 0.2 * totals[name])
     ]
-    fits = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(_fit)(experiments[r], model, r, best[name][r][0][name], best[name][r][1], store) for name, r in tasks
-    )
-    done = dict(zip(tasks, fits, strict=True))
+    begun = {(name, r): (best[name][r][0][name], best[name][r][1]) for name, r in tasks}
+    done = _fits(experiments, model, begun, jobs, store)
     before = [excess_squares(experiments, model, held) for held in (True, False)]
     trials = []
     for name in order:
@@ -221,6 +220,46 @@ def _round(
     return trials
 
 
+def _fits(
+    experiments: Sequence[Experiment],
+    model: Model,
+    begun: Mapping[tuple[str, int], tuple[Score, Fitted]],
+    jobs: int,
+    store: Store,
+) -> dict[tuple[str, int], Fitted]:
+    """Candidates (effect, recording), refitted from the start that a score test tells; the best from others as well."""
+    keys = {(name, r): key_of(experiments[r], (*model.effects, name)) for name, r in begun}
+    unknowns = {
+        (name, r): (*model.fits[r].unknowns, *score.candidate.unknowns) for (name, r), (score, _) in begun.items()
+    }
+    parallel = Parallel(n_jobs=jobs, prefer="threads")
+
+    def descent(which: tuple[str, int]) -> tuple[Fitted, float, bool]:
+        experiment, (score, start), kept = experiments[which[1]], begun[which], store.load(keys[which])
+        if kept is not None:
+            return refit(experiment, kept.point, unknowns[which], rounds=0, pace=kept.pace), kept.gain, True
+        point = Point(start.point.theta, {**start.point.effects, **score.start})
+        fitted = refit(experiment, point, unknowns[which], start.base, renewals=2)
+        return fitted, max(evidence(experiment, model.fits[which[1]], fitted), 0.0), False
+
+    def end(which: tuple[str, int], descended: Fitted, gain: float, starts: int) -> Fitted:
+        fitted = settled(experiments[which[1]], descended, starts)
+        store.save(keys[which], Kept(fitted.point, fitted.scale.pace, gain))
+        return fitted
+
+    first = dict(zip(begun, parallel(delayed(descent)(which) for which in begun), strict=True))
+    gains = dict.fromkeys((name for name, _ in begun), 0.0)
+    for (name, _), (_, gain, _) in first.items():
+        gains[name] += gain
+    bound = _BEHIND * max(gains.values(), default=0.0)
+    left = {which: (fitted, gain) for which, (fitted, gain, finished) in first.items() if not finished}
+    ends = parallel(
+        delayed(end)(which, fitted, gain, STARTS if gains[which[0]] >= bound else 0)
+        for which, (fitted, gain) in left.items()
+    )
+    return {which: fitted for which, (fitted, _, _) in first.items()} | dict(zip(left, ends, strict=True))
+
+
 def _foretold(experiment: Experiment, old: Fitted, new: Fitted) -> float:
     """Evidence for a model on the held-out part of a recording."""
     before, after = (experiment.held(experiment.residual(f.point, whole=True)) for f in (old, new))
@@ -241,16 +280,3 @@ def _score_tasks(experiment: Experiment, fitted: Fitted):  # type: ignore[no-unt
             return score_all(experiment, fitted, start), start
 
         yield delayed(far)()
-
-
-def _fit(experiment: Experiment, model: Model, r: int, score: Score, start: Fitted, store: Store) -> Fitted:
-    candidate: Candidate = score.candidate
-    unknowns = (*model.fits[r].unknowns, *candidate.unknowns)
-    key = key_of(experiment, (*model.effects, candidate.effect))
-    known = store.load(key)
-    if known is not None:
-        return refit(experiment, known[0], unknowns, rounds=0, pace=known[1])
-    point = Point(start.point.theta, {**start.point.effects, **score.start})
-    fitted = settled(experiment, refit(experiment, point, unknowns, start.base, renewals=2))
-    store.save(key, fitted.point, fitted.scale.pace)
-    return fitted

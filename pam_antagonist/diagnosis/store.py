@@ -17,6 +17,21 @@ from pam_antagonist.errors import BadInput
 _SETTINGS = "settings.json"
 
 
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """A finished refit.
+
+    Attributes:
+        point: where it ended.
+        pace: at which, see :class:`Scale`.
+        gain: evidence for it at the end of its first descent, by which it was decided how far it was followed.
+    """
+
+    point: Point
+    pace: float
+    gain: float
+
+
 @dataclass(frozen=True)
 class Store:
     """A folder with one small file for each refitted candidate; without a folder, nothing is kept.
@@ -60,25 +75,27 @@ class Store:
             return 0
         return sum(1 for path in self.folder.glob("*.json") if path.name != _SETTINGS)
 
-    def load(self, key: str) -> tuple[Point, float] | None:
-        """Point and pace of a finished refit, None where there is none that can be read."""
+    def load(self, key: str) -> Kept | None:
+        """A finished refit, None where there is none that can be read."""
         if self.folder is None or not (self.folder / f"{key}.json").is_file():
             return None
         try:
             found = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
             effects = {str(name): float(value) for name, value in found["effects"].items()}
-            return Point(np.array(found["theta"], dtype=np.float64), effects), float(found["pace"])
+            point = Point(np.array(found["theta"], dtype=np.float64), effects)
+            return Kept(point, float(found["pace"]), float(found["gain"]))
         except (ValueError, KeyError, TypeError, AttributeError):
             return None
 
-    def save(self, key: str, point: Point, pace: float) -> None:
+    def save(self, key: str, kept: Kept) -> None:
         """Keep a finished refit."""
         if self.folder is None:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"theta": point.theta.tolist(), "effects": dict(point.effects), "pace": pace})
+        point = kept.point
+        content = {"theta": point.theta.tolist(), "effects": dict(point.effects), "pace": kept.pace, "gain": kept.gain}
         partial = self.folder / f"{key}.part"
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(json.dumps(content), encoding="utf-8")
         partial.replace(self.folder / f"{key}.json")
 
 

@@ -11,7 +11,7 @@ from pam_antagonist.diagnosis import rules
 from pam_antagonist.diagnosis.advice import experiments_that_tell
 from pam_antagonist.diagnosis.experiment import Point
 from pam_antagonist.diagnosis.select import Model, Trial, removed
-from pam_antagonist.diagnosis.store import Store
+from pam_antagonist.diagnosis.store import Kept, Store
 
 NO_MODEL = Model((), ())
 
@@ -24,14 +24,20 @@ def test_evidence_without_held_out_gain_is_not_enough() -> None:
     assert rules.worth(trial(1, 50.0, 0.8))
     assert not rules.worth(trial(1, 50.0, 0.05))
     assert not rules.worth(trial(1, 50.0, 0.8, foretold=3.0))
-    assert not rules.worth(trial(1, 3.0, 0.8))
+    assert not rules.worth(trial(1, 1.0, 0.8))
     assert not rules.worth(Trial("leak", 1, 50.0))
+
+
+def test_what_hardly_pays_where_it_was_fitted_must_foretell_the_more() -> None:
+    assert rules.worth(trial(1, 4.0, 0.8, foretold=8.0))
+    assert not rules.worth(trial(1, 4.0, 0.8, foretold=7.0))
+    assert not rules.worth(trial(1, 9.0, 0.8, foretold=4.0))
 
 
 def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> None:
     assert rules.worth(trial(2, 9.0, 0.08))
     assert not rules.worth(trial(2, 9.0, 0.08, foretold=-4.0))
-    assert not rules.worth(trial(2, 4.0, 0.9))
+    assert not rules.worth(trial(2, 1.0, 0.9))
     assert not rules.worth(trial(2, 9.0, 0.01))
 
 
@@ -43,23 +49,23 @@ def test_removed_share() -> None:
 def test_a_finished_candidate_is_found_again(tmp_path: Path) -> None:
     store = Store(tmp_path / "kept")
     point = Point(np.array([0.1, -0.2]), {"effects.leak.area_1": 1e-9})
-    store.save("a", point, 50.0)
+    store.save("a", Kept(point, 50.0, 12.5))
     found = store.load("a")
     assert found is not None
-    assert found[0].theta.tolist() == [0.1, -0.2]
-    assert found[0].effects == point.effects
-    assert found[1] == 50.0
+    assert found.point.theta.tolist() == [0.1, -0.2]
+    assert found.point.effects == point.effects
+    assert (found.pace, found.gain) == (50.0, 12.5)
     assert store.load("b") is None
 
 
-@pytest.mark.parametrize("text", ["", "{", "{}", "[1]", '{"theta": [1], "effects": {"a": "b"}, "pace": 1}'])
+@pytest.mark.parametrize("text", ["", "{", "{}", "[1]", '{"theta": [1], "effects": {}, "pace": 1}'])
 def test_a_damaged_file_is_worked_out_anew(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.json").write_text(text)
     assert Store(tmp_path).load("a") is None
 
 
 def test_nothing_is_kept_without_a_folder() -> None:
-    Store().save("a", Point(np.zeros(1)), 1.0)
+    Store().save("a", Kept(Point(np.zeros(1)), 1.0, 0.0))
     assert Store().load("a") is None
 
 

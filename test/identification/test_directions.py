@@ -1,0 +1,56 @@
+"""The few directions that a filter considers, against all that a fit does not know."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.identification.change import moved
+from pam_antagonist.identification.directions import considered_directions
+from pam_antagonist.identification.freedom import free_parameters
+from pam_antagonist.identification.trial import make_trial
+from pam_antagonist.model import rest
+from pam_antagonist.model.plant import Plant
+from pam_antagonist.recording import Recording
+
+SECONDS = 4.0
+
+
+@pytest.fixture(scope="module")
+def still(rig):
+    """A joint that stands: its recording shows one angle only."""
+    plant = Plant(rig, joint="free", seed=5)
+    voltage = np.full((round(SECONDS / rig.sample_period), 2), 5.5)
+    samples = [plant.step(row) for row in voltage]
+    recording = Recording(
+        path=Path("still"),
+        stamp_ns=np.arange(1, len(samples) + 1, dtype=np.int64) * 1_000_000,
+        pressure=np.array([sample.pressure for sample in samples]),
+        voltage=voltage,
+        angle=np.array([sample.angle for sample in samples]),
+        torque=np.array([sample.torque for sample in samples]),
+    )
+    return make_trial(recording, rig, "free", 0.0, "still")
+
+
+def test_directions_hold_what_is_not_known_where_the_joint_never_was(rig, still):
+    """At rest elsewhere, the few directions are off by what all that is not known together is off by."""
+    free = free_parameters(rig)
+    # As uncertain as the priors say: a joint that stands tells little.
+    covariance = np.eye(len(free))
+    directions = considered_directions(rig, [still], free, covariance, jobs=1)
+    assert 1 < len(directions) < len(free)
+
+    def angles(changes):
+        p = moved(rig, {name: rig.value(name) + step for name, step in changes.items()}).parameters("free", 0.0)
+        return np.array([rest.rest_angle(first, second, p) for first, second in ((3e5, 5e5), (6e5, 2.5e5), (5e5, 5e5))])
+
+    def spread(several):
+        return np.sqrt(sum((angles(changes) - angles({})) ** 2 for changes in several))
+
+    all_of_it = spread([{item.name: 0.1 * item.prior_std} for item in free])
+    few = spread([{name: 0.1 * step for name, step in item.changes.items()} for item in directions])
+    assert np.all(few > 0.9 * all_of_it)
+    assert np.all(few < 1.05 * all_of_it)
