@@ -1,0 +1,66 @@
+"""A torque from outside that comes and goes, against one that is always there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pam_antagonist.benchmark.battery_forms import SINGLE
+from pam_antagonist.diagnosis import pushes
+from pam_antagonist.diagnosis.refit import refit
+from pam_antagonist.diagnosis.simulation import BLOCK
+
+SEED = 13
+SIZE = 20.0
+
+
+@pytest.fixture(scope="module")
+def free(recorded, experiment_of):
+    """Makes an experiment with a free joint and its recalibrated model."""
+
+    def make(effect: str, form: str, size: float):
+        experiment = experiment_of(recorded(effect, None, form, size, joint="free", seed=SEED), "free")
+        return experiment, refit(experiment, experiment.origin, rounds=6, renewals=2)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def pushed(free):
+    return pushes.find(*free("external_torque", "smooth pushes", SIZE))
+
+
+def test_pushes_are_found_when_they_were(pushed, rig) -> None:
+    assert pushed is not None and pushed.explains
+    assert pushed.episodes >= 2
+    assert pushed.shares[1] > 0.8
+    form = next(form for form in SINGLE if form.name == "smooth pushes")
+    push = form.make(SIZE, None, np.random.default_rng([SEED, 1])).push
+    middle = (np.arange(len(pushed.torque)) + 0.5) * BLOCK * rig.sample_period
+    true = push(middle)
+    strong = np.abs(true) > 0.5 * np.abs(true).max()
+    assert np.all(np.sign(pushed.torque[strong]) == np.sign(true[strong]))
+    # Friction holds a joint against a part of a push: nobody can tell that part from the motion.
+    error = np.sqrt(np.mean((pushed.torque - true) ** 2))
+    assert error < 0.6 * np.sqrt(np.mean(true**2))
+    quiet = true == 0.0
+    assert np.mean(pushed.torque[quiet] != 0.0) < 0.3
+
+
+def test_a_law_that_always_holds_is_no_push(free) -> None:
+    found = pushes.find(*free("load_torque", "geared pendulum", SIZE))
+    assert found is not None and not found.explains
+
+
+def test_one_push_alone_may_have_been_anything(pushed) -> None:
+    once = np.zeros_like(pushed.torque)
+    once[100:150] = 0.2
+    assert replace(pushed, torque=once).episodes == 1
+    assert not replace(pushed, torque=once).explains
+
+
+def test_a_locked_joint_shows_no_push(recorded, experiment_of) -> None:
+    experiment = experiment_of(recorded(seconds=5.0), "locked")
+    assert pushes.find(experiment, refit(experiment, experiment.origin, rounds=0)) is None
