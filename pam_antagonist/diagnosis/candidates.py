@@ -32,6 +32,11 @@ class Unknown:
         """Dotted path of the first."""
         return self.paths[0]
 
+    @property
+    def muscle(self) -> int | None:
+        """The muscle whose number it is, None where it is no muscle's own."""
+        return self.item.muscle if len(self.paths) == 1 else None
+
     def value(self, coordinate: float) -> float:
         """Value at a coordinate: sizes in units of their scale, shapes by their logarithm."""
         if self.item.is_size:

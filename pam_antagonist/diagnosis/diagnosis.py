@@ -155,6 +155,7 @@ def diagnose(
             trial.effect, trial.round, trial.score, trial.delta_bic,
             None if trial.shares is None else trial.shares[0],
             trial.model is not None and trial.effect in taken and trial.model.effects == model.effects[: trial.round],
+            trial.muscles,
         )
         for trial in selection.trials
     )  # fmt: skip

@@ -137,8 +137,7 @@ def found_effects(
         groups: dict[int | None, dict[Unknown, list[Sized]]] = {}
         for unknown, seen in sized.items():
             if unknown.item.is_size:
-                muscle = unknown.item.muscle if len(unknown.paths) == 1 else None
-                groups.setdefault(muscle, {})[unknown] = seen
+                groups.setdefault(unknown.muscle, {})[unknown] = seen
         in_recording = [
             {
                 muscle

@@ -47,6 +47,7 @@ class Ranked:
         delta_bic: evidence in full simulation, None where the score was too low to try.
         holdout_gain: share of the held-out residual beyond noise that it removes, None likewise.
         taken: whether it went into the model.
+        muscles: the score with muscle 1 alone and with muscle 2 alone; None where the effect belongs to no muscle.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Ranked:
     delta_bic: float | None
     holdout_gain: float | None
     taken: bool
+    muscles: tuple[float, float] | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,13 @@ class Score:
         candidate: which.
         gain: evidence for it, twice a difference of log posteriors, to first order.
         start: values of its unknowns by dotted path, for a refit.
+        muscles: evidence for it on muscle 1 alone and on muscle 2 alone; None where it belongs to no muscle.
     """
 
     candidate: Candidate
     gain: float
     start: Mapping[str, float]
+    muscles: tuple[float, float] | None = None
 
 
 def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) -> dict[str, Score]:
@@ -59,8 +61,7 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     def cost(step: Step) -> float:
         return float(scale.misfits(step.residual).sum()) + prior_cost(experiment, here.point.theta + step.theta)
 
-    def score(candidate: Candidate, shape: Mapping[str, float]) -> Score:
-        sizes = list(candidate.sizes)
+    def score(candidate: Candidate, shape: Mapping[str, float], sizes: Sequence[Unknown]) -> Score:
         while sizes:
             effect = np.concatenate([here.effect, np.stack([column(size, shape) for size in sizes], axis=2)], axis=2)
             step = min(
@@ -82,10 +83,17 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
 
     result: dict[str, Score] = {}
     for candidate in experiment.candidates(fitted.point.effects):
-        found = max((score(candidate, shape) for shape in candidate.grid()), key=lambda tried: tried.gain)
+        grid = candidate.grid()
+        found = max((score(candidate, shape, candidate.sizes) for shape in grid), key=lambda tried: tried.gain)
         simpler = result.get(candidate.effect)
         if simpler is None or found.gain - simpler.gain > _price_beyond(fitted, candidate, simpler):
             result[candidate.effect] = found
+    for name, found in result.items():
+        each = [[size for size in found.candidate.sizes if size.muscle == muscle] for muscle in (1, 2)]
+        if all(each):
+            shape = {unknown.path: found.start[unknown.path] for unknown in found.candidate.shapes}
+            first, second = (score(found.candidate, shape, sizes).gain for sizes in each)
+            result[name] = replace(found, muscles=(first, second))
     return result
 
 

@@ -344,7 +344,7 @@ def _ranking(parts: Sequence[Judged]) -> tuple[Ranked, ...]:
                 trial.model.effects == part.selection.model.effects[: trial.round]
             )  # fmt: skip
             share = None if trial.shares is None else trial.shares[0]
-            out.append(Ranked(trial.effect, trial.round, trial.score, trial.delta_bic, share, taken))
+            out.append(Ranked(trial.effect, trial.round, trial.score, trial.delta_bic, share, taken, trial.muscles))
     return tuple(out)
 
 

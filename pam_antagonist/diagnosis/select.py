@@ -52,6 +52,7 @@ class Trial:
         foretold: evidence on the held-out part, where nothing was fitted and no unknown has a price; None likewise.
         shares: share of the held-out and of the fitted excess residual that it removes; None likewise.
         model: the refitted model; None likewise.
+        muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
     """
 
     effect: str
@@ -61,6 +62,7 @@ class Trial:
     foretold: float | None = None
     shares: tuple[float, float] | None = None
     model: Model | None = None
+    muscles: tuple[float, float] | None = None
 
     @property
     def standing(self) -> float:
@@ -186,6 +188,7 @@ def _round(
     names = [name for name in starts[0][0][0] if name not in model.effects]
     best = {name: [max(per, key=lambda pair: pair[0][name].gain) for per in starts] for name in names}
     totals = {name: sum(max(scores[name].gain, 0.0) for scores, _ in best[name]) for name in names}
+    muscles = {name: _by_muscle([scores[name] for scores, _ in best[name]]) for name in names}
     order = sorted(names, key=lambda name: -totals[name])
     wanted = [name for name in order[:_REFITTED] if totals[name] > _TOLD]
     said(f"round {number}: refitting {', '.join(wanted) or 'nothing'}")
@@ -201,7 +204,7 @@ def _round(
     trials = []
     for name in order:
         if name not in wanted:
-            trials.append(Trial(name, number, totals[name]))
+            trials.append(Trial(name, number, totals[name], muscles=muscles[name]))
             continue
         chosen, total, foretold = [], 0.0, 0.0
         for r, (experiment, old) in enumerate(_pairs(experiments, model)):
@@ -215,9 +218,15 @@ def _round(
         extended = Model((*model.effects, name), tuple(chosen))
         after = [excess_squares(experiments, extended, held) for held in (True, False)]
         shares = removed(before[0], after[0]), removed(before[1], after[1])
-        trials.append(Trial(name, number, totals[name], total, foretold, shares, extended))
+        trials.append(Trial(name, number, totals[name], total, foretold, shares, extended, muscles[name]))
     trials.sort(key=lambda trial: (-trial.standing, -trial.score))
     return trials
+
+
+def _by_muscle(scores: Sequence[Score]) -> tuple[float, float] | None:
+    """Evidence for each muscle alone over all recordings."""
+    each = [score.muscles for score in scores if score.muscles is not None]
+    return (sum(max(a, 0.0) for a, _ in each), sum(max(b, 0.0) for _, b in each)) if each else None
 
 
 def _fits(

@@ -62,6 +62,7 @@ def document(
             {
                 "name": item.name, "round": item.round, "score": item.score, "delta_bic": item.delta_bic,
                 "holdout_gain": item.holdout_gain, "taken": item.taken,
+                "score_by_muscle": None if item.muscles is None else list(item.muscles),
             }
             for item in found.ranking
         ],

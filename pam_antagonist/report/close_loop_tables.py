@@ -72,12 +72,16 @@ def ranking(document: Document) -> Table:
                 item["name"] + (" (taken)" if item["taken"] else ""),
                 str(item["round"]),
                 f"{item['score']:.1f}",
+                " · ".join(f"{value:.1f}" for value in item["score_by_muscle"] or ()) or MISSING,
                 f"{item['delta_bic']:.1f}" if refitted else MISSING,
                 percent(item["holdout_gain"]) if refitted else MISSING,
             )
         )
-    header = ("Candidate", "round", "score", "ΔBIC", "held-out share")
-    caption = "Score: evidence to first order; ΔBIC: after a refit in full simulation, where the score was worth one"
+    header = ("Candidate", "round", "score", "muscle 1 · 2 alone", "ΔBIC", "held-out share")
+    caption = (
+        "Score: evidence to first order, on both muscles and on each alone; ΔBIC: after a refit in full simulation, where "
+        "the score was worth one"
+    )
     return Table(header, tuple(rows), caption)
 
 

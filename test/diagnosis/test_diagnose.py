@@ -7,6 +7,7 @@ import pytest
 
 from pam_antagonist.diagnosis import diagnose
 from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -23,6 +24,17 @@ def test_a_leak_is_found_on_its_muscle(leaking) -> None:
     assert first.delta_bic > 6.0
     assert first.holdout_gain > 0.7
     assert "area_1" in first.parameters and "area_2" not in first.parameters
+
+
+def test_every_candidate_is_ranked_on_each_muscle(leaking) -> None:
+    first = {item.name: item for item in leaking.ranking if item.round == 1}
+    assert set(first) == set(CATALOGUE) - {"external_torque"}
+    leak = first["leak"]
+    assert leak.muscles[0] > 0.9 * leak.score
+    assert leak.muscles[1] < 0.2 * leak.score
+    assert {name for name, item in first.items() if item.muscles is None} == {
+        "hysteresis", "supply_droop", "load_torque", "friction",
+    }  # fmt: skip
 
 
 def test_the_extended_model_is_better_on_data_that_no_fit_saw(leaking) -> None:
