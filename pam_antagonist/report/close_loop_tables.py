@@ -79,8 +79,8 @@ def ranking(document: Document) -> Table:
         )
     header = ("Candidate", "round", "score", "muscle 1 · 2 alone", "ΔBIC", "held-out share")
     caption = (
-        "Score: evidence to first order, on both muscles and on each alone; ΔBIC: after a refit in full simulation, where "
-        "the score was worth one"
+        "Score: evidence to first order, on both muscles and on each alone; ΔBIC: after a refit in full simulation, "
+        "where the score was worth one"
     )
     return Table(header, tuple(rows), caption)
 
