@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT, Unknown
 from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.diagnosis.findings import unknowns_of
-from pam_antagonist.diagnosis.refit import Fitted, cost_of, refit
+from pam_antagonist.diagnosis.refit import Fitted, prior_cost, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import Model
 
-_SHARES = (0.0, 0.5, 0.8, 0.9, 1.1, 1.2, 1.5)
+_SHARES = (0.0, 0.5)
+"""Of the size: what it takes to be called found."""
+_POSITIONS = (-3.0, -1.5, 1.5, 3.0)
+"""In standard errors from the size: whether the likelihood is the parabola that these stand for."""
 _THRESHOLD = 3.84
 """95 % of a chi-square with one degree of freedom: a profile that does not rise so far at half the size is flat."""
 
@@ -36,7 +40,8 @@ def profile_sizes(
         said: told what is being done.
 
     Returns:
-        For each: parameter, recording, value, unit, values (P,), rise of −2 log posterior (P,), whether it is flat.
+        For each: parameter, recording, value, its standard error, unit, values (P,), rise of −2 log posterior (P,),
+        whether it is flat.
     """
     names = [experiment.trial.name for experiment in experiments]
     result = []
@@ -52,18 +57,23 @@ def profile_sizes(
             said(f"profile of {unknown.path}")
             fitted, experiment = model.fits[r], experiments[r]
             best = fitted.point.effects[unknown.path]
-            values = [unknown.bounded(best * share) for share in _SHARES]
-            costs = Parallel(n_jobs=jobs, prefer="threads")(
-                delayed(_held)(experiment, fitted, unknown, value) for value in values
-            )
-            rises = [scale_rise(fitted, cost) for cost in costs]
-            points = sorted([*zip(values, rises, strict=True), (best, 0.0)])
-            half = rises[_SHARES.index(0.5)]
+            k = len(fitted.covariance) - len(fitted.unknowns) + fitted.unknowns.index(unknown)
+            std = float(np.sqrt(fitted.covariance[k, k])) * unknown.slope(best)
+            far = [best * share for share in _SHARES]
+            near = [unknown.bounded(best + position * std) for position in _POSITIONS]
+            tasks = [delayed(_held)(experiment, fitted, fitted.point, unknown, value) for value in far]
+            tasks += [
+                delayed(_held)(experiment, fitted, _along(fitted, k, unknown, value), unknown, value) for value in near
+            ]
+            rises = Parallel(n_jobs=jobs, prefer="threads")(tasks)
+            points = sorted([*zip([*far, *near], (rise for rise, _ in rises), strict=True), (best, 0.0)])
+            _, half = rises[_SHARES.index(0.5)]
             result.append(
                 {
                     "parameter": unknown.path.removeprefix("effects."),
                     "recording": names[r],
                     "value": best,
+                    "std": std,
                     "unit": unknown.item.unit,
                     "values": [value for value, _ in points],
                     "rise": [rise for _, rise in points],
@@ -73,13 +83,6 @@ def profile_sizes(
     return tuple(result)
 
 
-def scale_rise(fitted: Fitted, cost: float) -> float:
-    """Rise of −2 log posterior above the best, with independent values counted."""
-    return (
-        max(fitted.scale.share * (cost - fitted.cost), 0.0) if fitted.scale.pace > 1.0 else max(cost - fitted.cost, 0.0)
-    )
-
-
 def _where(model: Model, unknown: Unknown, recordings: Sequence[int]) -> int | None:
     shown = [
         r for r in recordings if unknown in model.fits[r].unknowns and model.fits[r].point.effects.get(unknown.path)
@@ -87,12 +90,24 @@ def _where(model: Model, unknown: Unknown, recordings: Sequence[int]) -> int | N
     return shown[0] if shown else None
 
 
-def _held(experiment: Experiment, fitted: Fitted, unknown: Unknown, value: float) -> float:
-    """Least cost with one number held at a value."""
-    effects = {**fitted.point.effects, **dict.fromkeys(unknown.paths, value)}
+def _along(fitted: Fitted, k: int, unknown: Unknown, value: float) -> Point:
+    """Where the others go, by the covariance, while one number is moved to a value."""
+    best = fitted.point.effects[unknown.path]
+    moved = fitted.covariance[:, k] / fitted.covariance[k, k] * (unknown.coordinate(value) - unknown.coordinate(best))
+    count = len(fitted.covariance) - len(fitted.unknowns)
+    effects = dict(fitted.point.effects)
+    for other, change in zip(fitted.unknowns, moved[count:], strict=True):
+        now = effects.get(other.path, other.item.neutral)
+        effects.update(dict.fromkeys(other.paths, other.bounded(other.value(other.coordinate(now) + float(change)))))
+    return Point(fitted.point.theta + moved[:count], effects)
+
+
+def _held(experiment: Experiment, fitted: Fitted, start: Point, unknown: Unknown, value: float) -> tuple[float, float]:
+    """Least rise of −2 log posterior with one number held at a value: as errors are told, and as evidence is."""
+    effects = {**start.effects, **dict.fromkeys(unknown.paths, value)}
     others = tuple(u for u in fitted.unknowns if u != unknown)
-    moved = refit(
-        experiment, Point(fitted.point.theta, effects), others, fitted.base, rounds=5, renewals=0,
-        pace=fitted.scale.pace,
-    )  # fmt: skip
-    return cost_of(experiment, moved.point, moved.residual, fitted.scale)
+    scale = fitted.scale
+    moved = refit(experiment, Point(start.theta, effects), others, fitted.base, rounds=5, renewals=0, pace=scale.pace)
+    change = scale.misfits(moved.residual) - scale.misfits(fitted.residual)
+    prior = prior_cost(experiment, moved.point.theta) - prior_cost(experiment, fitted.point.theta)
+    return max(float(scale.pace / scale.length @ change) + prior, 0.0), scale.share * (float(change.sum()) + prior)

@@ -25,6 +25,10 @@ _AXES = (
 )
 
 
+_NEAR = 4.0
+"""Standard errors that a profile shows."""
+
+
 def residuals(found: Diagnosis) -> tuple[Figure, ...]:
     """Residual of every channel of every recording, recalibrated and extended."""
     out = []
@@ -70,13 +74,22 @@ def profiles(document: dict[str, Any]) -> tuple[Figure, ...]:
     """Profile likelihood of each size."""
     out = []
     for item in document["profiles"]:
-        values, rise = np.array(item["values"]), np.minimum(np.array(item["rise"]), 100.0)
-        shown = [Curve("profile", values, rise, MODEL), Curve("tried", values, rise, MODEL, points=True, quiet=True)]
-        bound = Curve("95 %", values[[0, -1]], np.array([3.84, 3.84]), QUIET, dash="dash")
-        plot = chart([(f"{item['parameter']} [{item['unit']}]", "Rise of −2 log posterior [-]", [*shown, bound])], 260)
+        values, rise = np.array(item["values"]), np.array(item["rise"])
+        best, std = item["value"], item["std"]
+        near = np.abs(values - best) <= _NEAR * std
+        if near.sum() < 3:
+            near[:] = True
+        x = np.linspace(values[near].min(), values[near].max(), 61)
+        shown = [
+            Curve("tried", values[near], rise[near], MODEL, points=True),
+            Curve("by the standard error", x, ((x - best) / std) ** 2, ESTIMATE),
+            Curve("95 %", x[[0, -1]], np.array([3.84, 3.84]), QUIET, dash="dash"),
+        ]
+        plot = chart([(f"{item['parameter']} [{item['unit']}]", "Rise of −2 log posterior [-]", shown)], 260)
+        at = dict(zip(item["values"], item["rise"], strict=True))
         about = (
             "Everything else at its best while this number is held; below the dashed line it is as good as the best. "
-            "Values above 100 are cut."
+            f"At half of it the rise is {at[0.5 * best]:.3g}, without it {at[0.0]:.3g}."
         )
         out.append(Figure(f"Profile likelihood of {item['parameter']} ({item['recording']})", about, plot, ""))
     return tuple(out)
