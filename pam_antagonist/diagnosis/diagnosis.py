@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-import numpy as np
-
 from pam_antagonist.diagnosis import (
     agreement,
     errors,
@@ -193,14 +191,10 @@ def _trial(recording: Recording, rig: Rig, joint: str, lock_angle: float | None)
 def _judge(experiments: Sequence[Experiment], selection: Selection) -> tuple[Verdict, float]:
     """The verdict, and the share of the held-out excess that is explained."""
     base, model = selection.recalibrated, selection.model
-    held, fitted = ([excess_squares(experiments, m, part) for m in (base, model)] for part in (True, False))
-    share = removed(*held)
-    if not model.effects:
-        return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), 0.0
-    explained = removed(*(np.concatenate(pair) for pair in zip(held, fitted, strict=True)))
-    if explained >= rules.EXPLAINED[len(model.effects) - 1] or rules.at_noise(experiments, model):
+    share = removed(*(excess_squares(experiments, m, held=True) for m in (base, model)))
+    if rules.explains(experiments, base, model):
         return "effect", share
-    return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share
+    return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share if model.effects else 0.0
 
 
 def _ambiguous(selection: Selection) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from joblib import Parallel, delayed
 from pam_antagonist.diagnosis import findings, pushes, rules
 from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted, cost_of, excess
+from pam_antagonist.diagnosis.refit import Fitted, cost_of, excess, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import Model, price, recalibrated, select
 from pam_antagonist.diagnosis.store import Store
@@ -55,12 +55,14 @@ class _Pushed:
         fits: their models beside it.
         noises: size of the random walk that the pushes look like, one a recording; 0 where there were none.
         effect: the pushes.
+        left: which recordings have more than noise though nothing can have pushed there.
     """
 
     experiments: tuple[Experiment, ...]
     fits: tuple[Fitted, ...]
     noises: tuple[float, ...]
     effect: FoundEffect
+    left: tuple[int, ...]
 
 
 def explain(
@@ -68,8 +70,9 @@ def explain(
 ) -> Explanation | None:
     """Explain all recordings by pushes, if they come and go and leave little; else None.
 
-    They are looked for beside the base model, and where they are none there, beside the laws that were chosen. With
-    the pushes as an input, laws may show that they had hidden.
+    They are looked for beside the base model, and where they are none there, beside laws: those that explain a
+    recording in which nothing can have pushed, told from it alone, or those that were chosen. With the pushes as an
+    input, laws may show that they had hidden.
 
     Args:
         experiments: the recordings.
@@ -79,16 +82,16 @@ def explain(
         said: told what is being done.
     """
     pushed = _find(experiments, base, jobs)
-    if pushed is not None:
+    if pushed is not None and not pushed.left:
         quiet = Model((), pushed.fits)
         model = select(pushed.experiments, quiet, jobs, rules.worth, said, Store()).model
-    elif chosen.effects:
-        pushed = _find(experiments, chosen, jobs)
-        if pushed is None:
-            return None
-        quiet, model = recalibrated(pushed.experiments, jobs), Model(chosen.effects, pushed.fits)
     else:
-        return None
+        apart = None if pushed is None else _told_apart(experiments, base, pushed.left, jobs, said)
+        beside, explained = (chosen, ()) if pushed is None or apart is None else (apart, pushed.left)
+        pushed = _find(experiments, beside, jobs) if beside.effects else None
+        if pushed is None or not set(pushed.left) <= set(explained):
+            return None
+        quiet, model = recalibrated(pushed.experiments, jobs), Model(beside.effects, pushed.fits)
     laws: tuple[FoundEffect, ...] = ()
     values: dict[str, float] = {}
     warnings: list[str] = []
@@ -107,17 +110,40 @@ def explain(
     )
 
 
+def _told_apart(
+    experiments: Sequence[Experiment], base: Model, still: Sequence[int], jobs: int, said: Callable[[str], None]
+) -> Model | None:
+    """Laws that explain the recordings in which nothing can push, for all recordings; None where none do."""
+    apart = [experiments[r] for r in still]
+    quiet = Model((), tuple(base.fits[r] for r in still))
+    laws = select(apart, quiet, jobs, rules.worth, said, Store()).model
+    if not rules.explains(apart, quiet, laws):
+        return None
+    told = laws.fits[0]
+    fits = list(base.fits)
+    for r, experiment in enumerate(experiments):
+        # What pushes bends a fit of the laws as well: their values are taken over until the pushes are known.
+        point = Point(base.fits[r].point.theta, told.point.effects)
+        fits[r] = refit(experiment, point, told.unknowns, rounds=0)
+    for r, fitted in zip(still, laws.fits, strict=True):
+        fits[r] = fitted
+    return Model(laws.effects, tuple(fits))
+
+
 def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed | None:
-    """Pushes that explain what a model leaves in every recording in which something can push."""
+    """Pushes that explain what a model leaves, in every recording in which it leaves something and they can be."""
     found = Parallel(n_jobs=jobs, prefer="threads")(
         delayed(pushes.find)(e, f) for e, f in zip(experiments, model.fits, strict=True)
     )
-    seen, evidence = {}, 0.0
+    seen, left, evidence = {}, [], 0.0
     now, fits = list(experiments), list(model.fits)
     for r, (experiment, fitted, push) in enumerate(zip(experiments, model.fits, found, strict=True)):
         if np.max(excess(experiment, fitted.residual)) < _CLEAN:
             continue
-        if push is None or not push.explains:
+        if push is None:
+            left.append(r)
+            continue
+        if not push.explains:
             return None
         seen[r] = push
         now[r], fits[r] = push.experiment, push.fitted
@@ -140,7 +166,7 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed
         (NOTE,),
     )
     noises = tuple(seen[r].noise if r in seen else 0.0 for r in range(len(experiments)))
-    return _Pushed(tuple(now), tuple(fits), noises, effect)
+    return _Pushed(tuple(now), tuple(fits), noises, effect, tuple(left))
 
 
 def _restless(fitted: Fitted, noise: float) -> Fitted:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, excess
-from pam_antagonist.diagnosis.select import STRONG, Model, Trial, price
+from pam_antagonist.diagnosis.select import STRONG, Model, Trial, excess_squares, price, removed
 
 POSITIVE = 2.0
 """Evidence that Kass and Raftery (1995) call positive, that is more than a bare mention."""
@@ -58,6 +58,16 @@ def could_pay(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool
         gain = len(fitted.residual) / fitted.scale.counted * np.sum(np.maximum(np.log(squares), 0.0))
         total += max(float(gain) - price(experiment, fitted, _LEAST_UNKNOWNS), 0.0)
     return total >= STRONG
+
+
+def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
+    """Whether a model with effects leaves so little of what the one without leaves that they are the explanation."""
+    if not model.effects:
+        return False
+    before, after = (
+        np.concatenate([excess_squares(experiments, m, held) for held in (True, False)]) for m in (base, model)
+    )
+    return removed(before, after) >= EXPLAINED[len(model.effects) - 1] or at_noise(experiments, model)
 
 
 def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
