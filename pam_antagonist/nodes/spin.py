@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.network import local_only, secured, stay_on_this_machine
+from pam_antagonist.nodes.network import RANGE, local_only, secured, stay_on_this_machine
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
 from pam_antagonist.paths import config_dir
 
@@ -154,13 +154,17 @@ def _said(error: BaseException) -> str:
 def tune_middleware() -> None:
     """Have Fast DDS, before it starts in this process, take config/fastdds.xml unless there is another profile.
 
-    Where nodes are to stay on this machine, that is config/fastdds_local.xml. Other middlewares ignore it.
+    Where nodes are to stay on this machine, that is config/fastdds_local.xml, which then says so in place of ROS 2's
+    variable: with that, rmw_fastrtps adds shared memory, where the lock of a node that was killed may outlive it. Other
+    middlewares ignore the file, and are told by the variable.
     """
-    if _PROFILES_VARIABLE in os.environ:
+    local = local_only()
+    profiles = config_dir() / ("fastdds_local.xml" if local else "fastdds.xml")
+    if os.environ.setdefault(_PROFILES_VARIABLE, str(profiles)) != str(profiles):
         return
-    profiles = config_dir() / ("fastdds_local.xml" if local_only() else "fastdds.xml")
     if profiles.is_file():
-        os.environ[_PROFILES_VARIABLE] = str(profiles)
+        if local and os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps"):
+            os.environ[RANGE] = "SYSTEM_DEFAULT"
     else:
         print(f"warning: {profiles} is missing: samples will be lost when a node stalls", file=sys.stderr)
 

@@ -41,9 +41,15 @@ def test_somebody_did(name: str, value: str) -> None:
 def test_the_local_profile_is_the_other_one_on_the_loopback_interface() -> None:
     comment = re.compile(r"<!--.*?-->", re.DOTALL)
     texts = [comment.sub("", (config_dir() / name).read_text()) for name in ("fastdds.xml", "fastdds_local.xml")]
-    white_list = re.compile(r"\s*<interfaceWhiteList>\s*<address>127\.0\.0\.1</address>\s*</interfaceWhiteList>")
-    assert len(white_list.findall(texts[1])) == 1
-    assert white_list.sub("", texts[1]) == texts[0]
+    for own in (
+        r"<maxInitialPeersRange>32</maxInitialPeersRange>",
+        r"<interfaceWhiteList>\s*<address>127\.0\.0\.1</address>\s*</interfaceWhiteList>",
+        r"<metatrafficUnicastLocatorList>\s*<locator>\s*<udpv4/>\s*</locator>\s*</metatrafficUnicastLocatorList>",
+        r"<initialPeersList>.*127\.0\.0\.1.*</initialPeersList>",
+    ):
+        texts[1], count = re.subn(r"\s*" + own, "", texts[1], flags=re.DOTALL)
+        assert count == 1, own
+    assert texts[1] == texts[0]
 
 
 def receiving(pid: int) -> set[str]:
@@ -74,6 +80,38 @@ def test_where_nodes_listen(
             time.sleep(0.1)
         time.sleep(0.5)
         assert receiving(process.popen.pid) == addresses
+        # A lock in shared memory outlives a node that was killed, and its successor is not heard.
+        assert "/dev/shm/fastrtps" not in Path(f"/proc/{process.popen.pid}/maps").read_text()
+
+
+STRANGER = """
+import time, rclpy
+from sensor_msgs.msg import FluidPressure
+rclpy.init()
+node, heard = rclpy.create_node("stranger"), []
+node.create_subscription(FluidPressure, "/pam/pressure_1", heard.append, 10)
+end = time.monotonic() + 20.0
+while time.monotonic() < end and not heard:
+    rclpy.spin_once(node, timeout_sec=0.1)
+print("heard" if heard else "nothing")
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("range_", ["LOCALHOST", "SUBNET", ""])
+def test_tools_of_this_machine_hear_the_nodes(
+    range_: str, tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tools that know nothing of this package, whatever their range is."""
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    with Processes(tmp_path) as processes:
+        processes.start("plant")
+        done = subprocess.run(
+            [sys.executable, "-c", STRANGER], env={**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": range_},
+            capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+        processes.check()
+    assert done.stdout.strip() == "heard", done.stderr
 
 
 @pytest.mark.ros
