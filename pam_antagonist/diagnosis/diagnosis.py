@@ -191,10 +191,10 @@ def _trial(recording: Recording, rig: Rig, joint: str, lock_angle: float | None)
 def _judge(experiments: Sequence[Experiment], selection: Selection) -> tuple[Verdict, float]:
     """The verdict, and the share of the held-out excess that is explained."""
     base, model = selection.recalibrated, selection.model
-    share = removed(*(excess_squares(experiments, m, held=True) for m in (base, model)))
+    share = removed(*(excess_squares(experiments, m, held=True) for m in (base, model))) if model.effects else 0.0
     if rules.explains(experiments, base, model):
         return "effect", share
-    return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share if model.effects else 0.0
+    return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share
 
 
 def _ambiguous(selection: Selection) -> tuple[str, ...]:

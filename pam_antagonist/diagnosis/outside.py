@@ -119,15 +119,13 @@ def _told_apart(
     laws = select(apart, quiet, jobs, rules.worth, said, Store()).model
     if not rules.explains(apart, quiet, laws):
         return None
-    told = laws.fits[0]
-    fits = list(base.fits)
+    fits, told = dict(zip(still, laws.fits, strict=True)), laws.fits[0]
     for r, experiment in enumerate(experiments):
-        # What pushes bends a fit of the laws as well: their values are taken over until the pushes are known.
-        point = Point(base.fits[r].point.theta, told.point.effects)
-        fits[r] = refit(experiment, point, told.unknowns, rounds=0)
-    for r, fitted in zip(still, laws.fits, strict=True):
-        fits[r] = fitted
-    return Model(laws.effects, tuple(fits))
+        if r not in fits:
+            # What pushes bends a fit of the laws as well: their values are taken over until the pushes are known.
+            point = Point(base.fits[r].point.theta, told.point.effects)
+            fits[r] = refit(experiment, point, told.unknowns, rounds=0)
+    return Model(laws.effects, tuple(fits[r] for r in range(len(experiments))))
 
 
 def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed | None:
