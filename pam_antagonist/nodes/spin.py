@@ -32,7 +32,7 @@ PRIORITY_VARIABLE = "PAM_ANTAGONIST_PRIORITY"
 
 _PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _WAIT = 0.1  # longest time until a signal is noticed [s]
-_FAREWELL = 0.05  # from the last message to the end of its publisher [s]
+_FAREWELL = 0.15  # from the last message to the end of its publisher: three heartbeats of config/fastdds.xml [s]
 
 
 class _Stop:
