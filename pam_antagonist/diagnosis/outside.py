@@ -13,7 +13,7 @@ from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT
 from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.diagnosis.refit import Fitted, cost_of, excess, refit
 from pam_antagonist.diagnosis.result import FoundEffect
-from pam_antagonist.diagnosis.select import Model, price, recalibrated, select
+from pam_antagonist.diagnosis.select import Model, evidence, price, recalibrated, select
 from pam_antagonist.diagnosis.store import Store
 
 NOTE = (
@@ -119,7 +119,8 @@ def _told_apart(
     laws = select(apart, quiet, jobs, rules.worth, said, Store()).model
     if not rules.explains(apart, quiet, laws):
         return None
-    fits, told = dict(zip(still, laws.fits, strict=True)), laws.fits[0]
+    fits = dict(zip(still, laws.fits, strict=True))
+    told = max(zip(apart, quiet.fits, laws.fits, strict=True), key=lambda seen: evidence(*seen))[2]
     for r, experiment in enumerate(experiments):
         if r not in fits:
             # What pushes bends a fit of the laws as well: their values are taken over until the pushes are known.
