@@ -115,7 +115,18 @@ def _delay(size: float, muscle: int | None, rng: Random) -> Deviation:
 
 
 def _slew(size: float, muscle: int | None, rng: Random) -> Deviation:
-    return Deviation(_named("slew", 25.0 / size, muscle))
+    def slewed(time: Floats, voltage: Floats) -> Floats:
+        # The amplifier's slew, in volts: how quickly the valve opens then depends on where its curve is steep.
+        out = voltage.copy()
+        most = 140.0 / size * float(time[1] - time[0])
+        for i in _sides(muscle):
+            held = float(voltage[0, i - 1])
+            for k, wanted in enumerate(voltage[:, i - 1].tolist()):
+                held = min(max(wanted, held - most), held + most)
+                out[k, i - 1] = held
+        return out
+
+    return Deviation(voltage=slewed)
 
 
 def _shift_and_gain(size: float, muscle: int | None, rng: Random) -> Deviation:

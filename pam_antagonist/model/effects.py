@@ -137,11 +137,14 @@ _EFFECTS = (
     ),
     Effect(
         "valve_lag",
-        "The valve follows its voltage with a delay of first order.",
-        "dα_i/dt = (κ(u_i) − α_i)/T_i",
-        "first-order spool, as in data sheets of proportional valves",
+        "The valve follows its voltage late: with a delay of first order, and no quicker than it can.",
+        "dα_i/dt = (κ(u_i) − α_i)/T_i, at most w/T_i either way",
+        "first-order spool whose drive saturates: the small-signal and the full-stroke time of data sheets",
         "Mass flow wrong for milliseconds after each change of voltage, nothing in the steady state.",
-        _both("time", "s", 0.0, 0.2, 0.01, "time constant of the valve"),
+        (
+            *_both("time", "s", 0.0, 0.2, 0.01, "time constant of the valve"),
+            EffectParameter("reach", "-", 1.0, 5e-3, 1.0, 0.1, "lag of the open rate from which on speed is full"),
+        ),
         _pair("open_rate", "-", "time", 0.02, 1e-4),
     ),
     Effect(
@@ -155,12 +158,13 @@ _EFFECTS = (
     Effect(
         "line_resistance",
         "Tube or fitting between valve and muscle: the sensor at the valve shows more than the chamber while it fills.",
-        "P_s,i = P_c,i + R_i m_i behind a lag T; valve and sensor see P_s, volume and force P_c",
-        "laminar resistance, line volume neglected",
-        "Both flow and torque wrong in proportion to the flow while air moves, nothing in the steady state.",
+        "P_s,i = P_c,i + R_i m_i (|m_i|/0.05 g/s)^(n − 1) behind a lag T; valve and sensor see P_s, the muscle P_c",
+        "laminar flow for n = 1, turbulent flow and fittings up to n = 2; line volume neglected",
+        "Both flow and torque wrong with the flow while air moves, nothing in the steady state.",
         (
             *_both("resistance", "Pa s/kg", 0.0, 5e9, 1e8, "resistance of the line"),
             EffectParameter("time", "s", 2e-3, 1e-3, 0.05, 2e-3, "lag of the line"),
+            EffectParameter("exponent", "-", 1.0, 1.0, 2.0, 1.5, "power of the flow in the fall of pressure"),
         ),
         _pair("chamber", "Pa", "resistance", 1e3, 50.0),
     ),

@@ -21,6 +21,7 @@ from pam_antagonist.model.parameters import (
     INFLOW_AREA,
     LEAK_AREA,
     LEAK_EXPONENT,
+    LINE_EXPONENT,
     LINE_RESISTANCE,
     LINE_TIME,
     MAX_KNOTS,
@@ -34,12 +35,15 @@ from pam_antagonist.model.parameters import (
     THERMAL_TIME,
     VALVE,
     VALVE_OFFSET,
+    VALVE_REACH,
     VALVE_SIZE,
     VALVE_TIME,
 )
 
 _LEAK_GAUGE = 350e3
 """[Pa] Gauge pressure at which a leak of any exponent is an orifice of its area."""
+_LINE_FLOW = 5e-5
+"""[kg/s] Flow at which lines of any exponent have their resistance; what a muscle draws when it fills."""
 INFLOW_CHOKED, BOTH_CHOKED, OUTFLOW_CHOKED = 0, 1, 2
 """Flow regimes of one muscle; the third subsystem index, friction, is in ``joint``."""
 
@@ -179,14 +183,20 @@ def droop_rate(droop, drawn, p):
 
 @inlined
 def valve_rate(valve, alpha, wanted, p):
-    """dα/dt [1/s] of a valve that follows the open rate κ(u) that its voltage asks for."""
-    return (wanted - alpha) / p[VALVE_TIME + valve]
+    """dα/dt [1/s] of a valve that follows the open rate κ(u) that its voltage asks for, at its full speed at most."""
+    behind = wanted - alpha
+    if p[VALVE_REACH] < 1.0:
+        behind = min(max(behind, -p[VALVE_REACH]), p[VALVE_REACH])
+    return behind / p[VALVE_TIME + valve]
 
 
 @inlined
 def line_rate(muscle, sensed, chamber, flow, p):
     """dP_s/dt [Pa/s] of the pressure at the valve: the chamber's and what the line's resistance adds, with a lag."""
-    return (chamber + p[LINE_RESISTANCE + muscle] * flow - sensed) / p[LINE_TIME]
+    across = p[LINE_RESISTANCE + muscle] * flow
+    if p[LINE_EXPONENT] != 1.0:
+        across *= (abs(flow) / _LINE_FLOW) ** (p[LINE_EXPONENT] - 1.0)
+    return (chamber + across - sensed) / p[LINE_TIME]
 
 
 @inlined

@@ -28,6 +28,9 @@ def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=No
         verdict=verdict,
         effects=[SimpleNamespace(name=name, muscle=muscle) for name, muscle in effects],
         ambiguous_with=list(ambiguous),
+        trials=[
+            SimpleNamespace(effect=n, round=1, delta_bic=30.0, foretold=8.0, shares=(0.9, 0.8)) for n, _ in effects
+        ],
         errors={"recalibrated": before or errors(1, 1, (1e4, 1e4)), "extended": after or errors(1, 1, (1e4, 1e4))},
     )
 
@@ -36,7 +39,7 @@ def outcome(kind: str, effects=(), verdict: str = "none", found=(), **values) ->
     base = {
         "name": "a case", "kind": kind, "effects": tuple(effects), "form": tuple(name for name, _ in effects),
         "seed": 1, "sizes": (5.0,) * len(effects), "duration": 60.0, "verdict": verdict, "found": tuple(found),
-        "ambiguous_with": (), "channel": None, "errors": {}, "seconds": 1.0,
+        "ambiguous_with": (), "leading": (), "channel": None, "errors": {}, "seconds": 1.0,
     }  # fmt: skip
     return battery.Outcome(**{**base, **values})
 
@@ -88,14 +91,17 @@ def test_scores() -> None:
     items = [
         outcome("single", [LEAK], "effect", [("leak", 2)], errors={"recalibrated": 10.0, "extended": 4.0, "true": 2.0}),
         outcome("single", [CREEP], "effect", [DROOP], ambiguous_with=("creep",)),
+        outcome("single", [LEAK], "unexplained", leading=[battery.Candidate("leak", 40.0, 20.0, 0.6, 0.7)]),
         outcome("pair", [LEAK, CREEP], "effect", [CREEP]),
         outcome("none"), outcome("none"), outcome("none"), outcome("none", [], "effect", [LEAK]),
         outcome("foreign", [("exchange", None)], "unexplained"),
     ]  # fmt: skip
     values = {score.what: (score.value, score.count, score.holds) for score in battery.scores(items)}
-    assert values["single effect: the right one first"] == (0.5, 2, False)
+    assert values["single effect: the right one first"] == (pytest.approx(1.0 / 3.0), 3, False)
     assert values["single effect: and on its muscle"] == (0.0, 1, None)
-    assert values["single effect: first, or among those it cannot be told from"] == (1.0, 2, None)
+    assert values["single effect: first, or among those it cannot be told from"] == (pytest.approx(2.0 / 3.0), 3, None)
+    leads = values["single effect: named, or the first of the candidates where none explains enough"]
+    assert leads == (pytest.approx(2.0 / 3.0), 3, None)
     assert values["two effects: both found"] == (0.0, 1, False)
     assert values["two effects: one of them first"] == (1.0, 1, None)
     assert values["nothing: false alarm"] == (0.25, 4, False)

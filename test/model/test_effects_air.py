@@ -117,6 +117,17 @@ def test_valve_follows_with_its_time_constant_and_settles_where_it_should(rig):
     assert states[0, 4:].tolist() == [0.33, 0.394]
 
 
+def test_a_valve_at_full_speed_opens_in_proportion_to_the_way(rig):
+    """Far behind, the open rate is a ramp of w/T; within w of its end, the first-order lag that it always was."""
+    lag, reach = 0.02, 0.04
+    states = held(locked(rig, valve_lag={"time_1": lag, "reach": reach}), (6.6, 5.5), 0.3, before=(5.0, 5.5), dt=1e-4)
+    time = 1e-4 * np.arange(len(states))
+    ramp = (0.56 - 0.33 - reach) / (reach / lag)
+    expected = np.where(time < ramp, 0.33 + reach / lag * time, 0.56 - reach * np.exp(-(time - ramp) / lag))
+    assert states[:, 4] == pytest.approx(expected, abs=1e-5)
+    assert 0.05 < ramp < 0.2
+
+
 def test_a_valve_without_lag_is_the_limit_of_a_quick_one(rig):
     slow, quick = (held(locked(rig, valve_lag={"time_1": t}), (6.6, 5.5), 0.3, before=(5.0, 5.5)) for t in (2e-2, 2e-3))
     none = held(locked(rig), (6.6, 5.5), 0.3, before=(5.0, 5.5))
@@ -158,6 +169,19 @@ def test_behind_a_line_the_sensor_shows_more_while_the_muscle_fills(rig):
     emptied = held(p, (4.0, 5.5), 0.5)
     assert emptied[at, 2] < emptied[at, 4]
     assert np.array_equal(states[:, 3], held(locked(rig), (7.5, 5.5), 0.5)[:, 3]), "line 2 has no resistance"
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0])
+def test_a_line_resists_with_a_power_of_the_flow(rig, exponent):
+    """Between sensor and chamber falls R m (m/m_0)^(n − 1): lines of any exponent are alike at 0.05 g/s."""
+    resistance = 2e8
+    p = locked(rig, line_resistance={"resistance_1": resistance, "time": 2e-3, "exponent": exponent})
+    for voltages in ((7.5, 5.5), (4.0, 5.5)):
+        states = held(p, voltages, 0.5)
+        through = paper.mass_flow(T, voltages[0], states[100, 2])
+        across = resistance * through * (abs(through) / 5e-5) ** (exponent - 1.0)
+        assert states[100, 2] - states[100, 4] == pytest.approx(across, rel=0.07)
+    assert held(p, (7.5, 5.5), 90.0)[-1, 4] == pytest.approx(held(locked(rig), (7.5, 5.5), 90.0)[-1, 2], rel=1e-4)
 
 
 def test_a_line_holds_no_air_back(rig):

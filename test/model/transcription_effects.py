@@ -89,11 +89,14 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
         wanted = paper.kappa(t, u[i - 1] - e.get(f"valve_offset.voltage_{i}", 0.0))
         alpha = added.get(f"open_rate_{i}", wanted)
         if f"open_rate_{i}" in added:
-            rates[f"open_rate_{i}"] = (wanted - alpha) / e[f"valve_lag.time_{i}"]
+            full_speed = e.get("valve_lag.reach", 1.0) / e[f"valve_lag.time_{i}"]
+            asked = (wanted - alpha) / e[f"valve_lag.time_{i}"]
+            rates[f"open_rate_{i}"] = math.copysign(min(abs(asked), full_speed), asked)
         chamber = added.get(f"chamber_{i}", x[1 + i])
         through_valve, drawn = exchange(t, alpha, x[1 + i], supply)
         drawn_in_all += drawn
         lost = e.get(f"leak.area_{i}", 0.0) * paper.nozzle_either_way(t, chamber, t["P_out"])
+        lost *= (max(chamber - t["P_out"], 1.0) / 350e3) ** (e.get("leak.exponent", 1.0) - 1.0)
         l_i = paper.length(t, i, psi)
         l_dot = paper.length_rate(t, i, psi, psi_dot)
         volume = paper.volume(t, l_i)
@@ -106,7 +109,8 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
         if f"chamber_{i}" in added:
             rates[f"chamber_{i}"] = rate
             # The line carries what comes through the valve; a leak is in the muscle.
-            across = e[f"line_resistance.resistance_{i}"] * through_valve
+            turbulence = (abs(through_valve) / 5e-5) ** (e.get("line_resistance.exponent", 1.0) - 1.0)
+            across = e[f"line_resistance.resistance_{i}"] * through_valve * turbulence
             rate = (chamber + across - x[1 + i]) / e["line_resistance.time"]
         shown.append(rate)
         if f"hysteresis_{i}" in added:
