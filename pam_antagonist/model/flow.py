@@ -191,12 +191,18 @@ def valve_rate(valve, alpha, wanted, p):
 
 
 @inlined
+def line_fall(muscle, flow, p):
+    """Fall of the pressure [Pa] along a line that carries a mass flow [kg/s]."""
+    fall = p[LINE_RESISTANCE + muscle] * flow
+    if p[LINE_EXPONENT] != 1.0:
+        fall *= (abs(flow) / _LINE_FLOW) ** (p[LINE_EXPONENT] - 1.0)
+    return fall
+
+
+@inlined
 def line_rate(muscle, sensed, chamber, flow, p):
     """dP_s/dt [Pa/s] of the pressure at the valve: the chamber's and what the line's resistance adds, with a lag."""
-    across = p[LINE_RESISTANCE + muscle] * flow
-    if p[LINE_EXPONENT] != 1.0:
-        across *= (abs(flow) / _LINE_FLOW) ** (p[LINE_EXPONENT] - 1.0)
-    return (chamber + across - sensed) / p[LINE_TIME]
+    return (chamber + line_fall(muscle, flow, p) - sensed) / p[LINE_TIME]
 
 
 @inlined

@@ -10,6 +10,7 @@ from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model import dynamics, flow, joint, muscle
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2
 from pam_antagonist.model.parameters import (
+    ATMOSPHERE,
     CHARGE,
     POLYTROPIC_VOLUME,
     SLOT_OF,
@@ -17,6 +18,7 @@ from pam_antagonist.model.parameters import (
     STATES,
     STIFFNESS,
     STOP,
+    SUPPLY,
 )
 
 _CHAMBER, _LATE, _OPEN_RATE = SLOT_OF["chamber_1"], SLOT_OF["creep_1"], SLOT_OF["open_rate_1"]
@@ -25,6 +27,7 @@ _CHAMBER, _LATE, _OPEN_RATE = SLOT_OF["chamber_1"], SLOT_OF["creep_1"], SLOT_OF[
 _leverage, _length, _volume = muscle.leverage, muscle.length, muscle.volume
 _force, _relaxing_force = muscle.force, muscle.relaxing_force
 _open_rate, _load_torque, _torque = flow.open_rate, joint.load_torque, dynamics.torque
+_mass_flow, _line_fall, _chamber_pressure = flow.mass_flow, flow.line_fall, dynamics._chamber_pressure
 
 
 @inlined
@@ -89,9 +92,23 @@ def start_angle(pressure_1, pressure_2, p):
     return 0.5 * (low + high)
 
 
+@inlined
+def _behind_line(i, sensed, voltage, p):
+    """Chamber pressure [Pa] of muscle i whose sensor stands before a line that carries what the valve lets through.
+
+    A line settles within milliseconds: a recording that begins while a muscle fills does not begin with the pressures
+    before and behind it alike.
+    """
+    chamber = sensed - _line_fall(i, _mass_flow(i, _open_rate(i, voltage, p), sensed, p), p)
+    return min(max(chamber, min(p[ATMOSPHERE], sensed)), max(p[SUPPLY], sensed))
+
+
 @kernel
 def initial_state(angle, pressure_1, pressure_2, u, p):
     """State of a joint that has stood for long: at rest, valves open as they are asked to, everything slow settled.
+
+    What a line loses is that of the flow which the valves let through at these pressures; of a joint that has stood
+    for long, nothing.
 
     Args:
         angle: ψ [rad].
@@ -108,11 +125,11 @@ def initial_state(angle, pressure_1, pressure_2, u, p):
     sine, _, _ = _leverage(angle, p)
     for i in range(2):
         if p[_CHAMBER + i] > 0.0:
-            x[int(p[_CHAMBER + i])] = x[PRESSURE_1 + i]
+            x[int(p[_CHAMBER + i])] = _behind_line(i, x[PRESSURE_1 + i], u[i], p)
         if p[_OPEN_RATE + i] > 0.0:
             x[int(p[_OPEN_RATE + i])] = _open_rate(i, u[i], p)
         if p[_LATE + i] > 0.0:
             muscle_length = _length(i, sine, p)
-            static = _force(i, muscle_length, x[PRESSURE_1 + i], p)
+            static = _force(i, muscle_length, _chamber_pressure(i, x, p), p)
             x[int(p[_LATE + i])] = _relaxing_force(i, muscle_length, static, p)
     return x

@@ -184,6 +184,26 @@ def test_a_line_resists_with_a_power_of_the_flow(rig, exponent):
     assert held(p, (7.5, 5.5), 90.0)[-1, 4] == pytest.approx(held(locked(rig), (7.5, 5.5), 90.0)[-1, 2], rel=1e-4)
 
 
+@pytest.mark.parametrize("exponent", [1.0, 1.8])
+def test_a_run_may_begin_while_a_muscle_fills(rig, exponent):
+    """From the sensors' pressures alone, in the middle of a run, it goes on as the run did; at rest nothing is lost."""
+    p = locked(rig, line_resistance={"resistance_1": 2e8, "resistance_2": 1e8, "time": 2e-3, "exponent": exponent})
+    u = (7.5, 4.0)
+    states = held(p, u, 3.0)
+    begun = rest.initial_state(0.0, states[200, 2], states[200, 3], np.array([*u, 0.0]), p)
+    assert begun[4:] == pytest.approx(states[200, 4:], abs=400.0)
+    assert np.abs(states[200, 4:] - states[200, 2:4]).min() > 1e3
+    rested = held(p, u, 90.0)[-1]
+    still = rest.initial_state(0.0, rested[2], rested[3], np.array([*u, 0.0]), p)
+    assert still[4:] == pytest.approx(rested[2:4], abs=10.0)
+
+
+def test_a_line_starts_within_what_there_is(rig):
+    p = locked(rig, line_resistance={"resistance_1": 5e9, "resistance_2": 5e9})
+    begun = rest.initial_state(0.0, 200e3, 700e3, np.array([10.0, 0.0, 0.0]), p)
+    assert begun[4] == T["P_out"] and begun[5] == TANK
+
+
 def test_a_line_holds_no_air_back(rig):
     """The chamber holds what came through the valve at the pressure that stands there, and then nothing differs."""
     p = locked(rig, line_resistance={"resistance_1": 2e8, "resistance_2": 2e8})
