@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, parameter_path
 
 _SPREAD = 4.0
-"""Shapes are tried at their start value and at so many times more and less."""
+"""Shapes are tried as in a rig that does not mention them, at their scale, and at so many times more and less."""
 
 UNKNOWN_INPUT = "external_torque"
 """The effect that no deterministic model has: judged by what all others leave (:mod:`pushes`)."""
@@ -109,7 +109,8 @@ class Candidate:
         """Shapes to try."""
         points: list[dict[str, float]] = [{}]
         for shape in self.shapes:
-            values = {shape.bounded(shape.item.neutral * factor) for factor in (1.0 / _SPREAD, 1.0, _SPREAD)}
+            values = {shape.bounded(shape.item.scale * factor) for factor in (1.0 / _SPREAD, 1.0, _SPREAD)}
+            values.add(shape.item.neutral)
             points = [{**point, shape.path: value} for point in points for value in sorted(values)]
         return points
 

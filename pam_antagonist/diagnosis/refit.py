@@ -28,7 +28,7 @@ _TRIED = 2
 _HOPELESS = 40.0
 """A start is not followed that is so much behind after these steps, in −2 log posterior."""
 _SPREAD = float(np.log(6.0))
-"""Shapes are drawn up to so far from where the catalogue starts them, in logarithms."""
+"""Shapes are drawn up to so far from their scale in the catalogue, in logarithms."""
 _LEAP = 1.0
 """A step that multiplies a time constant by more than e is a leap in the dark."""
 
@@ -194,7 +194,7 @@ def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:
             drawn = (value if value and rng.random() < 0.5 else item.scale) * float(np.exp(rng.normal()))
             drawn = -drawn if item.low < 0.0 and rng.random() < 0.25 else drawn
         else:
-            drawn = item.neutral * float(np.exp(rng.uniform(-_SPREAD, _SPREAD)))
+            drawn = item.scale * float(np.exp(rng.uniform(-_SPREAD, _SPREAD)))
         effects.update(dict.fromkeys(unknown.paths, unknown.bounded(drawn)))
     return Point(fitted.point.theta, effects)
 

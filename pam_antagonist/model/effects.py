@@ -143,7 +143,7 @@ _EFFECTS = (
         "Mass flow wrong for milliseconds after each change of voltage, nothing in the steady state.",
         (
             *_both("time", "s", 0.0, 0.2, 0.01, "time constant of the valve"),
-            EffectParameter("reach", "-", 1.0, 5e-3, 1.0, 0.1, "lag of the open rate from which on speed is full"),
+            EffectParameter("reach", "-", 1.0, 5e-3, 1.0, 0.05, "lag of the open rate from which on speed is full"),
         ),
         _pair("open_rate", "-", "time", 0.02, 1e-4),
     ),
