@@ -111,6 +111,13 @@ def diagnose(
     selection = select(experiments, base, jobs, rules.worth, said, store or Store())
     lap("selection")
     verdict, share = _judge(experiments, selection)
+    pushed, partly = None, False
+    if verdict == "unexplained":
+        said("looking for pushes from outside")
+        pushed = outside.explain(experiments, base, selection.model, jobs, said)
+        partly = pushed is None and rules.leads(selection.model, selection.trials)
+        verdict = "effect" if partly else verdict
+        lap("pushes")
     model = findings.without_idle(experiments, base, selection.model, jobs) if verdict == "effect" else base
     found, values, warnings = findings.found(experiments, base, model, jobs)
     if model.effects and innovations.decide([*experiments, *held]):
@@ -123,14 +130,12 @@ def diagnose(
     lap("backward step")
     warnings += quality.implausible(experiments, base) + agreement.of_base(experiments, base)
     warnings += agreement.of_effects(experiments, model, found, values, jobs)
-    if verdict == "unexplained":
-        said("looking for pushes from outside")
-        pushed = outside.explain(experiments, base, selection.model, jobs, said)
-        if pushed is not None:
-            verdict, model, found, share = "effect", pushed.model, pushed.effects, pushed.share
-            values = dict(pushed.values)
-            warnings += pushed.warnings
-        lap("pushes")
+    if pushed is not None:
+        verdict, model, found, share = "effect", pushed.model, pushed.effects, pushed.share
+        values = dict(pushed.values)
+        warnings += pushed.warnings
+    if partly and found:
+        warnings.insert(0, quality.partly(found[0].name, share))
     profiled = () if not profiles else profile_sizes(experiments, model, found, jobs, said)
     flat = [item["parameter"] for item in profiled if item["flat"]]
     if flat:

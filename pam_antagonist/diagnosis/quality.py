@@ -84,6 +84,15 @@ def unseen(trials: Sequence[Trial], invisible: Sequence[str] = ()) -> tuple[str,
     return tuple(said)
 
 
+def partly(effect: str, share: float) -> str:
+    """What is said of a law that is not the whole explanation."""
+    return (
+        f"{effect} takes away {100 * share:.0f} % of the held-out excess, and no other candidate comes near it, but "
+        "what is left is beyond the sensors' noise: the effect has another form than the catalogue's law, or something "
+        "smaller is there as well; see what is left"
+    )
+
+
 def decided(effects: Sequence[str], evidence: float, taken: bool) -> str:
     """What the innovations said where pressures alone were measured.
 

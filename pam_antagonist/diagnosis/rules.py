@@ -28,6 +28,11 @@ explanation.
 
 That they foretell is asked before (:func:`worth`). Here a single event of a third of a recording would decide alone if
 only that third counted. The more laws may be chosen, the more of anything they imitate."""
+MOST = 0.5
+"""Share of the excess, fitted and held out each, that a law without rivals must remove: what is left may be due to its
+form. What is in no catalogue finds several laws that imitate a part of it."""
+RIVAL = 1.0 / 3.0
+"""A candidate with more than this share of the best one's evidence is its rival."""
 _LEAST_UNKNOWNS = 2
 
 
@@ -68,6 +73,21 @@ def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bo
         np.concatenate([excess_squares(experiments, m, held) for held in (True, False)]) for m in (base, model)
     )
     return removed(before, after) >= EXPLAINED[len(model.effects) - 1] or at_noise(experiments, model)
+
+
+def leads(model: Model, trials: Sequence[Trial]) -> bool:
+    """Whether a model is one law that removes most of the excess, and nothing else comes near it.
+
+    Args:
+        model: that was selected.
+        trials: every candidate of every round.
+    """
+    if len(model.effects) != 1:
+        return False
+    first = [trial for trial in trials if trial.round == 1]
+    best = next(trial for trial in first if trial.effect == model.effects[0])
+    nearest = max((trial.standing for trial in first if trial is not best), default=0.0)
+    return best.shares is not None and min(best.shares) >= MOST and nearest <= RIVAL * best.standing
 
 
 def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
