@@ -132,6 +132,9 @@ def found_effects(
     contradictions: list[str] = []
     for effect in model.effects:
         sized = {unknown: _sizes(model, unknown) for unknown in unknowns_of(model, effect)}
+        if not any(seen for unknown, seen in sized.items() if unknown.item.is_size):
+            # Size and shape may stand for one another, so that neither is certain and both together are.
+            sized = {unknown: _sizes(model, unknown, certain=False) for unknown in sized}
         sized = {unknown: seen for unknown, seen in sized.items() if seen}
         shapes = {u: seen for u, seen in sized.items() if not u.item.is_size}
         groups: dict[int | None, dict[Unknown, list[Sized]]] = {}
@@ -192,8 +195,14 @@ def unknowns_of(model: Model, effect: str) -> tuple[Unknown, ...]:
     return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.unknowns if u.path.startswith(path)))
 
 
-def _sizes(model: Model, unknown: Unknown) -> list[Sized]:
-    """Value of a number in every recording in which it is free, not 0, and not a shadow of its sibling."""
+def _sizes(model: Model, unknown: Unknown, certain: bool = True) -> list[Sized]:
+    """Value of a number in every recording in which it is free, not 0, and not a shadow of its sibling.
+
+    Args:
+        model: the recordings' models.
+        unknown: the number.
+        certain: whether a size must be more than two standard deviations.
+    """
     seen = []
     for r, fitted in enumerate(model.fits):
         if unknown not in fitted.unknowns:
@@ -206,7 +215,7 @@ def _sizes(model: Model, unknown: Unknown) -> list[Sized]:
         if unknown.item.is_size:
             stem = unknown.path.rstrip("12")
             siblings = [abs(v) for path, v in fitted.point.effects.items() if path.startswith(stem)]
-            if abs(value) <= max(_SMALL * max(siblings, default=0.0), 2.0 * std, 0.0):
+            if abs(value) <= max(_SMALL * max(siblings, default=0.0), 2.0 * std if certain else 0.0):
                 continue
         seen.append(Sized(r, value, std))
     return seen

@@ -138,12 +138,12 @@ _EFFECTS = (
     Effect(
         "valve_lag",
         "The valve follows its voltage late: with a delay of first order, and no quicker than it can.",
-        "dα_i/dt = (κ(u_i) − α_i)/T_i, at most w/T_i either way",
+        "dα_i/dt = (κ(u_i) − α_i)/(w T_i), at most 1/T_i either way",
         "first-order spool whose drive saturates: the small-signal and the full-stroke time of data sheets",
         "Mass flow wrong for milliseconds after each change of voltage, nothing in the steady state.",
         (
-            *_both("time", "s", 0.0, 0.2, 0.01, "time constant of the valve"),
-            EffectParameter("reach", "-", 1.0, 5e-3, 1.0, 0.05, "lag of the open rate from which on speed is full"),
+            *_both("time", "s", 0.0, 2.0, 0.01, "time constant, or of a full stroke, of the valve"),
+            EffectParameter("reach", "-", 1.0, 1e-2, 1.0, 0.05, "lag of the open rate from which on speed is full"),
         ),
         _pair("open_rate", "-", "time", 0.02, 1e-4),
     ),

@@ -17,6 +17,7 @@ from pam_antagonist.model.parameters import (
     DROOP_STIFFNESS,
     DROOP_TIME,
     FLOW_EXPONENT,
+    FRICTION_STEP,
     GAS_CONSTANT,
     INFLOW_AREA,
     LEAK_AREA,
@@ -184,10 +185,14 @@ def droop_rate(droop, drawn, p):
 @inlined
 def valve_rate(valve, alpha, wanted, p):
     """dα/dt [1/s] of a valve that follows the open rate κ(u) that its voltage asks for, at its full speed at most."""
+    # A search tries times that no step of the integration would follow; a rig file may not have them.
+    quickest = 0.5 * p[FRICTION_STEP]
+    stroke = max(p[VALVE_TIME + valve], quickest)
     behind = wanted - alpha
-    if p[VALVE_REACH] < 1.0:
-        behind = min(max(behind, -p[VALVE_REACH]), p[VALVE_REACH])
-    return behind / p[VALVE_TIME + valve]
+    if p[VALVE_REACH] >= 1.0:
+        return behind / stroke
+    reach = min(max(p[VALVE_REACH], quickest / stroke), 1.0)
+    return min(max(behind, -reach), reach) / (reach * stroke)
 
 
 @inlined

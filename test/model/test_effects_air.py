@@ -118,12 +118,15 @@ def test_valve_follows_with_its_time_constant_and_settles_where_it_should(rig):
 
 
 def test_a_valve_at_full_speed_opens_in_proportion_to_the_way(rig):
-    """Far behind, the open rate is a ramp of w/T; within w of its end, the first-order lag that it always was."""
-    lag, reach = 0.02, 0.04
-    states = held(locked(rig, valve_lag={"time_1": lag, "reach": reach}), (6.6, 5.5), 0.3, before=(5.0, 5.5), dt=1e-4)
+    """Far behind, the open rate is a ramp that takes T for a full stroke; within w of its end, a first-order lag."""
+    stroke, reach = 0.5, 0.04
+    lag = reach * stroke
+    states = held(
+        locked(rig, valve_lag={"time_1": stroke, "reach": reach}), (6.6, 5.5), 0.3, before=(5.0, 5.5), dt=1e-4
+    )
     time = 1e-4 * np.arange(len(states))
-    ramp = (0.56 - 0.33 - reach) / (reach / lag)
-    expected = np.where(time < ramp, 0.33 + reach / lag * time, 0.56 - reach * np.exp(-(time - ramp) / lag))
+    ramp = (0.56 - 0.33 - reach) * stroke
+    expected = np.where(time < ramp, 0.33 + time / stroke, 0.56 - reach * np.exp(-(time - ramp) / lag))
     assert states[:, 4] == pytest.approx(expected, abs=1e-5)
     assert 0.05 < ramp < 0.2
 

@@ -45,7 +45,7 @@ CASES = {
     **{name: {name: values} for name, values in SINGLE.items()},
     **{f"{name} of muscle 2": {name: values} for name, values in ONE_MUSCLE.items()},
     "leak through a crack": {"leak": {"area_1": 2e-9, "area_2": 5e-10, "exponent": 1.8}},
-    "valve at full speed": {"valve_lag": {"time_1": 0.012, "time_2": 0.03, "reach": 0.03}},
+    "valve at full speed": {"valve_lag": {"time_1": 0.4, "time_2": 1.0, "reach": 0.03}},
     "turbulent line": {"line_resistance": {"resistance_1": 2e8, "resistance_2": 5e7, "time": 4e-3, "exponent": 1.7}},
     "creep of the tubes": {"creep": {"stiffness": -120.0, "time": 0.3}},
     "all at once": SINGLE,

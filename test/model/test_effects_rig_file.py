@@ -29,7 +29,7 @@ def rig_file(folder: Path, body: str) -> Path:
         ("effects: {leak: {aera_1: 1.0e-9}}", ["effects.leak", "'aera_1'", "did you mean 'area_1'", "area_2"]),
         ("effects: {leak: {area: 1.0e-9}}", ["effects.leak", "'area'", "expected one of area_1, area_2"]),
         ("effects: {leak: {area_1: -1.0e-9}}", ["effects.leak.area_1", "-1e-09", "0 to 5e-08 m2", "leak of muscle 1"]),
-        ("effects: {valve_lag: {time_2: 12.0}}", ["effects.valve_lag.time_2", "12", "0 to 0.2 s"]),
+        ("effects: {valve_lag: {time_2: 12.0}}", ["effects.valve_lag.time_2", "12", "0 to 2 s"]),
         (
             "effects: {valve_lag: {time_1: 1.0e-4}}",
             ["effects.valve_lag.time_1", "0.0005 s, or 0 for none", "integration"],

@@ -89,8 +89,8 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
         wanted = paper.kappa(t, u[i - 1] - e.get(f"valve_offset.voltage_{i}", 0.0))
         alpha = added.get(f"open_rate_{i}", wanted)
         if f"open_rate_{i}" in added:
-            full_speed = e.get("valve_lag.reach", 1.0) / e[f"valve_lag.time_{i}"]
-            asked = (wanted - alpha) / e[f"valve_lag.time_{i}"]
+            full_speed = 1.0 / e[f"valve_lag.time_{i}"]
+            asked = (wanted - alpha) / (e.get("valve_lag.reach", 1.0) * e[f"valve_lag.time_{i}"])
             rates[f"open_rate_{i}"] = math.copysign(min(abs(asked), full_speed), asked)
         chamber = added.get(f"chamber_{i}", x[1 + i])
         through_valve, drawn = exchange(t, alpha, x[1 + i], supply)
