@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import diagnose
+from pam_antagonist.diagnosis import diagnose, findings
+from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import load_rig
@@ -64,6 +67,17 @@ def test_the_likelihood_of_what_was_found_is_not_flat(leaking) -> None:
     assert all(0.3 < (rise[-at] + rise[at]) / (2.0 * at**2) < 3.0 for at in (1.5, 3.0))
 
 
+def test_an_uncertain_size_is_still_a_size(leaking) -> None:
+    """Where size and shape stand for one another neither is certain, and what was found has a value nevertheless."""
+    vague = tuple(dataclasses.replace(fitted, covariance=1e8 * fitted.covariance) for fitted in leaking.extended.fits)
+    model = dataclasses.replace(leaking.extended, fits=vague)
+    effects, values, _ = findings.found_effects(leaking.experiments, model, {"leak": 9.0}, {"leak": 0.9})
+    size, std, _ = effects[0].parameters["area_1"]
+    assert (effects[0].muscle, effects[0].recordings) == (1, leaking.effects[0].recordings)
+    assert size == values["effects.leak.area_1"] == leaking.effects[0].parameters["area_1"][0]
+    assert std > 2.0 * size
+
+
 def test_a_wrong_parameter_is_no_effect(rig, recorded) -> None:
     found = diagnose([recorded()], rig, joint="locked", jobs=1, estimator=False)
     assert found.verdict == "none"
@@ -90,11 +104,15 @@ def test_no_recording_is_refused(rig) -> None:
         diagnose([], rig)
 
 
-def test_pressures_alone_say_so(rig, recorded) -> None:
-    import dataclasses
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory) -> Store:
+    """What the fits of pressures alone came to: two tests ask of them."""
+    return Store(tmp_path_factory.mktemp("kept"))
 
+
+def test_pressures_alone_say_so(rig, recorded, kept) -> None:
     bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
-    found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False)
+    found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False, store=kept)
     assert any("Pressures alone" in line for line in found.unseen)
     assert found.errors["extended"]["torque"] is None
     assert found.effects and found.effects[0].name in ("valve_offset", "pressure_sensor", "leak")
@@ -104,15 +122,13 @@ def test_pressures_alone_say_so(rig, recorded) -> None:
     assert evidence > 6.0 and "speak for" in decided
 
 
-def test_innovations_that_do_not_agree_have_the_last_word(rig, recorded, monkeypatch) -> None:
+def test_innovations_that_do_not_agree_have_the_last_word(rig, recorded, kept, monkeypatch) -> None:
     """The pressures of a model that is run alone may call for an effect that tells an estimator nothing."""
-    import dataclasses
-
     from pam_antagonist.diagnosis import innovations
 
     monkeypatch.setattr(innovations, "evidence", lambda recordings, parts, jobs: 5.0)
     bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
-    found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False)
+    found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False, store=kept)
     assert found.verdict == "unexplained" and not found.effects
     assert found.share == 0.0  # the extended model is the recalibrated one
     assert any("innovations on the held-out part do not (+5)" in line for line in found.warnings)

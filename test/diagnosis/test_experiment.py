@@ -8,6 +8,7 @@ import pytest
 from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT, Candidate, candidates
 from pam_antagonist.diagnosis.experiment import Point, block_noise
 from pam_antagonist.diagnosis.knobs import base_knobs
+from pam_antagonist.diagnosis.refit import excess, refit
 from pam_antagonist.diagnosis.simulation import BLOCK, blocks
 from pam_antagonist.model.effects import CATALOGUE
 
@@ -53,8 +54,29 @@ def test_a_locked_joint_tells_nothing_of_friction(rig, recorded, experiment_of) 
 
 def test_a_model_that_runs_away_is_wrong_and_finite(recorded, experiment_of) -> None:
     experiment = experiment_of(recorded(seconds=20.0), "locked")
-    far = Point(experiment.origin.theta, {"effects.valve_lag.time_1": 1e-9})
+    far = Point(experiment.origin.theta, {"effects.thermal.share_1": 0.5, "effects.thermal.time": 1e-9})
+    assert not np.all(np.isfinite(experiment.simulated(far)))
     assert np.all(np.isfinite(experiment.residual(far)))
+
+
+@pytest.mark.parametrize(
+    ("effect", "form", "start"),
+    [
+        ("valve_lag", "limited slew", {"time_2": 0.1, "reach": 0.05}),
+        ("line_resistance", "turbulent line", {"resistance_2": 1e8, "exponent": 1.5}),
+    ],
+)
+def test_what_acts_from_the_first_sample_on_is_fitted(recorded, experiment_of, effect, form, start) -> None:
+    """A recording that begins while a muscle fills: a wrong first state would stay for seconds."""
+    recording = recorded(effect, 2, form, 10.0, seed=20)
+    assert np.ptp(recording.pressure[:200, 1]) > 5e3
+    experiment = experiment_of(recording, "locked")
+    base = refit(experiment, experiment.origin, rounds=6)
+    begun = Point(base.point.theta, {f"effects.{effect}.{name}": value for name, value in start.items()})
+    found = refit(experiment, begun, Candidate(effect).unknowns, base.base)
+    before, after = (float(np.max(excess(experiment, fitted.residual))) for fitted in (base, found))
+    assert before > 5.0
+    assert after < 2.0
 
 
 def test_every_effect_but_the_unknown_input_is_a_candidate() -> None:
