@@ -115,7 +115,7 @@ def diagnose(
     if verdict == "unexplained":
         said("looking for pushes from outside")
         pushed = outside.explain(experiments, base, selection.model, jobs, said)
-        partly = pushed is None and rules.leads(selection.model, selection.trials)
+        partly = pushed is None and rules.leads(experiments, base, selection.model, selection.trials)
         verdict = "effect" if partly else verdict
         lap("pushes")
     model = findings.without_idle(experiments, base, selection.model, jobs) if verdict == "effect" else base

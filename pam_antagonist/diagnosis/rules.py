@@ -29,8 +29,8 @@ explanation.
 That they foretell is asked before (:func:`worth`). Here a single event of a third of a recording would decide alone if
 only that third counted. The more laws may be chosen, the more of anything they imitate."""
 MOST = 0.5
-"""Share of the excess, fitted and held out each, that a law without rivals must remove: what is left may be due to its
-form. What is in no catalogue finds several laws that imitate a part of it."""
+"""Share of the excess, fitted and held out together, that a law without rivals must remove: what is left may be due to
+its form. What is in no catalogue finds several laws that imitate a part of it, or none."""
 RIVAL = 1.0 / 3.0
 """A candidate with more than this share of the best one's evidence is its rival."""
 _LEAST_UNKNOWNS = 2
@@ -69,16 +69,24 @@ def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bo
     """Whether a model with effects leaves so little of what the one without leaves that they are the explanation."""
     if not model.effects:
         return False
+    enough = _share_of_all(experiments, base, model) >= EXPLAINED[len(model.effects) - 1]
+    return enough or at_noise(experiments, model)
+
+
+def _share_of_all(experiments: Sequence[Experiment], base: Model, model: Model) -> float:
+    """Share of the excess, fitted and held out together, that a model removes."""
     before, after = (
         np.concatenate([excess_squares(experiments, m, held) for held in (True, False)]) for m in (base, model)
     )
-    return removed(before, after) >= EXPLAINED[len(model.effects) - 1] or at_noise(experiments, model)
+    return removed(before, after)
 
 
-def leads(model: Model, trials: Sequence[Trial]) -> bool:
+def leads(experiments: Sequence[Experiment], base: Model, model: Model, trials: Sequence[Trial]) -> bool:
     """Whether a model is one law that removes most of the excess, and nothing else comes near it.
 
     Args:
+        experiments: the recordings.
+        base: the model without effects.
         model: that was selected.
         trials: every candidate of every round.
     """
@@ -87,7 +95,7 @@ def leads(model: Model, trials: Sequence[Trial]) -> bool:
     first = [trial for trial in trials if trial.round == 1]
     best = next(trial for trial in first if trial.effect == model.effects[0])
     nearest = max((trial.standing for trial in first if trial is not best), default=0.0)
-    return best.shares is not None and min(best.shares) >= MOST and nearest <= RIVAL * best.standing
+    return nearest <= RIVAL * best.standing and _share_of_all(experiments, base, model) >= MOST
 
 
 def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:

@@ -41,25 +41,26 @@ def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> 
     assert not rules.worth(trial(2, 9.0, 0.01))
 
 
-def rival(effect: str, bic: float, shares: tuple[float, float] = (0.6, 0.7), number: int = 1) -> Trial:
-    return Trial(effect, number, bic, bic, bic / 2.0, shares, NO_MODEL)
+def rival(effect: str, bic: float, number: int = 1) -> Trial:
+    return Trial(effect, number, bic, bic, bic / 2.0, (0.6, 0.6), NO_MODEL)
 
 
 @pytest.mark.parametrize(
-    ("effects", "trials", "leads"),
+    ("effects", "left", "trials", "leads"),
     [
-        (("friction",), [rival("friction", 40.0), rival("creep", 3.0)], True),
-        (("friction",), [rival("friction", 40.0)], True),
-        (("friction",), [rival("friction", 40.0), rival("creep", 20.0, (0.1, 0.1))], False),
-        (("friction",), [rival("friction", 40.0, (0.45, 0.9)), rival("creep", 3.0)], False),
-        (("friction",), [rival("friction", 40.0, (0.9, 0.45)), rival("creep", 3.0)], False),
-        (("friction",), [rival("friction", 40.0), rival("creep", 3.0), rival("leak", 90.0, number=2)], True),
-        (("friction", "leak"), [rival("friction", 40.0), rival("creep", 3.0)], False),
-        ((), [rival("friction", 40.0)], False),
+        (("friction",), 0.4, [rival("friction", 40.0), rival("creep", 3.0)], True),
+        (("friction",), 0.4, [rival("friction", 40.0)], True),
+        (("friction",), 0.4, [rival("friction", 40.0), rival("creep", 20.0)], False),
+        (("friction",), 0.6, [rival("friction", 40.0), rival("creep", 3.0)], False),
+        (("friction",), 0.4, [rival("friction", 40.0), rival("creep", 3.0), rival("leak", 90.0, 2)], True),
+        (("friction", "leak"), 0.4, [rival("friction", 40.0), rival("creep", 3.0)], False),
+        ((), 1.0, [rival("friction", 40.0)], False),
     ],
 )
-def test_one_law_without_rivals_is_named_for_most_of_the_excess(effects, trials, leads) -> None:
-    assert rules.leads(Model(effects, ()), trials) is leads
+def test_one_law_without_rivals_is_named_for_most_of_the_excess(monkeypatch, effects, left, trials, leads) -> None:
+    squares = {(): np.array([8.0, 2.0]), effects: left * np.array([8.0, 2.0])} if effects else {(): np.ones(2)}
+    monkeypatch.setattr(rules, "excess_squares", lambda experiments, model, held: squares[model.effects])
+    assert rules.leads((), NO_MODEL, Model(effects, ()), trials) is leads
 
 
 def test_removed_share() -> None:
