@@ -130,7 +130,8 @@ def _slew(size: float, muscle: int | None, rng: Random) -> Deviation:
 
 
 def _shift_and_gain(size: float, muscle: int | None, rng: Random) -> Deviation:
-    shift, gain = _sign(rng) * size * 4e-3, rng.uniform(-0.1, 0.1) * size * 4e-3
+    # An amplifier both off and too steep or too flat; with less gain it would be the catalogue's shifted curve.
+    shift, gain = _sign(rng) * size * 4e-3, _sign(rng) * rng.uniform(0.15, 0.3) * size * 4e-3
 
     def shifted(time: Floats, voltage: Floats) -> Floats:
         out = voltage.copy()
@@ -141,8 +142,17 @@ def _shift_and_gain(size: float, muscle: int | None, rng: Random) -> Deviation:
     return Deviation(voltage=shifted)
 
 
-def _rate_shift(size: float, muscle: int | None, rng: Random) -> Deviation:
-    return Deviation(_named("rate_shift", _sign(rng) * size * 6e-4, muscle))
+def _drifting_zero(size: float, muscle: int | None, rng: Random) -> Deviation:
+    shift = _sign(rng) * size * 4e-3
+
+    def drifted(time: Floats, voltage: Floats) -> Floats:
+        # A driver that warms up, from half of its offset to one and a half.
+        out = voltage.copy()
+        for i in _sides(muscle):
+            out[:, i - 1] += shift * (0.5 + time / time[-1])
+        return out
+
+    return Deviation(voltage=drifted)
 
 
 def _line(turbulent: bool) -> Make:
@@ -278,7 +288,7 @@ SINGLE: tuple[Form, ...] = (
     Form("second-order spool", "valve_lag", True, _spool, 10.0),
     Form("limited slew", "valve_lag", True, _slew, 15.0),
     Form("shift and gain", "valve_offset", True, _shift_and_gain),
-    Form("shift of the open rate", "valve_offset", True, _rate_shift),
+    Form("drifting zero", "valve_offset", True, _drifting_zero),
     Form("turbulent line", "line_resistance", True, _line(True)),
     Form("line with volume", "line_resistance", True, _line(False)),
     Form("drifting offset", "pressure_sensor", True, _sensor(False)),

@@ -36,8 +36,8 @@ _NAMES = (
     *("seep_1", "seep_2", "capillary_1", "capillary_2"),
     # Supply: a regulator's drop with the root of the flow; a tank that is fed through an orifice.
     *("regulator", "tank", "feed"),
-    # Valve: second-order spool, shift of the open rate.
-    *("spool_1", "spool_2", "rate_shift_1", "rate_shift_2"),
+    # Valve: second-order spool.
+    *("spool_1", "spool_2"),
     # Line with a volume: resistance, flow at which it is twice the laminar one, volume.
     *("line_1", "line_2", "line_turbulent", "line_volume"),
     # Load: a pendulum off the vertical behind a gear, a spring that hardens.
@@ -58,7 +58,7 @@ _DAHL, _DAHL_WIDTH, _DAHL_POWER = Q["dahl_1"], Q["dahl_width"], Q["dahl_power"]
 _SLIP, _SLIP_WIDTH = Q["slip_1"], Q["slip_width"]
 _SEEP, _CAPILLARY = Q["seep_1"], Q["capillary_1"]
 _REGULATOR, _TANK, _FEED = Q["regulator"], Q["tank"], Q["feed"]
-_SPOOL, _RATE_SHIFT = Q["spool_1"], Q["rate_shift_1"]
+_SPOOL = Q["spool_1"]
 _LINE, _LINE_TURBULENT, _LINE_VOLUME = Q["line_1"], Q["line_turbulent"], Q["line_volume"]
 _PENDULUM, _PENDULUM_GEAR, _PENDULUM_ANGLE = Q["pendulum"], Q["pendulum_gear"], Q["pendulum_angle"]
 _SPRING, _SPRING_ANGLE, _SPRING_HARDENING = Q["spring"], Q["spring_angle"], Q["spring_hardening"]
@@ -251,7 +251,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
             alpha = x[_OPEN + i]
             dx[_OPEN + i] = x[_OPENING + i]
             dx[_OPENING + i] = omega * (omega * (wanted[i] - alpha) - 2.0 * _SPOOL_DAMPING * x[_OPENING + i])
-        alpha += q[_RATE_SHIFT + i] + q[_CROSSTALK] * (wanted[1 - i] - 0.4)
+        alpha += q[_CROSSTALK] * (wanted[1 - i] - 0.4)
         alpha = min(max(alpha, 0.0), 1.0)
         through, drawn = _valve_flow(i, alpha, at_valve, supply, p)
         drawn_in_all += drawn

@@ -112,13 +112,18 @@ def diagnose(
     lap("selection")
     verdict, share = _judge(experiments, selection)
     pushed, partly = None, False
-    if verdict == "unexplained":
+    if verdict != "none":
         said("looking for pushes from outside")
+    if verdict == "effect":
+        pushed = outside.beside(experiments, selection.model, jobs)
+    if verdict == "unexplained":
         pushed = outside.explain(experiments, base, selection.model, jobs, said)
+        share = share if pushed is None else pushed.share
         partly = pushed is None and rules.leads(experiments, base, selection.model, selection.trials)
         verdict = "effect" if partly else verdict
-        lap("pushes")
-    model = findings.without_idle(experiments, base, selection.model, jobs) if verdict == "effect" else base
+    lap("pushes")
+    alone = verdict == "effect" and pushed is None
+    model = findings.without_idle(experiments, base, selection.model, jobs) if alone else base
     found, values, warnings = findings.found(experiments, base, model, jobs)
     if model.effects and innovations.decide([*experiments, *held]):
         said("innovations before and after")
@@ -131,7 +136,7 @@ def diagnose(
     warnings += quality.implausible(experiments, base) + agreement.of_base(experiments, base)
     warnings += agreement.of_effects(experiments, model, found, values, jobs)
     if pushed is not None:
-        verdict, model, found, share = "effect", pushed.model, pushed.effects, pushed.share
+        verdict, model, found = "effect", pushed.model, pushed.effects
         values = dict(pushed.values)
         warnings += pushed.warnings
     if partly and found:

@@ -13,7 +13,7 @@ from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT
 from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.diagnosis.refit import Fitted, cost_of, excess, refit
 from pam_antagonist.diagnosis.result import FoundEffect
-from pam_antagonist.diagnosis.select import Model, evidence, price, recalibrated, select
+from pam_antagonist.diagnosis.select import STRONG, Model, evidence, price, recalibrated, select
 from pam_antagonist.diagnosis.store import Store
 
 NOTE = (
@@ -87,11 +87,38 @@ def explain(
         model = select(pushed.experiments, quiet, jobs, rules.worth, said, Store()).model
     else:
         apart = None if pushed is None else _told_apart(experiments, base, pushed.left, jobs, said)
-        beside, explained = (chosen, ()) if pushed is None or apart is None else (apart, pushed.left)
-        pushed = _find(experiments, beside, jobs) if beside.effects else None
-        if pushed is None or not set(pushed.left) <= set(explained):
+        laws, explained = (chosen, ()) if pushed is None or apart is None else (apart, pushed.left)
+        pushed = _find(experiments, laws, jobs) if laws.effects else None
+        if pushed is None or not all(r in explained or _explain(experiments, base, laws, r) for r in pushed.left):
             return None
-        quiet, model = recalibrated(pushed.experiments, jobs), Model(beside.effects, pushed.fits)
+        quiet, model = recalibrated(pushed.experiments, jobs), Model(laws.effects, pushed.fits)
+    return _explanation(pushed, quiet, model, jobs)
+
+
+def beside(experiments: Sequence[Experiment], laws: Model, jobs: int) -> Explanation | None:
+    """Pushes beside laws that are the explanation already, if what is left shows them beyond doubt; else None.
+
+    Args:
+        experiments: the recordings.
+        laws: the model with effects.
+        jobs: threads.
+    """
+    pushed = _find(experiments, laws, jobs)
+    # Laws of another form leave something that comes and goes as well: here pushes must pay, as a law must.
+    if pushed is None or pushed.effect.delta_bic < 2.0 * STRONG:
+        return None
+    return _explanation(pushed, recalibrated(pushed.experiments, jobs), Model(laws.effects, pushed.fits), jobs)
+
+
+def _explanation(pushed: _Pushed, quiet: Model, model: Model, jobs: int) -> Explanation:
+    """Pushes, and the laws of a model beside them that are needed.
+
+    Args:
+        pushed: the recordings with the pushes.
+        quiet: the recalibrated model beside the pushes.
+        model: likewise, with laws.
+        jobs: threads.
+    """
     laws: tuple[FoundEffect, ...] = ()
     values: dict[str, float] = {}
     warnings: list[str] = []
@@ -116,8 +143,9 @@ def _told_apart(
     """Laws that explain the recordings in which nothing can push, for all recordings; None where none do."""
     apart = [experiments[r] for r in still]
     quiet = Model((), tuple(base.fits[r] for r in still))
-    laws = select(apart, quiet, jobs, rules.worth, said, Store()).model
-    if not rules.explains(apart, quiet, laws):
+    selection = select(apart, quiet, jobs, rules.worth, said, Store())
+    laws = selection.model
+    if not (rules.explains(apart, quiet, laws) or rules.leads(apart, quiet, laws, selection.trials)):
         return None
     fits = dict(zip(still, laws.fits, strict=True))
     told = max(zip(apart, quiet.fits, laws.fits, strict=True), key=lambda seen: evidence(*seen))[2]
@@ -127,6 +155,13 @@ def _told_apart(
             point = Point(base.fits[r].point.theta, told.point.effects)
             fits[r] = refit(experiment, point, told.unknowns, rounds=0)
     return Model(laws.effects, tuple(fits[r] for r in range(len(experiments))))
+
+
+def _explain(experiments: Sequence[Experiment], base: Model, laws: Model, r: int) -> bool:
+    """Whether laws explain one recording by itself."""
+    return rules.explains(
+        experiments[r : r + 1], Model((), base.fits[r : r + 1]), Model(laws.effects, laws.fits[r : r + 1])
+    )
 
 
 def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed | None:

@@ -12,7 +12,7 @@ _WORDS = {
     "leak": "air leaks from {muscle}",
     "supply_droop": "the supply's pressure droops while air is drawn (supply_droop)",
     "valve_lag": "{valve} follows its voltage late (valve_lag)",
-    "valve_offset": "the curve of {valve} is shifted along the voltage (valve_offset)",
+    "valve_offset": "the curve of {valve} is shifted (valve_offset)",
     "line_resistance": "the line to {muscle} throttles the flow (line_resistance)",
     "pressure_sensor": "the pressure sensor of {muscle} reads wrong (pressure_sensor)",
     "load_torque": "something beside the muscles pulls at the joint (load_torque)",

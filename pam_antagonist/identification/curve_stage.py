@@ -28,7 +28,7 @@ class CurveFinding:
 
     Attributes:
         valve: 0 or 1.
-        voltage: knots that were measured (K,) [V]; empty where there were too few.
+        voltage: knots that were measured (K,) [V], offsets of the rig taken off; empty where there were too few.
         open_rate: their open rates (K,) [-].
         declared: the declared curve there (K,) [-].
         std: standard deviations of the open rates (K,) [-].
@@ -85,6 +85,9 @@ def _one(rig: Rig, trials: Sequence[Trial], valve: int) -> CurveFinding:
         voltage, rates = valve_curve(points, p)
     except BadInput as reason:
         return CurveFinding(valve, none, none, none, none, False, f"valve {valve + 1}: {reason}; declared curve kept")
+    # The curve is what is left of the steady open rates when the offsets that the rig declares are taken off.
+    voltage = voltage - p[par.VALVE_OFFSET + valve]
+    rates = np.clip(rates - p[par.RATE_OFFSET + valve], 0.0, 1.0)
     curve = getattr(rig, f"valve_{valve + 1}").curve
     declared = np.interp(voltage, curve.voltage, curve.open_rate)
     slope = (

@@ -149,11 +149,14 @@ _EFFECTS = (
     ),
     Effect(
         "valve_offset",
-        "The valve's curve is shifted along the voltage.",
-        "α_i = κ(u_i − δ_i)",
-        "null shift of a proportional valve",
-        "Steady pressure of one muscle off as by another voltage, most where the curve is steep.",
-        _both("voltage", "V", -2.0, 2.0, 0.1, "shift of the curve"),
+        "The valve's curve is shifted: along the voltage, along the open rate, or both.",
+        "α_i = κ(u_i − δ_i) + ρ_i, within 0 and 1",
+        "null shift of a proportional valve: of its electronics δ, of its spool or seat ρ",
+        "Steady pressure of one muscle off as by another voltage: by δ most where the curve is steep, by ρ everywhere.",
+        (
+            *_both("voltage", "V", -2.0, 2.0, 0.1, "shift of the curve along the voltage"),
+            *_both("open_rate", "-", -0.1, 0.1, 0.01, "shift of the curve along the open rate"),
+        ),
     ),
     Effect(
         "line_resistance",

@@ -29,6 +29,7 @@ from pam_antagonist.model.parameters import (
     OUTFLOW_AREA,
     POLYTROPIC_FLOW,
     POLYTROPIC_VOLUME,
+    RATE_OFFSET,
     SUBSONIC_FLOW,
     SUPPLY,
     TEMPERATURE,
@@ -50,8 +51,24 @@ INFLOW_CHOKED, BOTH_CHOKED, OUTFLOW_CHOKED = 0, 1, 2
 
 
 @inlined
+def _on_curve(valve, voltage, p):
+    """κ(u): linear between the knots of the valve's curve, constant beyond its ends."""
+    start = CURVE + valve * CURVE_SIZE
+    knots = int(p[start])
+    at = start + 1
+    rate = start + 1 + MAX_KNOTS
+    if voltage <= p[at]:
+        return p[rate]
+    for i in range(1, knots):
+        if voltage < p[at + i]:
+            share = (voltage - p[at + i - 1]) / (p[at + i] - p[at + i - 1])
+            return p[rate + i - 1] + share * (p[rate + i] - p[rate + i - 1])
+    return p[rate + knots - 1]
+
+
+@inlined
 def open_rate(valve, voltage, p):
-    """α = κ(u − δ): linear between the knots of the valve's curve, constant beyond its ends; δ is the valve's offset.
+    """α = κ(u − δ) + ρ, as far as the valve goes; δ and ρ are the valve's offsets along voltage and open rate.
 
     Args:
         valve: 0 or 1.
@@ -61,18 +78,8 @@ def open_rate(valve, voltage, p):
     Returns:
         Open rate in [0, 1].
     """
-    start = CURVE + valve * CURVE_SIZE
-    knots = int(p[start])
-    at = start + 1
-    rate = start + 1 + MAX_KNOTS
-    voltage -= p[VALVE_OFFSET + valve]
-    if voltage <= p[at]:
-        return p[rate]
-    for i in range(1, knots):
-        if voltage < p[at + i]:
-            share = (voltage - p[at + i - 1]) / (p[at + i] - p[at + i - 1])
-            return p[rate + i - 1] + share * (p[rate + i] - p[rate + i - 1])
-    return p[rate + knots - 1]
+    shifted = _on_curve(valve, voltage - p[VALVE_OFFSET + valve], p) + p[RATE_OFFSET + valve]
+    return min(max(shifted, 0.0), 1.0)
 
 
 @inlined

@@ -13,7 +13,8 @@ from pam_antagonist.diagnosis.refit import refit
 from pam_antagonist.diagnosis.simulation import BLOCK
 
 SEED = 13
-SIZE = 20.0
+SIZE = 8.0
+"""Multiples of the noise: so small that pushes which bend the base parameters hide themselves."""
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def pushed(free):
 def test_pushes_are_found_when_they_were(pushed, rig) -> None:
     assert pushed is not None and pushed.explains
     assert pushed.episodes >= 2
-    assert pushed.shares[1] > 0.8
+    assert pushed.shares[1] > 0.85
     form = next(form for form in SINGLE if form.name == "smooth pushes")
     push = form.make(SIZE, None, np.random.default_rng([SEED, 1])).push
     middle = (np.arange(len(pushed.torque)) + 0.5) * BLOCK * rig.sample_period
@@ -44,13 +45,13 @@ def test_pushes_are_found_when_they_were(pushed, rig) -> None:
     assert np.all(np.sign(pushed.torque[strong]) == np.sign(true[strong]))
     # Friction holds a joint against a part of a push: nobody can tell that part from the motion.
     error = np.sqrt(np.mean((pushed.torque - true) ** 2))
-    assert error < 0.6 * np.sqrt(np.mean(true**2))
+    assert error < 0.4 * np.sqrt(np.mean(true**2))
     quiet = true == 0.0
-    assert np.mean(pushed.torque[quiet] != 0.0) < 0.3
+    assert np.mean(pushed.torque[quiet] != 0.0) < 0.1
 
 
 def test_a_law_that_always_holds_is_no_push(free) -> None:
-    found = pushes.find(*free("load_torque", "geared pendulum", SIZE))
+    found = pushes.find(*free("load_torque", "geared pendulum", 20.0))
     assert found is not None and not found.explains
 
 

@@ -93,6 +93,17 @@ def test_a_curve_that_is_declared_wrong_is_replaced_where_it_was_measured_and_no
     assert np.array_equal(rates[~measured], declared[~measured])
 
 
+def test_an_offset_that_the_rig_declares_is_not_put_into_the_curve_once_more() -> None:
+    offset = RIG.replaced(effects={"valve_offset": {"voltage_1": 0.1, "open_rate_2": 0.04}})
+    trial = _staircase(offset)
+    _, undeclared = identify_curves(RIG, [trial])
+    assert all(finding.replaced for finding in undeclared)
+    found, declared = identify_curves(offset, [trial])
+    assert not any(finding.replaced for finding in declared)
+    assert (found.valve_1, found.valve_2) == (RIG.valve_1, RIG.valve_2)
+    assert declared[0].voltage == pytest.approx(undeclared[0].voltage - 0.1)
+
+
 def test_a_pressure_that_still_moves_is_no_point() -> None:
     time = np.arange(4000) * 1e-3
     rising = 300e3 + 50e3 * time

@@ -157,6 +157,36 @@ def test_an_offset_is_a_curve_shifted_along_the_voltage(rig):
     assert held(p, (6.1, 5.2), 3.0) == pytest.approx(as_curve, rel=1e-12)
 
 
+@pytest.mark.parametrize("shift", [0.07, -0.1])
+def test_an_offset_of_the_spool_is_a_curve_shifted_along_the_open_rate(rig, shift):
+    """It opens by ρ more at every voltage, but no further than wholly, and no less than not at all."""
+    p = locked(rig, valve_offset={"open_rate_2": shift})
+    shown = [flow.open_rate(1, voltage, p) for voltage in np.linspace(-1.0, 11.0, 121)]
+    for voltage, rate in zip(np.linspace(-1.0, 11.0, 121), shown, strict=True):
+        assert flow.open_rate(0, voltage, p) == pytest.approx(paper.kappa(T, voltage), abs=1e-15)
+        within = paper.kappa(T, voltage) + shift
+        assert rate == pytest.approx(1.0 if within > 1.0 else 0.0 if within < 0.0 else within, abs=1e-12)
+    assert (max(shown) == 1.0) == (shift > 0.0) and (min(shown) == 0.0) == (shift < 0.0)
+    curve = rig.valve_2.curve
+    assert 4.0 in curve.voltage and 7.5 in curve.voltage, "knots of a curve that stays within 0 and 1 there"
+    raised = [min(max(rate + shift, 0.0), 1.0) for rate in curve.open_rate]
+    drawn = rig.replaced(valve_2=rig.valve_2.replaced(curve=curve.replaced(open_rate=tuple(raised))))
+    as_curve = held(drawn.parameters("locked"), (6.1, 5.2), 3.0)
+    assert held(p, (6.1, 5.2), 3.0) == pytest.approx(as_curve, rel=1e-12)
+    assert abs(as_curve[-1, 3] - held(locked(rig), (6.1, 5.2), 3.0)[-1, 3]) > 20e3
+
+
+def test_a_shifted_valve_at_rest_stands_where_its_voltage_asks(rig):
+    """With a lag as well: the state of a joint that has stood for long is that of the shifted curve."""
+    offsets = {"voltage_1": 0.2, "open_rate_1": 0.03, "open_rate_2": -0.05}
+    p = locked(rig, valve_offset=offsets, valve_lag={"time_1": 0.1, "time_2": 0.1})
+    x = rest.initial_state(0.0, 450e3, 430e3, np.array([6.0, 5.0]), p)
+    assert x[4:] == pytest.approx([paper.kappa(T, 5.8) + 0.03, paper.kappa(T, 5.0) - 0.05], abs=1e-12)
+    assert held(p, (6.0, 5.0), 2.0)[-1, 4:] == pytest.approx(x[4:], abs=1e-6)
+    at_once = held(locked(rig, valve_offset=offsets), (6.0, 5.0), 60.0)
+    assert held(p, (6.0, 5.0), 60.0)[-1, 2:4] == pytest.approx(at_once[-1, 2:], abs=1.0)
+
+
 # Line
 
 

@@ -30,6 +30,12 @@ def states(e):
     return [name for name, *switches in ORDER if any(e.get(switch, 0.0) != 0.0 for switch in switches)]
 
 
+def open_rate(t, e, i, u_i):
+    """What a voltage opens a valve to in the end: never more than wholly, never less than not at all."""
+    raised = paper.kappa(t, u_i - e.get(f"valve_offset.voltage_{i}", 0.0)) + e.get(f"valve_offset.open_rate_{i}", 0.0)
+    return sorted((0.0, raised, 1.0))[1]
+
+
 def exchange(t, alpha, at_valve, supply):
     """Mass flow through a valve into the muscle, and what of it comes out of the supply."""
     inflow = alpha * paper.nozzle_either_way(t, supply, at_valve)
@@ -86,7 +92,7 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
     drawn_in_all = 0.0
     shown = []
     for i in (1, 2):
-        wanted = paper.kappa(t, u[i - 1] - e.get(f"valve_offset.voltage_{i}", 0.0))
+        wanted = open_rate(t, e, i, u[i - 1])
         alpha = added.get(f"open_rate_{i}", wanted)
         if f"open_rate_{i}" in added:
             full_speed = 1.0 / e[f"valve_lag.time_{i}"]
