@@ -143,13 +143,13 @@ def _shift_and_gain(size: float, muscle: int | None, rng: Random) -> Deviation:
 
 
 def _drifting_zero(size: float, muscle: int | None, rng: Random) -> Deviation:
-    shift = _sign(rng) * size * 4e-3
+    shift, drift = _sign(rng) * size * 4e-3, _sign(rng) * rng.uniform(0.3, 0.6)
 
     def drifted(time: Floats, voltage: Floats) -> Floats:
-        # A driver that warms up, from half of its offset to one and a half.
+        # A driver that warms up.
         out = voltage.copy()
         for i in _sides(muscle):
-            out[:, i - 1] += shift * (0.5 + time / time[-1])
+            out[:, i - 1] += shift * (1.0 + drift * (time / 60.0 - 0.5))
         return out
 
     return Deviation(voltage=drifted)
