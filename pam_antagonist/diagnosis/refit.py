@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.candidates import Unknown
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.solve import PACE, Scale, solve
+from pam_antagonist.diagnosis.solve import PACE, Scale, Step, solve
 
 Floats = NDArray[np.float64]
 
@@ -21,6 +21,10 @@ _ENOUGH_OF_ALL = 2e-3
 """A step is the last one that gains less than these: in −2 log posterior, and of what was gained before."""
 AT_NOISE = 1.1
 """A channel is at its noise whose residual is at most so many times as large: 60 s tell the noise to a few per cent."""
+_SHARES = (1.0, 0.4, 0.1)
+"""Shares of a Gauss-Newton step that are tried."""
+_CAREFUL = (0.01, 0.1, 1.0)
+"""Damping of the steps that are tried after those."""
 _NEAR = 4.0
 STARTS = 2
 """Starts of a fit that are drawn, beside the first."""
@@ -94,6 +98,7 @@ def refit(
     rounds: int = _ROUNDS,
     renewals: int = 3,
     pace: float = PACE,
+    careful: int = 4,
 ) -> Fitted:
     """Gauss-Newton, with the derivatives by the base unknowns kept from step to step while they serve.
 
@@ -105,6 +110,7 @@ def refit(
         rounds: at most so many steps.
         renewals: how often the derivatives by the base unknowns may be worked out.
         pace: blocks per value that is counted.
+        careful: how many steps may be damped ones, which are tried where the others lead nowhere.
     """
     residual = experiment.residual(point)
     fresh = base is None
@@ -112,20 +118,25 @@ def refit(
         base = experiment.jacobian(point, residual)
         renewals -= 1
     effect = effect_jacobian(experiment, point, residual, unknowns)
-    gained = 0.0
+    gained, first = 0.0, 0
     for _ in range(rounds):
         scale = Scale.of(residual, experiment.noise, pace)
         cost = cost_of(experiment, point, residual, scale)
-        held = _held(point, unknowns)
-        step = solve(residual, base, effect, scale, experiment.prior, point.theta, held=held)
         found = None
-        for share in (1.0, 0.4, 0.1):
-            trial = _moved(point, unknowns, share * step.theta, share * step.effect)
+        damped = len(_CAREFUL) if careful > 0 and (fresh or renewals <= 0) else 0
+        for number in range(first, len(_SHARES) + damped):
+            step = _step(experiment, point, unknowns, (residual, base, effect), scale, number)
+            trial = _moved(point, unknowns, step.theta, step.effect)
             moved = experiment.residual(trial)
             new = cost_of(experiment, trial, moved, scale)
             if new < cost:
                 found = trial, moved, cost - new
+                # Where bold steps led nowhere they hardly will from the next point.
+                first = max(number - 1, 0)
+                careful -= number >= len(_SHARES)
                 break
+        else:
+            first = 0
         if found is not None:
             point, residual, gain = found
             gained += gain
@@ -148,6 +159,35 @@ def refit(
     return Fitted(point, tuple(unknowns), residual, base, effect, scale, cost, last.covariance)
 
 
+def _step(
+    experiment: Experiment,
+    point: Point,
+    unknowns: Sequence[Unknown],
+    linear: tuple[Floats, Floats, Floats],
+    scale: Scale,
+    number: int,
+) -> Step:
+    """A step to be tried, the more careful the higher its number.
+
+    The first ones expect the variances that the linear model promises. Where it promises too much they lead nowhere,
+    however short: careful ones weigh the channels as they are now, and turn to the steepest descent.
+
+    Args:
+        experiment: the recording.
+        point: where to start.
+        unknowns: numbers of effects that may move.
+        linear: the residual (B, C), and its derivatives by the base unknowns and by those.
+        scale: how residuals are judged.
+        number: from 0.
+    """
+    held = _held(point, unknowns)
+    if number < len(_SHARES):
+        bold, share = solve(*linear, scale, experiment.prior, point.theta, held=held), _SHARES[number]
+        return replace(bold, theta=share * bold.theta, effect=share * bold.effect)
+    damping = _CAREFUL[number - len(_SHARES)]
+    return solve(*linear, scale, experiment.prior, point.theta, rounds=1, held=held, damping=damping)
+
+
 def settled(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
     """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
 
@@ -163,7 +203,7 @@ def settled(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fit
     """
     best = min((fitted, *_from_elsewhere(experiment, fitted, starts)), key=lambda found: found.cost)
     if np.max(excess(experiment, best.residual)) <= _NEAR:
-        finer = refit(experiment, best.point, best.unknowns, best.base, renewals=2, pace=1.0)
+        finer = refit(experiment, best.point, best.unknowns, best.base, renewals=2, pace=1.0, careful=0)
         best = finer if np.max(excess(experiment, finer.residual)) < AT_NOISE else best
     return refit(experiment, best.point, best.unknowns, rounds=0, pace=best.scale.pace)
 
@@ -176,7 +216,7 @@ def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list
     name = zlib.crc32(" ".join(unknown.path for unknown in fitted.unknowns).encode())
     rng = np.random.default_rng([experiment.seed, name])
     drawn = [
-        refit(experiment, _drawn(fitted, rng), fitted.unknowns, fitted.base, rounds=_TRIED, renewals=0)
+        refit(experiment, _drawn(fitted, rng), fitted.unknowns, fitted.base, rounds=_TRIED, renewals=0, careful=0)
         for _ in range(starts)
     ]
     best = min(drawn, key=lambda found: found.cost)

@@ -23,6 +23,8 @@ _BEHIND = 0.5
 """A candidate that has won less than this share of the best one's evidence is not tried from other starts."""
 _TOLD = 2.0
 """Score below which a recording has nothing to say about a candidate."""
+_NOTHING = 2.0
+"""Evidence (as below) that is not worth more than a bare mention."""
 STRONG = 6.0
 """Evidence (twice a log likelihood ratio less the price of unknowns) that Kass and Raftery (1995) call strong."""
 
@@ -92,7 +94,7 @@ def refitted_without(experiments: Sequence[Experiment], model: Model, effect: st
 
     def one(experiment: Experiment, fitted: Fitted) -> Fitted:
         path = f"effects.{effect}."
-        if not any(unknown.path.startswith(path) for unknown in fitted.unknowns):
+        if not any(name.startswith(path) for name in fitted.point.effects):
             return fitted
         left = tuple(unknown for unknown in fitted.unknowns if not unknown.path.startswith(path))
         effects = {name: value for name, value in fitted.point.effects.items() if not name.startswith(path)}
@@ -169,9 +171,48 @@ def select(
         best = next((trial for trial in found if worth(trial)), None)
         if best is None or best.model is None:
             break
-        model = best.model
+        model = shared(experiments, best.model, jobs)
         said(f"{best.effect} added")
     return Selection(base, model, tuple(tried))
+
+
+def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
+    """A model whose recordings have the effects of the others as well, where that costs them nothing.
+
+    What one recording shows and another hardly does, the rig has in both: its values are taken over, beside base
+    parameters that are fitted anew. What a recording rules out it does not get.
+
+    Args:
+        experiments: the recordings.
+        model: of which each recording has the effects that paid in it.
+        jobs: threads.
+    """
+
+    def one(experiment: Experiment, fitted: Fitted) -> Fitted:
+        for effect in model.effects:
+            path = f"effects.{effect}."
+            if any(name.startswith(path) for name in fitted.point.effects):
+                continue
+            shows = max(model.fits, key=lambda other: _certainty(other, path))
+            values = {name: value for name, value in shows.point.effects.items() if name.startswith(path)}
+            point = Point(fitted.point.theta, {**fitted.point.effects, **values})
+            given = refit(experiment, point, fitted.unknowns, renewals=2, pace=fitted.scale.pace)
+            scale = fitted.scale
+            lost = cost_of(experiment, given.point, given.residual, scale)
+            lost -= cost_of(experiment, fitted.point, fitted.residual, scale)
+            if scale.share * lost <= _NOTHING:
+                fitted = given
+        return fitted
+
+    fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(e, f) for e, f in _pairs(experiments, model))
+    return Model(model.effects, tuple(fits))
+
+
+def _certainty(fitted: Fitted, path: str) -> float:
+    """How many standard deviations the sizes of an effect are; 0 where it is not free."""
+    std = np.sqrt(np.diag(fitted.effect_covariance))
+    here = [k for k, u in enumerate(fitted.unknowns) if u.path.startswith(path) and u.item.is_size and std[k] > 0.0]
+    return max((abs(fitted.point.effects.get(fitted.unknowns[k].path, 0.0)) / std[k] for k in here), default=0.0)
 
 
 def _round(

@@ -118,6 +118,7 @@ def solve(
     held: Collection[int] = (),
     first: Floats | None = None,
     length: Floats | None = None,
+    damping: float = 0.0,
 ) -> Step:
     """Most probable step, with the channels' variances estimated anew in every round.
 
@@ -132,6 +133,7 @@ def solve(
         held: effects' unknowns that may not move.
         first: variances (C,) of the first round; default: those of the residual.
         length: blocks per value (C,); default: as fits count.
+        damping: share by which the diagonal of the information grows (Marquardt 1963), for shorter steps.
     """
     counted = np.full(len(scale.noise), scale.pace) if length is None else length
     n, m = base.shape[2], effect.shape[2]
@@ -148,7 +150,8 @@ def solve(
         right = weights @ slope
         right[:n] += prior * theta
         step = np.zeros(n + m)
-        step[keep] = -_solved(information[np.ix_(keep, keep)], right[keep])
+        damped = information + damping * np.diag(np.diag(information))
+        step[keep] = -_solved(damped[np.ix_(keep, keep)], right[keep])
         left = residual + columns @ step
     covariance = np.zeros((n + m, n + m))
     covariance[np.ix_(keep, keep)] = _solved(information[np.ix_(keep, keep)], np.eye(len(keep)))
