@@ -98,7 +98,7 @@ def refit(
     rounds: int = _ROUNDS,
     renewals: int = 3,
     pace: float = PACE,
-    careful: int = 4,
+    careful: int = 12,
 ) -> Fitted:
     """Gauss-Newton, with the derivatives by the base unknowns kept from step to step while they serve.
 
