@@ -34,7 +34,7 @@ def test_a_fit_gets_to_its_optimum_from_on_either_side(drooping, start) -> None:
 
 @pytest.fixture(scope="module")
 def leaking(recorded, experiment_of):
-    """A joint with a leak, locked and free, and one without; a model with the leak of the first, without of the others."""
+    """A joint with a leak, locked and free, and one without: the first with a leak in its model, the others without."""
 
     def both(recording, joint):
         experiment = experiment_of(recording, joint)
