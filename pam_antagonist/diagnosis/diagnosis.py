@@ -150,6 +150,7 @@ def diagnose(
     said("errors before and after")
     compared = heldout.compared(experiments, held, base, model, values)
     parts = heldout.by_recording([*recordings, *held_out], compared, estimator, jobs)
+    warnings += quality.estimator_worse(parts)
     judging = [(part, c.experiment) for part, c in zip(parts, compared, strict=True) if c.judges]
     samples = [len(e.trial) - e.fitted for _, e in judging]
     totals = {name: errors.together([part["errors"][name] for part, _ in judging], samples) for name in heldout.MODELS}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.select import Model
@@ -10,6 +11,8 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial, check
 
 _FAR = 5.0
+_WORSE = 1.5
+"""An estimator's error that has grown by so much is not chance."""
 SHORTEST = 20.0
 """[s] What drifts for seconds must come several times into the fitted part, and into the rest."""
 
@@ -91,6 +94,28 @@ def partly(effect: str, share: float) -> str:
         "what is left is beyond the sensors' noise: the effect has another form than the catalogue's law, or something "
         "smaller is there as well; see what is left"
     )
+
+
+def estimator_worse(parts: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Recordings in which the estimator does worse with what was found than as configured.
+
+    Args:
+        parts: of the report, one a recording; those without the estimator's errors say nothing.
+    """
+    said = []
+    for part in parts:
+        errors = part.get("ukf")
+        if not errors:
+            continue
+        for what, key, unit in (("angle", "rmse_deg", "°"), ("torque", "rmse_nm", " N m")):
+            before, after = (errors[name][what] for name in ("as_configured", "extended"))
+            if before and after and after[key] > _WORSE * before[key]:
+                said.append(
+                    f"from the pressures alone the estimator does worse in {part['recording']} with what was fitted "
+                    f"here ({what} {after[key]:.2g}{unit}) than as configured ({before[key]:.2g}{unit}): base "
+                    "parameters bend to what no effect explains; keep the rig file that you have"
+                )
+    return said
 
 
 def decided(effects: Sequence[str], evidence: float, taken: bool) -> str:
