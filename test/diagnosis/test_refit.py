@@ -22,10 +22,9 @@ def drooping(recorded, experiment_of):
     return experiment, refit(experiment, experiment.origin)
 
 
-@pytest.mark.parametrize("start", [(4e9, 0.03), (3e8, 0.5)])
-def test_a_fit_gets_to_its_optimum_from_on_either_side(drooping, start) -> None:
+def test_a_fit_gets_to_its_optimum_from_where_bold_steps_lead_nowhere(drooping) -> None:
     experiment, base = drooping
-    values = {"effects.supply_droop.stiffness": start[0], "effects.supply_droop.time": start[1]}
+    values = {"effects.supply_droop.stiffness": 4e9, "effects.supply_droop.time": 0.03}
     fitted = refit(experiment, Point(base.point.theta, values), DROOP.unknowns, renewals=4)
     # The regulator is another law than the catalogue's, which cannot leave nothing; stuck, it left four noises.
     assert np.max(excess(experiment, base.residual)) > 4.0
