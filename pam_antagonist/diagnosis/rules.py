@@ -21,7 +21,8 @@ FIRST_SHARE = 0.1
 """The first effect must remove this share of the held-out excess: a law that holds does so on data it never saw. Where
 another effect is there too, it need not be much."""
 FURTHER_SHARE = 0.05
-"""Likewise a further one, of what is left: most of that may be what another form of the first one leaves."""
+"""Likewise a further one, of what is left, fitted and held out together: most of that may be what another form of the
+first one leaves, and does not foretell."""
 EXPLAINED = (0.8, 0.8, 0.85)
 """Share of the excess, fitted and held out together, that one, two or three effects must remove to be called the
 explanation.
@@ -39,17 +40,20 @@ _LEAST_UNKNOWNS = 2
 def worth(trial: Trial) -> bool:
     """Whether a refitted candidate goes into the model.
 
-    It pays where it was fitted, is strong where nothing was, and both together are as much as strong evidence twice: a
-    slow effect is seen few times in each part, and pays its price in the first one only.
+    It pays where it was fitted and where nothing was. It is strong where nothing was, and both together are as much as
+    strong evidence twice: a slow effect is seen few times in each part, and pays its price in the first one only. Or
+    both together are twice that: beside something else that the model lacks, a law foretells less.
 
     Args:
         trial: the candidate beside the model.
     """
     if trial.delta_bic is None or trial.foretold is None or trial.shares is None or trial.model is None:
         return False
-    share = FIRST_SHARE if trial.round == 1 else FURTHER_SHARE
-    pays = trial.delta_bic >= POSITIVE and trial.foretold >= STRONG and trial.standing >= 2.0 * STRONG
-    return pays and trial.shares[0] >= share
+    if min(trial.delta_bic, trial.foretold) < POSITIVE:
+        return False
+    enough = 2.0 * STRONG if trial.foretold >= STRONG else 4.0 * STRONG
+    removes = trial.shares[0] >= FIRST_SHARE if trial.round == 1 else (trial.share or 0.0) >= FURTHER_SHARE
+    return trial.standing >= enough and removes
 
 
 def could_pay(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool:

@@ -55,6 +55,7 @@ class Trial:
         shares: share of the held-out and of the fitted excess residual that it removes; None likewise.
         model: the refitted model; None likewise.
         muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
+        share: share of the excess residual, fitted and held out together, that it removes; None likewise.
     """
 
     effect: str
@@ -65,6 +66,7 @@ class Trial:
     shares: tuple[float, float] | None = None
     model: Model | None = None
     muscles: tuple[float, float] | None = None
+    share: float | None = None
 
     @property
     def standing(self) -> float:
@@ -259,7 +261,8 @@ def _round(
         extended = Model((*model.effects, name), tuple(chosen))
         after = [excess_squares(experiments, extended, held) for held in (True, False)]
         shares = removed(before[0], after[0]), removed(before[1], after[1])
-        trials.append(Trial(name, number, totals[name], total, foretold, shares, extended, muscles[name]))
+        share = removed(np.concatenate(before), np.concatenate(after))
+        trials.append(Trial(name, number, totals[name], total, foretold, shares, extended, muscles[name], share))
     trials.sort(key=lambda trial: (-trial.standing, -trial.score))
     return trials
 

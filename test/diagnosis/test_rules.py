@@ -16,14 +16,14 @@ from pam_antagonist.diagnosis.store import Kept, Store
 NO_MODEL = Model((), ())
 
 
-def trial(number: int, bic: float, held: float, foretold: float = 20.0) -> Trial:
-    return Trial("leak", number, bic, bic, foretold, (held, held), NO_MODEL)
+def trial(number: int, bic: float, held: float, foretold: float = 20.0, share: float | None = None) -> Trial:
+    return Trial("leak", number, bic, bic, foretold, (held, held), NO_MODEL, None, held if share is None else share)
 
 
 def test_evidence_without_held_out_gain_is_not_enough() -> None:
     assert rules.worth(trial(1, 50.0, 0.8))
     assert not rules.worth(trial(1, 50.0, 0.05))
-    assert not rules.worth(trial(1, 50.0, 0.8, foretold=3.0))
+    assert not rules.worth(trial(1, 50.0, 0.8, foretold=1.0))
     assert not rules.worth(trial(1, 1.0, 0.8))
     assert not rules.worth(Trial("leak", 1, 50.0))
 
@@ -39,6 +39,18 @@ def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> 
     assert not rules.worth(trial(2, 9.0, 0.08, foretold=-4.0))
     assert not rules.worth(trial(2, 1.0, 0.9))
     assert not rules.worth(trial(2, 9.0, 0.01))
+
+
+def test_what_foretells_little_beside_something_unknown_must_be_the_more_certain() -> None:
+    assert rules.worth(trial(1, 30.0, 0.4, foretold=4.0))
+    assert not rules.worth(trial(1, 19.0, 0.4, foretold=4.0))
+    assert not rules.worth(trial(1, 90.0, 0.4, foretold=1.0))
+
+
+def test_a_further_effect_is_judged_by_both_parts_together() -> None:
+    assert rules.worth(trial(2, 24.0, -0.1, foretold=10.0, share=0.1))
+    assert not rules.worth(trial(2, 24.0, 0.3, foretold=10.0, share=0.01))
+    assert not rules.worth(trial(1, 24.0, -0.1, foretold=10.0, share=0.1))
 
 
 def rival(effect: str, bic: float, number: int = 1) -> Trial:
