@@ -13,10 +13,8 @@ import numpy as np
 
 from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, excess
-from pam_antagonist.diagnosis.select import STRONG, Model, Trial, excess_squares, price, removed
+from pam_antagonist.diagnosis.select import POSITIVE, STRONG, Model, Trial, excess_squares, price, removed
 
-POSITIVE = 2.0
-"""Evidence that Kass and Raftery (1995) call positive, that is more than a bare mention."""
 FIRST_SHARE = 0.1
 """The first effect must remove this share of the held-out excess: a law that holds does so on data it never saw. Where
 another effect is there too, it need not be much."""

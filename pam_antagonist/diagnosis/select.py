@@ -23,8 +23,8 @@ _BEHIND = 0.5
 """A candidate that has won less than this share of the best one's evidence is not tried from other starts."""
 _TOLD = 2.0
 """Score below which a recording has nothing to say about a candidate."""
-_NOTHING = 2.0
-"""Evidence (as below) that is not worth more than a bare mention."""
+POSITIVE = 2.0
+"""Evidence that Kass and Raftery (1995) call positive, that is more than a bare mention."""
 STRONG = 6.0
 """Evidence (twice a log likelihood ratio less the price of unknowns) that Kass and Raftery (1995) call strong."""
 
@@ -202,7 +202,7 @@ def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
             scale = fitted.scale
             lost = cost_of(experiment, given.point, given.residual, scale)
             lost -= cost_of(experiment, fitted.point, fitted.residual, scale)
-            if scale.share * lost <= _NOTHING:
+            if scale.share * lost <= POSITIVE:
                 fitted = given
         return fitted
 
