@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted, cost_of, refit
+from pam_antagonist.diagnosis.refit import Fitted, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.rigs import farthest_apart
-from pam_antagonist.diagnosis.select import STRONG, Model
+from pam_antagonist.diagnosis.select import STRONG, Model, evidence
 
 Floats = NDArray[np.float64]
 
@@ -84,6 +84,4 @@ def _loss(experiment: Experiment, fitted: Fitted, values: Mapping[str, float]) -
         refit(experiment, Point(fitted.point.theta, effects), pace=fitted.scale.pace)
         for effects in (own, {**own, **values})
     )
-    scale = before.scale
-    costs = [cost_of(experiment, found.point, found.residual, scale) for found in (before, after)]
-    return scale.share * (costs[1] - costs[0])
+    return -evidence(experiment, before, after)

@@ -166,14 +166,14 @@ def _explain(experiments: Sequence[Experiment], base: Model, laws: Model, r: int
 
 def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed | None:
     """Pushes that explain what a model leaves, in every recording in which it leaves something and they can be."""
+    unclean = [r for r, (e, f) in enumerate(zip(experiments, model.fits, strict=True)) if _leaves(e, f)]
     found = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(pushes.find)(e, f) for e, f in zip(experiments, model.fits, strict=True)
+        delayed(pushes.find)(experiments[r], model.fits[r]) for r in unclean
     )
     seen, left, evidence = {}, [], 0.0
     now, fits = list(experiments), list(model.fits)
-    for r, (experiment, fitted, push) in enumerate(zip(experiments, model.fits, found, strict=True)):
-        if np.max(excess(experiment, fitted.residual)) < _CLEAN:
-            continue
+    for r, push in zip(unclean, found, strict=True):
+        experiment, fitted = experiments[r], model.fits[r]
         if push is None:
             left.append(r)
             continue
@@ -201,6 +201,10 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed
     )
     noises = tuple(seen[r].noise if r in seen else 0.0 for r in range(len(experiments)))
     return _Pushed(tuple(now), tuple(fits), noises, effect, tuple(left))
+
+
+def _leaves(experiment: Experiment, fitted: Fitted) -> bool:
+    return float(np.max(excess(experiment, fitted.residual))) >= _CLEAN
 
 
 def _restless(fitted: Fitted, noise: float) -> Fitted:

@@ -199,10 +199,7 @@ def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
             values = {name: value for name, value in shows.point.effects.items() if name.startswith(path)}
             point = Point(fitted.point.theta, {**fitted.point.effects, **values})
             given = refit(experiment, point, fitted.unknowns, renewals=2, pace=fitted.scale.pace)
-            scale = fitted.scale
-            lost = cost_of(experiment, given.point, given.residual, scale)
-            lost -= cost_of(experiment, fitted.point, fitted.residual, scale)
-            if scale.share * lost <= POSITIVE:
+            if evidence(experiment, fitted, given) >= -POSITIVE:
                 fitted = given
         return fitted
 
