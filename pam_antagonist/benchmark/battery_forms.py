@@ -268,6 +268,10 @@ def _play(size: float, muscle: int | None, rng: Random) -> Deviation:
     return Deviation(angle=played)
 
 
+def _rub(size: float, muscle: int | None, rng: Random) -> Deviation:
+    return Deviation({"rub": size * 4.5e-3, "rub_velocity": rng.uniform(0.05, 0.3)})
+
+
 def _ripple(size: float, muscle: int | None, rng: Random) -> Deviation:
     frequency, phase = rng.uniform(0.15, 0.5), rng.uniform(0.0, 2.0 * np.pi)
     return Deviation(supply=lambda time: size * 2e3 * np.sin(2.0 * np.pi * frequency * time + phase))
@@ -296,7 +300,7 @@ SINGLE: tuple[Form, ...] = (
     Form("geared pendulum", "load_torque", False, _pendulum),
     Form("hardening spring", "load_torque", False, _spring),
     Form("bristles", "friction", False, _bristle),
-    Form("rubbing with pressure", "friction", False, _plain("rub", 4.5e-3)),
+    Form("hess and soom", "friction", False, _rub, 15.0),
     Form("two-time creep", "creep", False, _creep((1.5, 9.0), (0.5, 0.5), 1.5e-2), 15.0),
     Form("logarithmic creep", "creep", False, _creep((0.8, 2.4, 7.2, 21.6), (0.25,) * 4, 1.5e-2), 15.0),
     Form("energy balance", "thermal", False, _warm("gas", 1e-2, 0.6, 2.0)),

@@ -42,8 +42,8 @@ _NAMES = (
     *("line_1", "line_2", "line_turbulent", "line_volume"),
     # Load: a pendulum off the vertical behind a gear, a spring that hardens.
     *("pendulum", "pendulum_gear", "pendulum_angle", "spring", "spring_angle", "spring_hardening"),
-    # Friction: bristles, and one that grows with the pressures.
-    *("bristle", "bristle_angle", "rub"),
+    # Friction: bristles, and a level that falls with the velocity.
+    *("bristle", "bristle_angle", "rub", "rub_velocity"),
     # Creep: branches with times and weights.
     *("creep_1", "creep_2"),
     *(f"creep_time_{k}" for k in range(ELEMENTS)),
@@ -62,7 +62,7 @@ _SPOOL = Q["spool_1"]
 _LINE, _LINE_TURBULENT, _LINE_VOLUME = Q["line_1"], Q["line_turbulent"], Q["line_volume"]
 _PENDULUM, _PENDULUM_GEAR, _PENDULUM_ANGLE = Q["pendulum"], Q["pendulum_gear"], Q["pendulum_angle"]
 _SPRING, _SPRING_ANGLE, _SPRING_HARDENING = Q["spring"], Q["spring_angle"], Q["spring_hardening"]
-_BRISTLE, _BRISTLE_ANGLE, _RUB = Q["bristle"], Q["bristle_angle"], Q["rub"]
+_BRISTLE, _BRISTLE_ANGLE, _RUB, _RUB_VELOCITY = Q["bristle"], Q["bristle_angle"], Q["rub"], Q["rub_velocity"]
 _CREEP, _CREEP_TIME, _CREEP_WEIGHT = Q["creep_1"], Q["creep_time_0"], Q["creep_weight_0"]
 _GAS, _GAS_TIME, _WALL, _WALL_TIME = Q["gas_1"], Q["gas_time"], Q["wall_1"], Q["wall_time"]
 _EXCHANGE, _COGGING, _COGGING_NUMBER = Q["exchange"], Q["cogging"], Q["cogging_number"]
@@ -100,7 +100,7 @@ def numbers(**values: float) -> np.ndarray:
         KeyError: a name that is none.
     """
     q = np.zeros(len(_NAMES))
-    for name in ("dahl_width", "dahl_power", "slip_width", "line_turbulent", "line_volume", "bristle_angle"):
+    for name in ("dahl_width", "dahl_power", "slip_width", "line_turbulent", "line_volume", "bristle_angle", "rub_velocity"):
         q[Q[name]] = 1.0
     for name in ("gas_time", "wall_time", *(f"creep_time_{k}" for k in range(ELEMENTS))):
         q[Q[name]] = 1.0
@@ -174,6 +174,13 @@ def load(angle, q):
         - pull
         - q[_COGGING] * math.sin(q[_COGGING_NUMBER] * angle)
     )
+
+
+@inlined
+def rubbing(velocity, q):
+    """Friction [N m] by Hess and Soom (1990): a level at rest, and a third less of it at speed."""
+    ratio = velocity / q[_RUB_VELOCITY]
+    return q[_RUB] * (0.8 + 0.4 / (1.0 + ratio * ratio))
 
 
 @inlined
@@ -279,7 +286,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
         return
     force_1 = contraction_force(0, sine, x[2], x, q, p)
     force_2 = contraction_force(1, sine, x[3], x, q, p)
-    coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p) + q[_RUB] * (x[2] + x[3]) / (2.0 * _MIDDLE)
+    coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p) + rubbing(velocity, q)
     balance = _muscle_torque(cosine, force_1, force_2, p) + push + load(angle, q)
     if q[_BRISTLE] != 0.0:
         # Bristles (Canudas de Wit et al. 1995): a spring that slips, with a Stribeck level, and its damping.

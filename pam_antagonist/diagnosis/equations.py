@@ -76,7 +76,7 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     def said(block: int, x: Floats) -> Floats:
         """Pressures' readings and angle at the end of a window (3,)."""
         first = block * BLOCK + BLOCK // 2
-        run, _, _ = dynamics.simulate(x, trial.given[first : first + (SPAN + 1) * BLOCK], p, trial.dt, 1)
+        run, _ = dynamics.course(x, trial.given[first : first + (SPAN + 1) * BLOCK], p, trial.dt, 1)
         end = run[SPAN * BLOCK - BLOCK // 2 : SPAN * BLOCK + BLOCK // 2].mean(axis=0)
         return np.array([sensor.reading(0, end[2], p), sensor.reading(1, end[3], p), end[0]])
 

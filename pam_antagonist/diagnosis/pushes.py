@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.diagnosis.experiment import Experiment
+from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.diagnosis.refit import Fitted, beyond, refit
 from pam_antagonist.diagnosis.select import removed
 from pam_antagonist.diagnosis.simulation import BLOCK, blocks
@@ -105,27 +105,27 @@ def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
     # Another recording has pushes of its own; they are not known there.
     experiment = replace(experiment, judged=())
-    best, now, base = None, experiment, fitted
+    best, point = None, fitted.point
     for _ in range(_ROUNDS):
-        torque = _observed(now, base)
+        torque = _observed(experiment, point)
         torque = np.where(_episodes(torque), torque, 0.0)
         samples = np.repeat(torque, BLOCK)
         samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
         pushed = replace(experiment, trial=replace(trial, external=known + samples))
-        base = refit(_between(pushed, torque), base.point, fitted.unknowns, renewals=2)
-        base = refit(pushed, base.point, fitted.unknowns, rounds=0)
-        now = experiment
+        point = refit(_between(pushed, torque), point, fitted.unknowns, renewals=2).point
         before = (experiment.held(experiment.residual(fitted.point, whole=True)), fitted.residual)
-        after = (pushed.held(pushed.residual(base.point, whole=True)), base.residual)
+        after = (pushed.held(pushed.residual(point, whole=True)), pushed.residual(point))
         pairs = [pair for pair in zip(before, after, strict=True) if len(pair[0])]
         over = np.array([[beyond(experiment, part) for part in pair] for pair in pairs])
         shares = removed(*over[0]), removed(over[:, 0], over[:, 1])
         steps = np.diff(torque[::_LOOK])
         noise = float(np.sqrt(np.mean(steps**2) / (_LOOK * BLOCK * trial.dt)))
-        found = Pushes(pushed, base, torque, float(np.mean(torque != 0.0)), shares, noise)
-        if best is None or found.shares[1] > best.shares[1]:
-            best = found
-    return best
+        if best is None or shares[1] > best[2][1]:
+            best = pushed, point, shares, torque, noise
+    assert best is not None
+    pushed, point, shares, torque, noise = best
+    beside = refit(pushed, point, fitted.unknowns, rounds=0)
+    return Pushes(pushed, beside, torque, float(np.mean(torque != 0.0)), shares, noise)
 
 
 def _between(experiment: Experiment, torque: Floats) -> Experiment:
@@ -136,14 +136,14 @@ def _between(experiment: Experiment, torque: Floats) -> Experiment:
     return replace(experiment, trial=replace(experiment.trial, measured=measured))
 
 
-def _observed(experiment: Experiment, fitted: Fitted) -> Floats:
+def _observed(experiment: Experiment, point: Point) -> Floats:
     """Torque (B,) [N m] that makes the model follow the measured angle."""
     trial = experiment.trial
     angle = experiment.measured[:, experiment.channels.index(ANGLE)]
     middle = (np.arange(len(angle)) + 0.5) * BLOCK
     measured = np.interp(np.arange(len(trial)), middle[np.isfinite(angle)], angle[np.isfinite(angle)])
-    p = experiment.parameters(fitted.point)
-    start = experiment.simulated(fitted.point)[0]
+    p = experiment.parameters(point)
+    start = experiment.simulated(point)[0]
     x0 = rest.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
     return blocks(_followed(x0, trial.given, measured, p, trial.dt, _STIFF, _DAMPING)[:, None])[:, 0]
 

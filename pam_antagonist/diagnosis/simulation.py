@@ -59,7 +59,7 @@ def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> t
     angle = rest.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
     given = trial.voltage if trial.external is None else trial.given
     x0 = rest.initial_state(angle, pressures[0], pressures[1], given[0], p)
-    states, torque, _ = dynamics.simulate(x0, given, p, trial.dt, 1)
+    states, torque = dynamics.course(x0, given, p, trial.dt, 1)
     return states, torque
 
 

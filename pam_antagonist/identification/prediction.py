@@ -42,7 +42,7 @@ def simulate(trial: Trial, p: Floats, start: Floats) -> Floats:
     """
     behind = [sensor.pressure_behind(i, start[1 + i], p) for i in (0, 1)]
     x0 = rest.initial_state(start[0], behind[0], behind[1], trial.given[0], p)
-    states, torque, _ = dynamics.simulate(x0, trial.given, p, trial.dt, 1)
+    states, torque = dynamics.course(x0, trial.given, p, trial.dt, 1)
     shown = [sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)]
     return np.column_stack([states[:, 0], torque, *shown])
 

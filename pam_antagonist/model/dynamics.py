@@ -46,8 +46,11 @@ _extra_coulomb_torque, _load_torque = joint.extra_coulomb_torque, joint.load_tor
 @inlined
 def _added(state, x, p, otherwise):
     """Value of an added state, by its place in ``p``, or what stands for it where ``x`` does not hold it."""
-    at = int(p[state])
-    return x[at] if 0 < at < x.shape[0] else otherwise
+    # Most states are absent: nothing is converted for those, and an index without sign need not be turned round.
+    at = p[state]
+    if at > 0.0 and at < x.shape[0]:
+        return x[np.uint64(at)]
+    return otherwise
 
 
 @inlined
@@ -155,12 +158,12 @@ def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external,
 
 
 @kernel
-def _rows(x, wanted, external, p, dx):
+def _rows(x, wanted_1, wanted_2, external, p, dx):
     """All rows with any added states; the same functions as in :func:`_slopes`, put together for every case.
 
     Args:
         x: state (n,).
-        wanted: open rates (2,) [-] that the voltages ask for.
+        wanted_1, wanted_2: open rates [-] that the voltages ask for.
         external: torque [N m] from outside that is known.
         p: parameter vector.
         dx: result (n,).
@@ -172,7 +175,8 @@ def _rows(x, wanted, external, p, dx):
     for i in range(2):
         sensed, chamber = x[PRESSURE_1 + i], _chamber_pressure(i, x, p)
         muscle_length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
-        alpha = _added(_OPEN_RATE + i, x, p, wanted[i])
+        wanted = wanted_1 if i == 0 else wanted_2
+        alpha = _added(_OPEN_RATE + i, x, p, wanted)
         rate, passed, drawn = _air(i, alpha, sensed, chamber, muscle_length, length_rate, supply, p, False)
         consumption += drawn
         at = int(p[_WARMTH + i])
@@ -186,7 +190,7 @@ def _rows(x, wanted, external, p, dx):
             dx[PRESSURE_1 + i] = _line_rate(i, sensed, chamber, passed, p)
         at = int(p[_OPEN_RATE + i])
         if at > 0:
-            dx[at] = _valve_rate(i, alpha, wanted[i], p)
+            dx[at] = _valve_rate(i, alpha, wanted, p)
         at = int(p[_LOOP + i])
         if at > 0:
             dx[at] = _hysteresis_rate(x[at], length_rate, p)
@@ -229,8 +233,7 @@ def derivative(x, u, p, dx):
         p: parameter vector.
         dx: result (n,), written in place.
     """
-    wanted = np.array([_open_rate(0, u[0], p), _open_rate(1, u[1], p)])
-    _rows(x, wanted, _outside(u), p, dx)
+    _rows(x, _open_rate(0, u[0], p), _open_rate(1, u[1], p), _outside(u), p, dx)
 
 
 @inlined
@@ -249,16 +252,17 @@ def _stop(x, p):
 def _extended_step(x, u, p, dt, result):
     """:func:`rk4_step` with any number of states."""
     n = x.shape[0]
-    wanted = np.array([_open_rate(0, u[0], p), _open_rate(1, u[1], p)])
+    wanted_1, wanted_2 = _open_rate(0, u[0], p), _open_rate(1, u[1], p)
     external = _outside(u)
-    slopes = np.empty((4, n))
-    point = np.empty(n)
-    _rows(x, wanted, external, p, slopes[0])
+    # One piece of memory: to ask for it takes as long as a good part of the step.
+    memory = np.empty((5, n))
+    slopes, point = memory[:4], memory[4]
+    _rows(x, wanted_1, wanted_2, external, p, slopes[0])
     for stage in range(1, 4):
         reach = dt if stage == 3 else 0.5 * dt
         for i in range(n):
             point[i] = x[i] + reach * slopes[stage - 1, i]
-        _rows(point, wanted, external, p, slopes[stage])
+        _rows(point, wanted_1, wanted_2, external, p, slopes[stage])
     sixth = dt / 6.0
     for i in range(n):
         result[i] = x[i] + sixth * (slopes[0, i] + 2.0 * (slopes[1, i] + slopes[2, i]) + slopes[3, i])
@@ -334,8 +338,8 @@ def subsystem(x, p):
 
 
 @kernel
-def simulate(x0, voltage, p, dt, substeps):
-    """The model alone, driven by recorded voltages.
+def course(x0, voltage, p, dt, substeps):
+    """The model alone, driven by recorded voltages: states and torques, which is all that a fit compares.
 
     Args:
         x0: state (n,) at the first sample.
@@ -346,13 +350,11 @@ def simulate(x0, voltage, p, dt, substeps):
         substeps: Runge-Kutta steps a sample.
 
     Returns:
-        States (N, n), torques (N,) [N m] and subsystem indices (N,).
+        States (N, n) and torques (N,) [N m].
     """
     samples = voltage.shape[0]
-    n = x0.shape[0]
-    states = np.empty((samples, n))
+    states = np.empty((samples, x0.shape[0]))
     torques = np.empty(samples)
-    sigma = np.empty(samples, dtype=np.int64)
     x = x0.copy()
     for k in range(samples):
         if k > 0:
@@ -360,5 +362,14 @@ def simulate(x0, voltage, p, dt, substeps):
                 rk4_step(x, voltage[k], p, dt / substeps, x)
         states[k] = x
         torques[k] = torque(x, p)
-        sigma[k] = subsystem(x, p)
+    return states, torques
+
+
+@kernel
+def simulate(x0, voltage, p, dt, substeps):
+    """:func:`course`, and the subsystems (N,) that it passed through; same arguments."""
+    states, torques = course(x0, voltage, p, dt, substeps)
+    sigma = np.empty(states.shape[0], dtype=np.int64)
+    for k in range(states.shape[0]):
+        sigma[k] = subsystem(states[k], p)
     return states, torques, sigma

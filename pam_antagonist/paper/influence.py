@@ -82,7 +82,7 @@ def run(rig: Rig, voltage: Floats, factors: dict[str, float]) -> Floats:
     changes = {name: rig.value(name) * factor for name, factor in factors.items()}
     p = rig.parameters("free", 0.0, changes)
     start = rest.initial_state(float(rest.rest_angle(*START, p)), *START, voltage[0], p)
-    return np.asarray(dynamics.simulate(start, voltage, p, rig.sample_period, 1)[0])
+    return np.asarray(dynamics.course(start, voltage, p, rig.sample_period, 1)[0])
 
 
 def response(rig: Rig, factors: dict[str, float]) -> Response:

@@ -154,7 +154,7 @@ def test_a_case_is_judged_on_the_channel_that_it_moves() -> None:
 
 
 def test_the_angle_s_error_is_in_degrees_and_of_the_free_joint() -> None:
-    case = a_case("friction", "rubbing with pressure", None)
+    case = a_case("friction", "hess and soom", None)
     result = battery.judge(case, lambda recordings: said("none"), 12.0)
     assert result.channel == "angle"
     assert result.errors["true"] == pytest.approx(np.degrees(5e-4), rel=0.05)
@@ -162,7 +162,7 @@ def test_the_angle_s_error_is_in_degrees_and_of_the_free_joint() -> None:
 
 
 def test_errors_that_are_not_there_are_unknown() -> None:
-    case = a_case("friction", "rubbing with pressure", None)
+    case = a_case("friction", "hess and soom", None)
     answer = said("unexplained", before=NOTHING)
     del answer.errors["extended"]
     result = battery.judge(case, lambda recordings: answer, 12.0)
