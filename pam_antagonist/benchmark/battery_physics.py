@@ -100,7 +100,8 @@ def numbers(**values: float) -> np.ndarray:
         KeyError: a name that is none.
     """
     q = np.zeros(len(_NAMES))
-    for name in ("dahl_width", "dahl_power", "slip_width", "line_turbulent", "line_volume", "bristle_angle", "rub_velocity"):
+    widths = ("dahl_width", "dahl_power", "slip_width", "bristle_angle", "rub_velocity")
+    for name in (*widths, "line_turbulent", "line_volume"):
         q[Q[name]] = 1.0
     for name in ("gas_time", "wall_time", *(f"creep_time_{k}" for k in range(ELEMENTS))):
         q[Q[name]] = 1.0

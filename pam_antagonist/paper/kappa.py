@@ -43,9 +43,7 @@ def simulated_pressures(work: SeedWork) -> Floats:
     out = []
     for rate in _SIMULATED:
         voltage = np.full((round(60.0 / rig.sample_period), 2), 10.0 * rate)
-        states, _ = dynamics.course(
-            rest.initial_state(0.0, *START, voltage[0], p), voltage, p, rig.sample_period, 1
-        )
+        states, _ = dynamics.course(rest.initial_state(0.0, *START, voltage[0], p), voltage, p, rig.sample_period, 1)
         out.append(states[-1, 2])
     return np.array(out)
 
