@@ -18,6 +18,8 @@ from pam_antagonist.benchmark.battery_physics import ELEMENTS
 
 Floats = NDArray[np.float64]
 Random = np.random.Generator
+Change = Callable[[Floats, Floats], Floats]
+"""Of times, and of what goes on at them."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,8 @@ class Deviation:
 
     numbers: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
-    voltage: Callable[[Floats, Floats], Floats] | None = None
-    pressure: Callable[[Floats, Floats], Floats] | None = None
+    voltage: Change | None = None
+    pressure: Change | None = None
     angle: Callable[[Floats], Floats] | None = None
     push: Callable[[Floats], Floats] | None = None
     supply: Callable[[Floats], Floats] | None = None
@@ -129,30 +131,28 @@ def _slew(size: float, muscle: int | None, rng: Random) -> Deviation:
     return Deviation(voltage=slewed)
 
 
+def _added(muscle: int | None, change: Change) -> Change:
+    """What adds a change of its own to the columns of a muscle, or of both; of the time and of one column."""
+
+    def changed(time: Floats, columns: Floats) -> Floats:
+        out = columns.copy()
+        for i in _sides(muscle):
+            out[:, i - 1] += change(time, columns[:, i - 1])
+        return out
+
+    return changed
+
+
 def _shift_and_gain(size: float, muscle: int | None, rng: Random) -> Deviation:
     # An amplifier both off and too steep or too flat; with less gain it would be the catalogue's shifted curve.
     shift, gain = _sign(rng) * size * 4e-3, _sign(rng) * rng.uniform(0.15, 0.3) * size * 4e-3
-
-    def shifted(time: Floats, voltage: Floats) -> Floats:
-        out = voltage.copy()
-        for i in _sides(muscle):
-            out[:, i - 1] += shift + gain * (voltage[:, i - 1] - 6.0)
-        return out
-
-    return Deviation(voltage=shifted)
+    return Deviation(voltage=_added(muscle, lambda time, voltage: shift + gain * (voltage - 6.0)))
 
 
 def _drifting_zero(size: float, muscle: int | None, rng: Random) -> Deviation:
+    # A driver that warms up.
     shift, drift = _sign(rng) * size * 4e-3, _sign(rng) * rng.uniform(0.3, 0.6)
-
-    def drifted(time: Floats, voltage: Floats) -> Floats:
-        # A driver that warms up.
-        out = voltage.copy()
-        for i in _sides(muscle):
-            out[:, i - 1] += shift * (1.0 + drift * (time / 60.0 - 0.5))
-        return out
-
-    return Deviation(voltage=drifted)
+    return Deviation(voltage=_added(muscle, lambda time, voltage: shift * (1.0 + drift * (time / 60.0 - 0.5))))
 
 
 def _line(turbulent: bool) -> Make:
@@ -172,14 +172,10 @@ def _sensor(cubic: bool) -> Make:
         bend = rng.uniform(0.3, 0.6)
 
         def wrong(time: Floats, pressure: Floats) -> Floats:
-            out = pressure.copy()
-            for i in _sides(muscle):
-                middle = (pressure[:, i - 1] - 450e3) / 250e3
-                change = bend * (middle + middle**3) if cubic else drift * (time / 60.0 - 0.5)
-                out[:, i - 1] += offset * (1.0 + change)
-            return out
+            middle = (pressure - 450e3) / 250e3
+            return offset * (1.0 + (bend * (middle + middle**3) if cubic else drift * (time / 60.0 - 0.5)))
 
-        return Deviation(pressure=wrong)
+        return Deviation(pressure=_added(muscle, wrong))
 
     return make
 

@@ -85,14 +85,13 @@ def explain(
     if pushed is not None and not pushed.left:
         quiet = Model((), pushed.fits)
         model = select(pushed.experiments, quiet, jobs, rules.worth, said, Store()).model
-    else:
-        apart = None if pushed is None else _told_apart(experiments, base, pushed.left, jobs, said)
-        laws, explained = (chosen, ()) if pushed is None or apart is None else (apart, pushed.left)
-        pushed = _find(experiments, laws, jobs) if laws.effects else None
-        if pushed is None or not all(r in explained or _explain(experiments, base, laws, r) for r in pushed.left):
-            return None
-        quiet, model = recalibrated(pushed.experiments, jobs), Model(laws.effects, pushed.fits)
-    return _explanation(pushed, quiet, model, jobs)
+        return _explanation(pushed, quiet, model, jobs)
+    apart = None if pushed is None else _told_apart(experiments, base, pushed.left, jobs, said)
+    laws, explained = (chosen, ()) if pushed is None or apart is None else (apart, pushed.left)
+    pushed = _find(experiments, laws, jobs) if laws.effects else None
+    if pushed is None or not all(r in explained or _explain(experiments, base, laws, r) for r in pushed.left):
+        return None
+    return _with_laws(pushed, laws, jobs)
 
 
 def beside(experiments: Sequence[Experiment], laws: Model, jobs: int) -> Explanation | None:
@@ -107,6 +106,11 @@ def beside(experiments: Sequence[Experiment], laws: Model, jobs: int) -> Explana
     # Laws of another form leave something that comes and goes as well: here pushes must pay, as a law must.
     if pushed is None or pushed.effect.delta_bic < 2.0 * STRONG:
         return None
+    return _with_laws(pushed, laws, jobs)
+
+
+def _with_laws(pushed: _Pushed, laws: Model, jobs: int) -> Explanation:
+    """Pushes that were found beside laws, and these where they are still needed."""
     return _explanation(pushed, recalibrated(pushed.experiments, jobs), Model(laws.effects, pushed.fits), jobs)
 
 
