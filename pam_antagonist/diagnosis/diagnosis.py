@@ -103,7 +103,7 @@ def diagnose(
     others = [_trial(recording, rig, joint, lock_angle) for recording in held_out]
     quality.check_trials([*trials, *others], holdout)
     heldout.check_distinct(recordings, held_out, [trial.name for trial in others])
-    experiments, held = heldout.experiments_of(trials, others, rig, holdout, seed)
+    experiments, held = heldout.experiments_of(trials, others, rig, holdout, seed, jobs)
     said("recalibrating the base parameters")
     base = recalibrated(experiments, jobs)
     heldout.check_same_rig(experiments, base, held, jobs)
@@ -123,6 +123,8 @@ def diagnose(
         verdict = "effect" if partly else verdict
     lap("pushes")
     alone = verdict == "effect" and pushed is None
+    if alone:
+        said("what each effect is needed for")
     model = findings.without_idle(experiments, base, selection.model, jobs) if alone else base
     found, values, warnings = findings.found(experiments, base, model, jobs)
     if model.effects and innovations.decide([*experiments, *held]):

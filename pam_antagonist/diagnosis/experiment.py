@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,7 @@ class Experiment:
         judged: recordings that are held out as a whole and that this one's models foretell; `fitted` of theirs is their
             start, from which nothing but their first state is told. Then all of this one is fitted.
         seed: of what is drawn in fits.
+        jobs: threads that work out derivatives, beside those that fit several recordings or candidates at once.
     """
 
     rig: Rig
@@ -62,6 +64,7 @@ class Experiment:
     fitted: int
     judged: tuple[Experiment, ...] = ()
     seed: int = 0
+    jobs: int = 1
 
     @cached_property
     def knobs(self) -> tuple[Knob, ...]:
@@ -157,6 +160,12 @@ class Experiment:
         own = np.clip(np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf), -bound, bound)
         return np.concatenate([own, *(self.foretold(other, point) for other in self.judged)]) if whole else own
 
+    def residuals(self, points: Iterable[Point]) -> list[Floats]:
+        """Residuals (B, C) of several points, side by side: a fit by itself would leave the other cores idle."""
+        if self.jobs == 1:
+            return [self.residual(point) for point in points]
+        return list(_workers(self.jobs).map(self.residual, points))
+
     def held(self, residual: Floats) -> Floats:
         """The held-out blocks of a residual of the whole; none where there is nothing to judge by."""
         return residual[-(-self.fitted // BLOCK) :]
@@ -196,13 +205,11 @@ class Experiment:
     def jacobian(self, point: Point, residual: Floats) -> Floats:
         """Derivatives of the residual by the base unknowns (B, C, K + 3)."""
         result = np.zeros((*residual.shape, self.size))
-        for k in range(self.size):
-            if not self._matters(k):
-                continue
-            step = _STEP if k < len(self.knobs) else 1.0
-            theta = point.theta.copy()
-            theta[k] += step
-            result[:, :, k] = (self.residual(Point(theta, point.effects)) - residual) / step
+        free = [k for k in range(self.size) if self._matters(k)]
+        steps = np.where(np.arange(self.size) < len(self.knobs), _STEP, 1.0)
+        moved = self.residuals(Point(point.theta + np.eye(self.size)[k] * steps, point.effects) for k in free)
+        for k, there in zip(free, moved, strict=True):
+            result[:, :, k] = (there - residual) / steps[k]
         return result
 
     def _matters(self, k: int) -> bool:
@@ -211,6 +218,12 @@ class Experiment:
         if k < len(self.knobs):
             return not (self.knobs[k].free_only and self.trial.lock_angle == 0.0)
         return k != len(self.knobs) + ANGLE
+
+
+@lru_cache(maxsize=1)
+def _workers(jobs: int) -> ThreadPoolExecutor:
+    """Threads that all fits share, so that there are no more of them than asked for, however many fits run."""
+    return ThreadPoolExecutor(jobs, thread_name_prefix="simulation")
 
 
 def block_noise(values: Floats) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis.candidates import Unknown
 from pam_antagonist.diagnosis.experiment import Experiment, Point
@@ -80,16 +81,24 @@ def without_idle(experiments: Sequence[Experiment], base: Model, model: Model, j
         model: the model.
         jobs: threads.
     """
-    for effect in model.effects[:-1]:
-        without = refitted_without(experiments, model, effect, jobs)
-        if evidence_of(experiments, without, model) < STRONG:
-            model = without
-    fits = []
-    for experiment, before, fitted in zip(experiments, base.fits, model.fits, strict=True):
-        smaller = fitted
+    names = model.effects[:-1]
+    while names:
+        without = refitted_without(experiments, model, names, jobs)
+        idle = [evidence_of(experiments, smaller, model) < STRONG for smaller in without]
+        if not any(idle):
+            break
+        # What was tried after the first idle one still had it.
+        first = idle.index(True)
+        model, names = without[first], names[first + 1 :]
+
+    def leaner(experiment: Experiment, before: Fitted, fitted: Fitted) -> Fitted:
         for effect in model.effects:
-            smaller = pruned(experiment, before, smaller, effect)
-        fits.append(smaller)
+            fitted = pruned(experiment, before, fitted, effect)
+        return fitted
+
+    fits = Parallel(n_jobs=jobs, prefer="threads")(
+        delayed(leaner)(*each) for each in zip(experiments, base.fits, model.fits, strict=True)
+    )
     return Model(model.effects, tuple(fits))
 
 
@@ -100,11 +109,11 @@ def found(
     gains, shares = {}, {}
     whole = excess_squares(experiments, model, held=True)
     before = excess_squares(experiments, base, held=True)
-    for effect in model.effects:
-        without = base if len(model.effects) == 1 else refitted_without(experiments, model, effect, jobs)
+    several = len(model.effects) > 1
+    smaller = refitted_without(experiments, model, model.effects, jobs) if several else [base] * len(model.effects)
+    for effect, without in zip(model.effects, smaller, strict=True):
         gains[effect] = evidence_of(experiments, without, model)
         lost = excess_squares(experiments, without, held=True)
-        several = len(model.effects) > 1
         shares[effect] = float(np.sum(lost - whole) / max(np.sum(before), 1e-12)) if several else removed(lost, whole)
     return found_effects(experiments, model, gains, shares)
 

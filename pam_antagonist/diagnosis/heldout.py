@@ -45,7 +45,7 @@ class Compared:
 
 
 def experiments_of(
-    trials: Sequence[Trial], others: Sequence[Trial], rig: Rig, share: float, seed: int
+    trials: Sequence[Trial], others: Sequence[Trial], rig: Rig, share: float, seed: int, jobs: int = 1
 ) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
     """Recordings that are fitted, and those that are held out as a whole.
 
@@ -58,16 +58,21 @@ def experiments_of(
         rig: as configured.
         share: of each recording that is held out where no whole one is.
         seed: of what is drawn in fits.
+        jobs: threads.
     """
     if not others:
         cut = [round(len(trial) * (1.0 - share) / 100.0) * 100 for trial in trials]
-        return tuple(Experiment(rig, trial, end, seed=seed) for trial, end in zip(trials, cut, strict=True)), ()
-    held = tuple(Experiment(rig, trial, round(START / trial.dt / BLOCK) * BLOCK, seed=seed) for trial in others)
+        return tuple(
+            Experiment(rig, trial, end, seed=seed, jobs=jobs) for trial, end in zip(trials, cut, strict=True)
+        ), ()
+    held = tuple(
+        Experiment(rig, trial, round(START / trial.dt / BLOCK) * BLOCK, seed=seed, jobs=jobs) for trial in others
+    )
     common = {trial.joint for trial in trials} & {trial.joint for trial in others}
     return tuple(
         Experiment(
             rig, trial, len(trial) // BLOCK * BLOCK,
-            tuple(other for other in held if not common or other.trial.joint == trial.joint), seed,
+            tuple(other for other in held if not common or other.trial.joint == trial.joint), seed, jobs,
         )
         for trial in trials
     ), held  # fmt: skip
@@ -98,7 +103,7 @@ def check_same_rig(experiments: Sequence[Experiment], base: Model, held: Sequenc
     """
 
     def own(other: Experiment) -> Fitted:
-        whole = Experiment(other.rig, other.trial, len(other.trial) // BLOCK * BLOCK)
+        whole = Experiment(other.rig, other.trial, len(other.trial) // BLOCK * BLOCK, jobs=jobs)
         return refit(whole, whole.origin)
 
     fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(own)(other) for other in held)

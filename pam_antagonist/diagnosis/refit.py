@@ -81,12 +81,15 @@ def cost_of(experiment: Experiment, point: Point, residual: Floats, scale: Scale
 def effect_jacobian(experiment: Experiment, point: Point, residual: Floats, unknowns: Sequence[Unknown]) -> Floats:
     """Derivatives of the residual by the coordinates of effects (B, C, m)."""
     result = np.zeros((*residual.shape, len(unknowns)))
-    for k, unknown in enumerate(unknowns):
+    points, steps = [], []
+    for unknown in unknowns:
         value = point.effects.get(unknown.path, unknown.item.neutral)
         step = unknown.step(value)
         moved = unknown.value(unknown.coordinate(value) + step)
-        changed = Point(point.theta, {**point.effects, **dict.fromkeys(unknown.paths, moved)})
-        result[:, :, k] = (experiment.residual(changed) - residual) / step
+        points.append(Point(point.theta, {**point.effects, **dict.fromkeys(unknown.paths, moved)}))
+        steps.append(step)
+    for k, there in enumerate(experiment.residuals(points)):
+        result[:, :, k] = (there - residual) / steps[k]
     return result
 
 
@@ -191,7 +194,7 @@ def _step(
 def settled(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
     """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
 
-    Its derivatives are those at its own point, so that a model of which only the point was kept is the same again.
+    Its derivatives by the base unknowns may be those of a point nearby: :func:`at_itself` renews them.
 
     Args:
         experiment: the recording; its seed draws the starts.
@@ -205,7 +208,12 @@ def settled(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fit
     if np.max(excess(experiment, best.residual)) <= _NEAR:
         finer = refit(experiment, best.point, best.unknowns, best.base, renewals=2, pace=1.0, careful=0)
         best = finer if np.max(excess(experiment, finer.residual)) < AT_NOISE else best
-    return refit(experiment, best.point, best.unknowns, rounds=0, pace=best.scale.pace)
+    return best
+
+
+def at_itself(experiment: Experiment, fitted: Fitted) -> Fitted:
+    """A fit with the derivatives at its own point, so that one of which only the point was kept is the same again."""
+    return refit(experiment, fitted.point, fitted.unknowns, rounds=0, pace=fitted.scale.pace)
 
 
 def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list[Fitted]:

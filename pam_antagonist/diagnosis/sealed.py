@@ -111,7 +111,9 @@ def diagnose_sealed(
         known = [(trial, cut) for trial, cut in zip(trials, cuts, strict=True) if kind == AIR or trial.has(TORQUE)]
         if known:
             driven = tuple(
-                Driven(plain, replace(trial, name=f"{trial.name}, {_NAMES[kind]}"), cut, seed=seed, part=kind)
+                Driven(
+                    plain, replace(trial, name=f"{trial.name}, {_NAMES[kind]}"), cut, seed=seed, jobs=jobs, part=kind
+                )
                 for trial, cut in known
             )
             parts.append(_judged(kind, driven, jobs, said, store or Store()))

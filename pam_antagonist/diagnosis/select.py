@@ -10,7 +10,7 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import AT_NOISE, STARTS, Fitted, beyond, cost_of, excess, refit, settled
+from pam_antagonist.diagnosis.refit import AT_NOISE, STARTS, Fitted, at_itself, beyond, cost_of, excess, refit, settled
 from pam_antagonist.diagnosis.score import Score, as_configured, score_all
 from pam_antagonist.diagnosis.store import Kept, Store, key_of
 
@@ -91,10 +91,12 @@ class Selection:
     trials: tuple[Trial, ...]
 
 
-def refitted_without(experiments: Sequence[Experiment], model: Model, effect: str, jobs: int) -> Model:
-    """The model without one of its effects, the others and the base fitted anew."""
+def refitted_without(
+    experiments: Sequence[Experiment], model: Model, effects: Sequence[str], jobs: int
+) -> tuple[Model, ...]:
+    """The model without each of these of its effects, the others and the base fitted anew."""
 
-    def one(experiment: Experiment, fitted: Fitted) -> Fitted:
+    def one(effect: str, experiment: Experiment, fitted: Fitted) -> Fitted:
         path = f"effects.{effect}."
         if not any(name.startswith(path) for name in fitted.point.effects):
             return fitted
@@ -102,15 +104,19 @@ def refitted_without(experiments: Sequence[Experiment], model: Model, effect: st
         effects = {name: value for name, value in fitted.point.effects.items() if not name.startswith(path)}
         return refit(experiment, Point(fitted.point.theta, effects), left)
 
-    fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*pair) for pair in _pairs(experiments, model))
-    return Model(tuple(name for name in model.effects if name != effect), tuple(fits))
+    tasks = [(effect, *pair) for effect in effects for pair in _pairs(experiments, model)]
+    fits = iter(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*task) for task in tasks))
+    return tuple(
+        Model(tuple(name for name in model.effects if name != effect), tuple(next(fits) for _ in experiments))
+        for effect in effects
+    )
 
 
 def recalibrated(experiments: Sequence[Experiment], jobs: int) -> Model:
     """The base parameters of every recording at their most probable values."""
 
     def one(experiment: Experiment) -> Fitted:
-        return settled(experiment, refit(experiment, experiment.origin))
+        return at_itself(experiment, settled(experiment, refit(experiment, experiment.origin)))
 
     return Model((), tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(e) for e in experiments)))
 
@@ -173,9 +179,15 @@ def select(
         best = next((trial for trial in found if worth(trial)), None)
         if best is None or best.model is None:
             break
-        model = shared(experiments, best.model, jobs)
+        model = shared(experiments, _renewed(experiments, best.model, jobs), jobs)
         said(f"{best.effect} added")
     return Selection(base, model, tuple(tried))
+
+
+def _renewed(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
+    """The model with derivatives at its own points: of a candidate that is not taken nobody asks for them."""
+    pairs = _pairs(experiments, model)
+    return Model(model.effects, tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(at_itself)(*p) for p in pairs)))
 
 
 def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
@@ -223,7 +235,9 @@ def _round(
     store: Store,
 ) -> list[Trial]:
     said(f"round {number}: score tests")
-    starts = [Parallel(n_jobs=jobs, prefer="threads")(_score_tasks(e, f)) for e, f in _pairs(experiments, model)]
+    tasks = [list(_score_tasks(e, f)) for e, f in _pairs(experiments, model)]
+    scored = iter(Parallel(n_jobs=jobs, prefer="threads")(task for per in tasks for task in per))
+    starts = [[next(scored) for _ in per] for per in tasks]
     # An effect of the model may be absent from the model of a recording in which it did not pay.
     names = [name for name in starts[0][0][0] if name not in model.effects]
     best = {name: [max(per, key=lambda pair: pair[0][name].gain) for per in starts] for name in names}
@@ -232,13 +246,13 @@ def _round(
     order = sorted(names, key=lambda name: -totals[name])
     wanted = [name for name in order[:_REFITTED] if totals[name] > _TOLD]
     said(f"round {number}: refitting {', '.join(wanted) or 'nothing'}")
-    tasks = [
+    pairs = [
         (name, r)
         for name in wanted
         for r in range(len(experiments))
         if best[name][r][0][name].gain > min(_TOLD, 0.2 * totals[name])
     ]
-    begun = {(name, r): (best[name][r][0][name], best[name][r][1]) for name, r in tasks}
+    begun = {(name, r): (best[name][r][0][name], best[name][r][1]) for name, r in pairs}
     done = _fits(experiments, model, begun, jobs, store)
     before = [excess_squares(experiments, model, held) for held in (True, False)]
     trials = []

@@ -58,7 +58,7 @@ def test_what_one_recording_shows_the_other_gets(leaking) -> None:
         np.max(excess(free, free.held(free.residual(fitted.point, whole=True)))) for fitted in (without, given)
     )
     assert after < 0.5 * before
-    alone = refitted_without((locked, free), model, "leak", 1)
+    (alone,) = refitted_without((locked, free), model, ("leak",), 1)
     assert all(SIZE not in fitted.point.effects for fitted in alone.fits)
 
 
