@@ -297,6 +297,11 @@ class Driven(Experiment):
     def _matters(self, k: int) -> bool:
         return k < len(self.knobs)
 
+    @property
+    def _strides(self) -> tuple[int, ...]:
+        # It is simulated in strides already.
+        return ()
+
 
 def _parted(values: Floats) -> Floats:
     """Columns of ``CHANNELS`` with the mean of the pressures and half their difference in the place of the two."""

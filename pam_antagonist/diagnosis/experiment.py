@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -12,10 +12,20 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.candidates import Candidate, candidates
 from pam_antagonist.diagnosis.knobs import Knob, base_knobs
-from pam_antagonist.diagnosis.simulation import BLOCK, Start, blocks, predict, run, start_of
+from pam_antagonist.diagnosis.simulation import (
+    BLOCK,
+    Start,
+    blocks,
+    predict,
+    run,
+    start_of,
+    stride_blocks,
+    strides,
+)
 from pam_antagonist.diagnosis.solve import PACE
 from pam_antagonist.identification.trial import ANGLE, CHANNELS, Trial
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.flow import is_too_quick
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -25,6 +35,10 @@ _STEP = 2e-3
 _START_ANGLE = 1.7e-3
 """[rad] How well a measured start angle is known, stiction and encoder step together."""
 _SHIFTS = 3
+_STRIDES = (4, 2)
+"""[samples] Steps in which derivatives are simulated, the longest first that goes the model's way."""
+_ASTRAY = 0.2
+"""A simulation in longer steps goes the model's way if no channel is off by more than so many noises (RMS)."""
 _LEAST = 1e-12
 _RUNAWAY = 1e9
 
@@ -153,18 +167,68 @@ class Experiment:
 
         The whole is followed by what recordings that are held out say of the point, see :meth:`foretold`.
         """
-        simulated = blocks(self.simulated(point, whole)[:, list(self.channels)])
+        own = self._left(blocks(self.simulated(point, whole)[:, list(self.channels)]))
+        return np.concatenate([own, *(self.foretold(other, point) for other in self.judged)]) if whole else own
+
+    def _left(self, simulated: Floats) -> Floats:
+        """Measured minus simulated block means (B, C), 0 where nothing was measured."""
         difference = self.measured[: len(simulated)] - simulated
         # A model that runs away is wrong, not undefined.
         bound = _RUNAWAY * self.noise
-        own = np.clip(np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf), -bound, bound)
-        return np.concatenate([own, *(self.foretold(other, point) for other in self.judged)]) if whole else own
+        return np.clip(np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf), -bound, bound)
 
-    def residuals(self, points: Iterable[Point]) -> list[Floats]:
-        """Residuals (B, C) of several points, side by side: a fit by itself would leave the other cores idle."""
-        if self.jobs == 1:
-            return [self.residual(point) for point in points]
-        return list(_workers(self.jobs).map(self.residual, points))
+    def _side_by_side(self, work: Callable[[Point], Floats], points: Iterable[Point]) -> list[Floats]:
+        """Something of several points: a fit by itself would leave the other cores idle."""
+        return list(map(work, points) if self.jobs == 1 else _workers(self.jobs).map(work, points))
+
+    def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
+        """How the residual (B, C) changes from a point to others nearby.
+
+        Derivatives are most of what a fit works out, and need no steps as fine as the residual itself: theirs are
+        longer wherever the model in longer steps goes the same way.
+
+        Args:
+            point: where the residual is known.
+            residual: there (B, C).
+            moved: the others.
+        """
+        stride, here = self._longest_stride(point, residual)
+
+        def difference(there: Point) -> Floats:
+            left = self._strided(there, stride)
+            return self.residual(there) - residual if left is None else left - here
+
+        return self._side_by_side(difference, moved)
+
+    def _longest_stride(self, point: Point, residual: Floats) -> tuple[int, Floats]:
+        """The longest steps [samples] in which the model goes its way at a point, and the residual in those."""
+        for stride in self._strides:
+            here = self._strided(point, stride)
+            if here is not None and np.all(np.sqrt(np.mean((here - residual) ** 2, axis=0)) <= _ASTRAY * self.noise):
+                return stride, here
+        return 1, residual
+
+    @property
+    def _strides(self) -> tuple[int, ...]:
+        return _STRIDES
+
+    @cached_property
+    def _in_strides(self) -> dict[int, Trial]:
+        part = self.trial.part(0.0, self.fitted * self.trial.dt)
+        return {stride: strides(part, stride) for stride in _STRIDES}
+
+    def _strided(self, point: Point, stride: int) -> Floats | None:
+        """The residual (B, C) simulated in longer steps [samples]; None where something is too quick for them."""
+        if stride == 1:
+            return self.residual(point)
+        p = self.parameters(point)
+        # A joint must be able to stick within a step, and so a valve to follow.
+        p[par.FRICTION_STEP] *= stride
+        if is_too_quick(p):
+            return None
+        shift = point.theta[-_SHIFTS:] * self._start_scale
+        simulated = predict(self._in_strides[stride], p, self.first, shift)[:, list(self.channels)]
+        return self._left(stride_blocks(simulated, stride, self.fitted // BLOCK))
 
     def held(self, residual: Floats) -> Floats:
         """The held-out blocks of a residual of the whole; none where there is nothing to judge by."""
@@ -187,13 +251,9 @@ class Experiment:
         """A point with the start's deviations told from the fitted samples, and everything else as it is."""
         now = Point(np.concatenate([point.theta[:-_SHIFTS], np.zeros(_SHIFTS)]), point.effects)
         residual = self.residual(now)
-        columns = np.stack(
-            [
-                self.residual(Point(now.theta + np.eye(self.size)[k], now.effects)) - residual
-                for k in range(self.size - _SHIFTS, self.size)
-            ],
-            axis=2,
-        )
+        shifts = np.eye(self.size)[-_SHIFTS:]
+        moved_by = (Point(now.theta + shift, now.effects) for shift in shifts)
+        columns = np.stack(self.differences(now, residual, moved_by), axis=2)
         # Weighed and counted as in any fit, and pulled to what the sensors showed.
         weight = 1.0 / (np.maximum(np.mean(residual**2, axis=0), self.noise**2) * PACE)
         information = np.einsum("c,bci,bcj->ij", weight, columns, columns, optimize=True) + np.eye(_SHIFTS)
@@ -207,9 +267,9 @@ class Experiment:
         result = np.zeros((*residual.shape, self.size))
         free = [k for k in range(self.size) if self._matters(k)]
         steps = np.where(np.arange(self.size) < len(self.knobs), _STEP, 1.0)
-        moved = self.residuals(Point(point.theta + np.eye(self.size)[k] * steps, point.effects) for k in free)
-        for k, there in zip(free, moved, strict=True):
-            result[:, :, k] = (there - residual) / steps[k]
+        moved = (Point(point.theta + np.eye(self.size)[k] * steps, point.effects) for k in free)
+        for k, difference in zip(free, self.differences(point, residual, moved), strict=True):
+            result[:, :, k] = difference / steps[k]
         return result
 
     def _matters(self, k: int) -> bool:

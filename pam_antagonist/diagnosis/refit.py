@@ -88,8 +88,8 @@ def effect_jacobian(experiment: Experiment, point: Point, residual: Floats, unkn
         moved = unknown.value(unknown.coordinate(value) + step)
         points.append(Point(point.theta, {**point.effects, **dict.fromkeys(unknown.paths, moved)}))
         steps.append(step)
-    for k, there in enumerate(experiment.residuals(points)):
-        result[:, :, k] = (there - residual) / steps[k]
+    for k, difference in enumerate(experiment.differences(point, residual, points)):
+        result[:, :, k] = difference / steps[k]
     return result
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,42 @@ def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> t
     x0 = rest.initial_state(angle, pressures[0], pressures[1], given[0], p)
     states, torque = dynamics.course(x0, given, p, trial.dt, 1)
     return states, torque
+
+
+def strides(trial: Trial, stride: int) -> Trial:
+    """A recording as a model in longer steps sees it: every so many-th sample, and the means of the inputs between.
+
+    Args:
+        trial: the recording.
+        stride: samples a step.
+    """
+    steps = (len(trial) - 1) // stride
+
+    def means(values: Floats) -> Floats:
+        # Row k holds over the step that ends at sample k.
+        cut = values[1 : 1 + steps * stride]
+        return np.concatenate([values[:1], np.add.reduceat(cut, np.arange(0, len(cut), stride)) / stride])
+
+    external = None if trial.external is None else means(np.nan_to_num(trial.external))
+    measured = trial.measured[: 1 + steps * stride : stride]
+    return replace(trial, dt=stride * trial.dt, voltage=means(trial.voltage), measured=measured, external=external)
+
+
+def stride_blocks(values: Floats, stride: int, count: int) -> Floats:
+    """What :func:`blocks` gives of the samples between as well, (count, C).
+
+    Args:
+        values: every stride-th sample (N, C).
+        stride: samples from one to the next, a divisor of a block's.
+        count: how many blocks.
+    """
+    steps = BLOCK // stride
+    missing = max(count * steps + 1 - len(values), 0)
+    values = np.concatenate([values, np.repeat(values[-1:], missing, axis=0)])
+    means = np.add.reduceat(values[: count * steps], np.arange(0, count * steps, steps)) / steps
+    ends = values[: count * steps + 1 : steps]
+    # A block's samples lie half a sample before the middle of its ends, the means half a stride.
+    return np.asarray(means + (0.5 - 0.5 / stride) / steps * np.diff(ends, axis=0))
 
 
 def blocks(values: Floats, size: int = BLOCK) -> Floats:

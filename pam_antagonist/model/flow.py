@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
@@ -152,6 +154,8 @@ def mass_flow(valve, alpha, pressure, p):
 @kernel
 def leak_flow(muscle, pressure, p):
     """Mass flow out of a leaking muscle [kg/s]: an orifice to the atmosphere, or a crack that resists more at first."""
+    if p[LEAK_AREA + muscle] == 0.0:
+        return 0.0
     flow = p[LEAK_AREA + muscle] * orifice_flow(pressure, p[ATMOSPHERE], p)
     if p[LEAK_EXPONENT] != 1.0:
         flow *= _power(max(pressure - p[ATMOSPHERE], 1.0) / _LEAK_GAUGE, p[LEAK_EXPONENT] - 1.0)
@@ -195,10 +199,22 @@ def droop_rate(droop, drawn, p):
 
 
 @inlined
+def quickest_lag(p):
+    """Shortest time constant [s] of a valve that a step of the integration follows."""
+    return 0.5 * p[FRICTION_STEP]
+
+
+def is_too_quick(p: np.ndarray) -> bool:
+    """Whether a valve that follows its voltage late does so with a shorter time constant than that."""
+    times = [time for time in p[VALVE_TIME : VALVE_TIME + 2] if time > 0.0]
+    return any(min(p[VALVE_REACH], 1.0) * time < quickest_lag(p) for time in times)
+
+
+@inlined
 def valve_rate(valve, alpha, wanted, p):
     """dα/dt [1/s] of a valve that follows the open rate κ(u) that its voltage asks for, at its full speed at most."""
     # A search tries times that no step of the integration would follow; a rig file may not have them.
-    quickest = 0.5 * p[FRICTION_STEP]
+    quickest = quickest_lag(p)
     stroke = max(p[VALVE_TIME + valve], quickest)
     behind = wanted - alpha
     if p[VALVE_REACH] >= 1.0:

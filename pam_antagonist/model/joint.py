@@ -62,6 +62,8 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
 @kernel
 def extra_coulomb_torque(velocity, p):
     """What the effect ``friction`` adds to T_s + T_p [N m]: a constant, and a part that fades with the velocity."""
+    if p[STRIBECK] == 0.0:
+        return p[EXTRA_COULOMB]
     return p[EXTRA_COULOMB] + p[STRIBECK] * math.exp(-abs(velocity) / p[STRIBECK_VELOCITY])
 
 

@@ -9,7 +9,7 @@ from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT, Candidate, candid
 from pam_antagonist.diagnosis.experiment import Point, block_noise
 from pam_antagonist.diagnosis.knobs import base_knobs
 from pam_antagonist.diagnosis.refit import excess, refit
-from pam_antagonist.diagnosis.simulation import BLOCK, blocks
+from pam_antagonist.diagnosis.simulation import BLOCK, blocks, stride_blocks
 from pam_antagonist.model.effects import CATALOGUE
 
 
@@ -57,6 +57,62 @@ def test_a_model_that_runs_away_is_wrong_and_finite(recorded, experiment_of) -> 
     far = Point(experiment.origin.theta, {"effects.thermal.share_1": 0.5, "effects.thermal.time": 1e-9})
     assert not np.all(np.isfinite(experiment.simulated(far)))
     assert np.all(np.isfinite(experiment.residual(far)))
+
+
+@pytest.mark.parametrize("stride", [2, 4])
+def test_means_over_blocks_are_told_from_every_few_samples(stride) -> None:
+    time = np.arange(401) * 1e-3
+    values = np.column_stack([time, np.sin(10.0 * time)])
+    told = stride_blocks(values[::stride], stride, 20)
+    assert told[:, 0] == pytest.approx(blocks(values)[:, 0], abs=1e-12)
+    assert told[:, 1] == pytest.approx(blocks(values)[:, 1], abs=2e-4)
+
+
+def _differences(experiment, effects, moves):
+    """Changes of the residual as derivatives are told from, and by the model itself; in noises."""
+    point = Point(experiment.origin.theta, effects)
+    residual = experiment.residual(point)
+    moved = [Point(point.theta, {**effects, **move}) for move in moves]
+    told = experiment.differences(point, residual, moved)
+    return [
+        (t / experiment.noise, (experiment.residual(m) - residual) / experiment.noise)
+        for t, m in zip(told, moved, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("joint", ["free", "locked"])
+def test_derivatives_need_no_steps_as_fine_as_the_model(recorded, experiment_of, joint) -> None:
+    experiment = experiment_of(recorded(seconds=30.0, joint=joint), joint)
+    effects = {"effects.valve_lag.time_2": 0.02, "effects.creep.share_1": 0.05}
+    moves = [
+        {"effects.valve_lag.time_2": 0.022},
+        {"effects.creep.share_1": 0.06},
+        {"effects.pressure_sensor.offset_1": 300.0},
+        {"effects.leak.area_1": 1e-9},
+        {"effects.friction.coulomb": 0.01},
+    ]
+    for told, own in _differences(experiment, effects, moves):
+        assert np.linalg.norm(told - own) <= 0.03 * np.linalg.norm(own)
+        # Longer steps were taken: or there would be no difference at all.
+        assert not np.any(own) or np.any(told != own)
+
+
+@pytest.mark.parametrize(
+    ("effects", "move"),
+    [
+        ({}, {"effects.valve_lag.time_1": 1e-3, "effects.valve_lag.reach": 0.2}),
+        ({"effects.valve_lag.time_1": 8e-4}, {"effects.leak.area_1": 1e-9}),
+        (
+            {"effects.line_resistance.resistance_1": 5e9, "effects.line_resistance.time": 1e-3},
+            {"effects.leak.area_1": 1e-9},
+        ),
+    ],
+)
+def test_what_is_too_quick_for_longer_steps_is_not_simulated_in_them(recorded, experiment_of, effects, move) -> None:
+    experiment = experiment_of(recorded(seconds=20.0), "locked")
+    ((told, own),) = _differences(experiment, effects, [move])
+    assert np.any(own)
+    assert np.array_equal(told, own)
 
 
 @pytest.mark.parametrize(
