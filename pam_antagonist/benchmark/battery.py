@@ -61,6 +61,7 @@ class Outcome:
         channel: that the effects move most.
         errors: held-out RMSE of that channel [deg, N m or Pa]: recalibrated, extended, and of the true model.
         seconds: that the diagnosis took.
+        threads: that it had.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Outcome:
     channel: str | None
     errors: Mapping[str, float | None]
     seconds: float
+    threads: int
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,13 +118,14 @@ _LEADING = 3
 _REFUSAL = SimpleNamespace(verdict="refused", effects=(), ambiguous_with=(), errors={}, trials=())
 
 
-def judge(case: Case, diagnose: Diagnose, duration: float = DURATION) -> Outcome:
+def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: int = 1) -> Outcome:
     """Make a case's recordings, have them diagnosed, and note what was said beside what is so.
 
     Args:
         case: the joint.
         diagnose: the diagnosis.
         duration: of each recording [s].
+        threads: that the diagnosis has.
     """
     recordings = case.recordings(duration)
     begin = time.monotonic()
@@ -153,6 +156,7 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION) -> Outcome
         channel=channel,
         errors=errors,
         seconds=seconds,
+        threads=threads,
     )
 
 

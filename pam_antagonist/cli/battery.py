@@ -84,7 +84,7 @@ def _main(argv: Sequence[str] | None) -> int:
     waiting = [(k, case) for k, case in mine if battery.load(folder, k, case, arguments.duration) is None]
     with common.progress(len(waiting), "battery", "cases") as bar:
         for number, case in waiting:
-            outcome = battery.judge(case, _diagnosis(case, arguments.jobs), arguments.duration)
+            outcome = battery.judge(case, _diagnosis(case, arguments.jobs), arguments.duration, arguments.jobs)
             battery.save(folder, number, outcome)
             bar.update(1)
     outcomes = [battery.load(folder, k, case, arguments.duration) for k, case in every]
@@ -207,7 +207,7 @@ def _markdown(done: Sequence[battery.Outcome], arguments: argparse.Namespace) ->
         "simulator: being right here is less than being right on a real joint.",
         "",
         f"{len(done)} of {arguments.count} cases; a diagnosis took {seconds[len(seconds) // 2]:.0f} s (median), "
-        f"{seconds[-1]:.0f} s at most.",
+        f"{seconds[-1]:.0f} s at most, with {_threads(done)} (`--jobs`).",
         "",
         *_rows(figures),
         "",
@@ -227,6 +227,11 @@ def _markdown(done: Sequence[battery.Outcome], arguments: argparse.Namespace) ->
         "",
     ]
     return "\n".join(lines)
+
+
+def _threads(done: Sequence[battery.Outcome]) -> str:
+    least, most = (limit(item.threads for item in done) for limit in (min, max))
+    return f"{least} to {most} threads" if least < most else "one thread" if most == 1 else f"{most} threads"
 
 
 def _rows(table: Table) -> list[str]:

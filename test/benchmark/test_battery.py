@@ -39,7 +39,7 @@ def outcome(kind: str, effects=(), verdict: str = "none", found=(), **values) ->
     base = {
         "name": "a case", "kind": kind, "effects": tuple(effects), "form": tuple(name for name, _ in effects),
         "seed": 1, "sizes": (5.0,) * len(effects), "duration": 60.0, "verdict": verdict, "found": tuple(found),
-        "ambiguous_with": (), "leading": (), "channel": None, "errors": {}, "seconds": 1.0,
+        "ambiguous_with": (), "leading": (), "channel": None, "errors": {}, "seconds": 1.0, "threads": 1,
     }  # fmt: skip
     return battery.Outcome(**{**base, **values})
 
@@ -228,18 +228,20 @@ def run(*arguments: object) -> int:
 
 def test_goes_on_where_it_was_interrupted(tmp_path: Path, oracle, capsys) -> None:
     out = tmp_path / "result"
-    assert run("--out", out, "--count", 6, "--duration", 10, "--shard", "2/2") == 0
+    assert run("--out", out, "--count", 6, "--duration", 10, "--shard", "2/2", "--jobs", 2) == 0
     assert "3 of 6 cases are finished" in capsys.readouterr().out
     assert len(oracle) == 3
-    assert run("--out", out, "--count", 6, "--duration", 10) == 0
+    assert run("--out", out, "--count", 6, "--duration", 10, "--jobs", 2) == 0
     assert len(oracle) == 6 == len(set(oracle))
     (out / "case_004.json").unlink()
-    assert run("--out", out, "--count", 6, "--duration", 10, "--docs", tmp_path / "battery.md") == 0
+    arguments = ("--out", out, "--count", 6, "--duration", 10, "--jobs", 1, "--docs", tmp_path / "battery.md")
+    assert run(*arguments) == 0
     assert len(oracle) == 7 and oracle[-1] == cases(1, 6)[4].name
     text = capsys.readouterr().out
     assert "6 of 6 cases are finished" in text and "single effect: the right one first" in text
     page = (tmp_path / "battery.md").read_text(encoding="utf-8")
     assert "./run battery --out DIR --count 6 --seed 1 --duration 10" in page
+    assert "s at most, with 1 to 2 threads" in page
     tables = [line for line in page.splitlines() if line.startswith("|")]
     assert len({line.count("|") for line in tables}) <= 3
     for item in cases(1, 6):
