@@ -25,7 +25,7 @@ from pam_antagonist.diagnosis.simulation import (
 from pam_antagonist.diagnosis.solve import PACE
 from pam_antagonist.identification.trial import ANGLE, CHANNELS, Trial
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.flow import is_too_quick
+from pam_antagonist.model.flow import quickest_lag, small_signal_lags
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,7 @@ _START_ANGLE = 1.7e-3
 _SHIFTS = 3
 _STRIDES = (4, 2)
 """[samples] Steps in which derivatives are simulated, the longest first that goes the model's way."""
-_ASTRAY = 0.2
+_ASTRAY = 0.5
 """A simulation in longer steps goes the model's way if no channel is off by more than so many noises (RMS)."""
 _LEAST = 1e-12
 _RUNAWAY = 1e9
@@ -193,10 +193,14 @@ class Experiment:
             moved: the others.
         """
         stride, here = self._longest_stride(point, residual)
+        lags = small_signal_lags(self.parameters(point))
 
         def difference(there: Point) -> Floats:
-            left = self._strided(there, stride)
-            return self.residual(there) - residual if left is None else left - here
+            # Longer steps follow no shorter lags than themselves: there, a lag that moves would seem to stay.
+            moved_lags = small_signal_lags(self.parameters(there))
+            unseen = np.minimum(lags, moved_lags) < stride * quickest_lag(self._vector)
+            fine = stride == 1 or np.any(unseen & (lags != moved_lags))
+            return self.residual(there) - residual if fine else self._strided(there, stride) - here
 
         return self._side_by_side(difference, moved)
 
@@ -204,7 +208,7 @@ class Experiment:
         """The longest steps [samples] in which the model goes its way at a point, and the residual in those."""
         for stride in self._strides:
             here = self._strided(point, stride)
-            if here is not None and np.all(np.sqrt(np.mean((here - residual) ** 2, axis=0)) <= _ASTRAY * self.noise):
+            if np.all(np.sqrt(np.mean((here - residual) ** 2, axis=0)) <= _ASTRAY * self.noise):
                 return stride, here
         return 1, residual
 
@@ -217,15 +221,11 @@ class Experiment:
         part = self.trial.part(0.0, self.fitted * self.trial.dt)
         return {stride: strides(part, stride) for stride in _STRIDES}
 
-    def _strided(self, point: Point, stride: int) -> Floats | None:
-        """The residual (B, C) simulated in longer steps [samples]; None where something is too quick for them."""
-        if stride == 1:
-            return self.residual(point)
+    def _strided(self, point: Point, stride: int) -> Floats:
+        """The residual (B, C) simulated in longer steps [samples]."""
         p = self.parameters(point)
-        # A joint must be able to stick within a step, and so a valve to follow.
+        # A joint must be able to stick within a step.
         p[par.FRICTION_STEP] *= stride
-        if is_too_quick(p):
-            return None
         shift = point.theta[-_SHIFTS:] * self._start_scale
         simulated = predict(self._in_strides[stride], p, self.first, shift)[:, list(self.channels)]
         return self._left(stride_blocks(simulated, stride, self.fitted // BLOCK))

@@ -204,10 +204,9 @@ def quickest_lag(p):
     return 0.5 * p[FRICTION_STEP]
 
 
-def is_too_quick(p: np.ndarray) -> bool:
-    """Whether a valve that follows its voltage late does so with a shorter time constant than that."""
-    times = [time for time in p[VALVE_TIME : VALVE_TIME + 2] if time > 0.0]
-    return any(min(p[VALVE_REACH], 1.0) * time < quickest_lag(p) for time in times)
+def small_signal_lags(p: np.ndarray) -> np.ndarray:
+    """Time constants [s] with which the two valves (2,) follow small changes of their voltage; 0 for none."""
+    return p[VALVE_TIME : VALVE_TIME + 2] * min(p[VALVE_REACH], 1.0)
 
 
 @inlined

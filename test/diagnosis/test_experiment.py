@@ -101,7 +101,8 @@ def test_derivatives_need_no_steps_as_fine_as_the_model(recorded, experiment_of,
     ("effects", "move"),
     [
         ({}, {"effects.valve_lag.time_1": 1e-3, "effects.valve_lag.reach": 0.2}),
-        ({"effects.valve_lag.time_1": 8e-4}, {"effects.leak.area_1": 1e-9}),
+        ({"effects.valve_lag.time_1": 8e-4}, {"effects.valve_lag.time_1": 9e-4}),
+        ({"effects.valve_lag.time_1": 8e-4}, {"effects.valve_lag.time_1": 8e-3}),
         (
             {"effects.line_resistance.resistance_1": 5e9, "effects.line_resistance.time": 1e-3},
             {"effects.leak.area_1": 1e-9},
