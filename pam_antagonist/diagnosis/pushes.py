@@ -38,6 +38,14 @@ _LEAST_EPISODES = 2
 _EXPLAINED = 0.75
 """Share of the excess, fitted and held out together, that must go with the pushes, told from the same angle: of either
 part alone there may be little, where nothing pushed in it."""
+_ALIKE = float(np.deg2rad(0.5))
+"""[rad] Angles that are the same for a torque that depends on the angle."""
+_APART = 50
+"""[blocks] A second from a push is another time."""
+_OFTEN = 5
+"""[blocks] A torque at an angle is told from so many."""
+_RECURRING = 0.5
+"""A torque of which the same angle foretells more than this share is a law of the angle, and no push."""
 _rk4_step = dynamics.rk4_step
 
 
@@ -65,6 +73,7 @@ class Pushes:
         fitted: the base parameters beside it.
         torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the pushes.
         active: share of the time with one.
+        recurring: share of its square that the torque at the same angle at other times foretells.
         shares: share of the held-out excess, and of all of it, that goes with it, in hindsight; the latter twice where
             all of it was fitted.
         noise: size of the random walk that it looks like [N m/s^0.5].
@@ -74,6 +83,7 @@ class Pushes:
     fitted: Fitted
     torque: Floats
     active: float
+    recurring: float
     shares: tuple[float, float]
     noise: float
 
@@ -86,7 +96,7 @@ class Pushes:
     def explains(self) -> bool:
         """Whether pushes at some times, and nothing at the others, leave little of the residual."""
         comes_and_goes = self.episodes >= _LEAST_EPISODES and self.active <= _MOST_ACTIVE
-        return comes_and_goes and self.shares[1] >= _EXPLAINED
+        return comes_and_goes and self.recurring <= _RECURRING and self.shares[1] >= _EXPLAINED
 
 
 def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
@@ -107,8 +117,8 @@ def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
     experiment = replace(experiment, judged=())
     best, point = None, fitted.point
     for _ in range(_ROUNDS):
-        torque = _observed(experiment, point)
-        torque = np.where(_episodes(torque), torque, 0.0)
+        seen = _observed(experiment, point)
+        torque = np.where(_episodes(seen), seen, 0.0)
         samples = np.repeat(torque, BLOCK)
         samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
         pushed = replace(experiment, trial=replace(trial, external=known + samples))
@@ -121,11 +131,13 @@ def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
         steps = np.diff(torque[::_LOOK])
         noise = float(np.sqrt(np.mean(steps**2) / (_LOOK * BLOCK * trial.dt)))
         if best is None or shares[1] > best[2][1]:
-            best = pushed, point, shares, torque, noise
+            best = pushed, point, shares, torque, noise, seen
     assert best is not None
-    pushed, point, shares, torque, noise = best
+    pushed, point, shares, torque, noise, seen = best
     beside = refit(pushed, point, fitted.unknowns, rounds=0)
-    return Pushes(pushed, beside, torque, float(np.mean(torque != 0.0)), shares, noise)
+    active = torque != 0.0
+    recurring = _recurring(seen, active, _angle(experiment))
+    return Pushes(pushed, beside, torque, float(np.mean(active)), recurring, shares, noise)
 
 
 def _between(experiment: Experiment, torque: Floats) -> Experiment:
@@ -139,13 +151,47 @@ def _between(experiment: Experiment, torque: Floats) -> Experiment:
 def _observed(experiment: Experiment, point: Point) -> Floats:
     """Torque (B,) [N m] that makes the model follow the measured angle."""
     trial = experiment.trial
-    angle = experiment.measured[:, experiment.channels.index(ANGLE)]
-    middle = (np.arange(len(angle)) + 0.5) * BLOCK
-    measured = np.interp(np.arange(len(trial)), middle[np.isfinite(angle)], angle[np.isfinite(angle)])
+    angle = _angle(experiment)
+    measured = np.interp(np.arange(len(trial)), (np.arange(len(angle)) + 0.5) * BLOCK, angle)
     p = experiment.parameters(point)
     start = experiment.simulated(point)[0]
     x0 = rest.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
     return blocks(_followed(x0, trial.given, measured, p, trial.dt, _STIFF, _DAMPING)[:, None])[:, 0]
+
+
+def _angle(experiment: Experiment) -> Floats:
+    """Measured angle (B,) [rad], interpolated where it is missing."""
+    angle = experiment.measured[:, experiment.channels.index(ANGLE)]
+    known = np.isfinite(angle)
+    return np.interp(np.arange(len(angle)), np.flatnonzero(known), angle[known])
+
+
+def _recurring(seen: Floats, active: NDArray[np.bool_], angle: Floats) -> float:
+    """Share of the pushes' squares that the mean torque at the same angle at other times foretells.
+
+    Args:
+        seen: torque (B,) [N m] that makes the model follow the measured angle.
+        active: when there is a push (B,).
+        angle: measured (B,) [rad].
+    """
+    places = np.rint(angle / _ALIKE).astype(int)
+    places -= places.min()
+
+    def sums(part: slice) -> tuple[Floats, Floats]:
+        count = places.max() + 1
+        torque, times = np.bincount(places[part], seen[part], count), np.bincount(places[part], minlength=count)
+        return np.asarray(torque), np.asarray(times, dtype=float)
+
+    total, often = sums(slice(None))
+    edges = np.flatnonzero(np.diff(active, prepend=False, append=False))
+    left = 0.0
+    for begin, end in edges.reshape(-1, 2):
+        near, times = sums(slice(max(begin - _APART, 0), end + _APART))
+        elsewhere = often - times
+        foretold = np.where(elsewhere >= _OFTEN, (total - near) / np.maximum(elsewhere, 1), 0.0)
+        left += float(np.sum((seen[begin:end] - foretold[places[begin:end]]) ** 2))
+    squares = float(np.sum(seen[active] ** 2))
+    return 1.0 - left / squares if squares > 0.0 else 0.0
 
 
 def _episodes(torque: Floats) -> NDArray[np.bool_]:

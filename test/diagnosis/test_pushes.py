@@ -21,8 +21,8 @@ SIZE = 8.0
 def free(recorded, experiment_of):
     """Makes an experiment with a free joint and its recalibrated model."""
 
-    def make(effect: str, form: str, size: float):
-        experiment = experiment_of(recorded(effect, None, form, size, joint="free", seed=SEED), "free")
+    def make(effect: str, form: str, size: float, seed: int = SEED):
+        experiment = experiment_of(recorded(effect, None, form, size, joint="free", seed=seed), "free")
         return experiment, refit(experiment, experiment.origin, rounds=6, renewals=2)
 
     return make
@@ -53,6 +53,16 @@ def test_pushes_are_found_when_they_were(pushed, rig) -> None:
 def test_a_law_that_always_holds_is_no_push(free) -> None:
     found = pushes.find(*free("load_torque", "geared pendulum", 20.0))
     assert found is not None and not found.explains
+
+
+def test_a_torque_that_returns_at_the_same_angle_is_no_push(free, pushed) -> None:
+    found = pushes.find(*free("cogging", "cogging", 20.0, seed=11))
+    assert found is not None and found.episodes >= 2 and found.active < 0.5
+    assert found.recurring > 0.8
+    # It would have passed for pushes if it had explained more.
+    assert not replace(found, shares=(1.0, 1.0)).explains
+    assert replace(found, shares=(1.0, 1.0), recurring=pushed.recurring).explains
+    assert pushed.recurring < 0.3
 
 
 def test_one_push_alone_may_have_been_anything(pushed) -> None:
