@@ -193,13 +193,13 @@ class Experiment:
             moved: the others.
         """
         stride, here = self._longest_stride(point, residual)
-        lags = small_signal_lags(self.parameters(point))
+        lags, shortest = small_signal_lags(self.parameters(point)), stride * quickest_lag(self._vector)
 
         def difference(there: Point) -> Floats:
             # Longer steps follow no shorter lags than themselves: there, a lag that moves would seem to stay.
             moved_lags = small_signal_lags(self.parameters(there))
-            unseen = np.minimum(lags, moved_lags) < stride * quickest_lag(self._vector)
-            fine = stride == 1 or np.any(unseen & (lags != moved_lags))
+            unseen = (lags != moved_lags) & (np.minimum(lags, moved_lags) < shortest)
+            fine = stride == 1 or np.any(unseen)
             return self.residual(there) - residual if fine else self._strided(there, stride) - here
 
         return self._side_by_side(difference, moved)
@@ -219,7 +219,7 @@ class Experiment:
     @cached_property
     def _in_strides(self) -> dict[int, Trial]:
         part = self.trial.part(0.0, self.fitted * self.trial.dt)
-        return {stride: strides(part, stride) for stride in _STRIDES}
+        return {stride: strides(part, stride) for stride in self._strides}
 
     def _strided(self, point: Point, stride: int) -> Floats:
         """The residual (B, C) simulated in longer steps [samples]."""
