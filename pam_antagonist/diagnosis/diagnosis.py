@@ -27,12 +27,11 @@ from pam_antagonist.diagnosis.sealed import diagnose_sealed
 from pam_antagonist.diagnosis.select import (
     STRONG,
     Selection,
-    excess_squares,
     recalibrated,
-    removed,
     select,
 )
 from pam_antagonist.diagnosis.sentence import sentence
+from pam_antagonist.diagnosis.shares import held_share, left_by
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.trial import Trial, make_trial
@@ -111,7 +110,7 @@ def diagnose(
     selection = select(experiments, base, jobs, rules.worth, said, store or Store())
     lap("selection")
     verdict, share = _judge(experiments, selection)
-    pushed, partly = None, False
+    pushed = None
     if verdict != "none":
         said("looking for pushes from outside")
     if verdict == "effect":
@@ -119,8 +118,6 @@ def diagnose(
     if verdict == "unexplained":
         pushed = outside.explain(experiments, base, selection.model, jobs, said)
         share = share if pushed is None else pushed.share
-        partly = pushed is None and rules.leads(experiments, base, selection.model, selection.trials)
-        verdict = "effect" if partly else verdict
     lap("pushes")
     alone = verdict == "effect" and pushed is None
     if alone:
@@ -141,8 +138,8 @@ def diagnose(
         verdict, model, found = "effect", pushed.model, pushed.effects
         values = dict(pushed.values)
         warnings += pushed.warnings
-    if partly and found:
-        warnings.insert(0, quality.partly(found[0].name, share))
+    elif verdict == "effect" and rules.explains_in_part(experiments, base, model):
+        warnings.insert(0, quality.in_part([effect.name for effect in found]))
     profiled = () if not profiles else profile_sizes(experiments, model, found, jobs, said)
     flat = [item["parameter"] for item in profiled if item["flat"]]
     if flat:
@@ -204,7 +201,7 @@ def _trial(recording: Recording, rig: Rig, joint: str, lock_angle: float | None)
 def _judge(experiments: Sequence[Experiment], selection: Selection) -> tuple[Verdict, float]:
     """The verdict, and the share of the held-out excess that is explained."""
     base, model = selection.recalibrated, selection.model
-    share = removed(*(excess_squares(experiments, m, held=True) for m in (base, model))) if model.effects else 0.0
+    share = held_share(experiments, *(left_by(experiments, m.fits) for m in (base, model)))
     if rules.explains(experiments, base, model):
         return "effect", share
     return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share

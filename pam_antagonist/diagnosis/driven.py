@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from pam_antagonist._jit import kernel
+from pam_antagonist.diagnosis.beyond import in_squares
 from pam_antagonist.diagnosis.candidates import Candidate, Unknown
 from pam_antagonist.diagnosis.experiment import Experiment, Point, block_noise
 from pam_antagonist.diagnosis.knobs import Knob
@@ -220,6 +221,13 @@ class Driven(Experiment):
     def channels(self) -> tuple[int, ...]:
         """The torque from outside, or the pressures' mean and half their difference in the place of the pressures."""
         return (TORQUE,) if self.part == BALANCE else (PRESSURE_1, PRESSURE_2)
+
+    def taken_away(self, before: Floats, after: Floats) -> tuple[float, float]:
+        """What of a residual beyond noise (B, C) is gone in another one (B, C), and what was there, in squares.
+
+        A model that is driven by the measured angle does not stray: nothing of its error comes from an earlier one.
+        """
+        return in_squares(before, after, self.noise)
 
     @property
     def titles(self) -> tuple[tuple[str, float], ...]:

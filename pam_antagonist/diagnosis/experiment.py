@@ -10,6 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.diagnosis.beyond import in_levels
 from pam_antagonist.diagnosis.candidates import Candidate, candidates
 from pam_antagonist.diagnosis.knobs import Knob, base_knobs
 from pam_antagonist.diagnosis.simulation import (
@@ -233,6 +234,10 @@ class Experiment:
     def held(self, residual: Floats) -> Floats:
         """The held-out blocks of a residual of the whole; none where there is nothing to judge by."""
         return residual[-(-self.fitted // BLOCK) :]
+
+    def taken_away(self, before: Floats, after: Floats) -> tuple[float, float]:
+        """What of a residual beyond noise (B, C) is gone in another one (B, C), and what was there [dB]."""
+        return in_levels(before, after, self.noise)
 
     def foretold(self, other: Experiment, point: Point) -> Floats:
         """What a point of this recording leaves of another one, behind its start (B, C), in this one's noises.

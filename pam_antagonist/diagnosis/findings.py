@@ -16,11 +16,10 @@ from pam_antagonist.diagnosis.select import (
     STRONG,
     Model,
     evidence,
-    excess_squares,
     price,
     refitted_without,
-    removed,
 )
+from pam_antagonist.diagnosis.shares import left_by, lost_share
 
 _SMALL = 0.1
 """A muscle whose size is less than this share of the other's is not the one."""
@@ -107,14 +106,13 @@ def found(
 ) -> tuple[tuple[FoundEffect, ...], dict[str, float], list[str]]:
     """The effects of a model, each with what would be lost without it; see :func:`found_effects`."""
     gains, shares = {}, {}
-    whole = excess_squares(experiments, model, held=True)
-    before = excess_squares(experiments, base, held=True)
+    whole, before = (left_by(experiments, m.fits) for m in (model, base))
     several = len(model.effects) > 1
     smaller = refitted_without(experiments, model, model.effects, jobs) if several else [base] * len(model.effects)
     for effect, without in zip(model.effects, smaller, strict=True):
         gains[effect] = evidence_of(experiments, without, model)
-        lost = excess_squares(experiments, without, held=True)
-        shares[effect] = float(np.sum(lost - whole) / max(np.sum(before), 1e-12)) if several else removed(lost, whole)
+        lost = left_by(experiments, without.fits) if several else before
+        shares[effect] = lost_share(experiments, before, lost, whole)
     return found_effects(experiments, model, gains, shares)
 
 

@@ -147,9 +147,8 @@ def _told_apart(
     """Laws that explain the recordings in which nothing can push, for all recordings; None where none do."""
     apart = [experiments[r] for r in still]
     quiet = Model((), tuple(base.fits[r] for r in still))
-    selection = select(apart, quiet, jobs, rules.worth, said, Store())
-    laws = selection.model
-    if not (rules.explains(apart, quiet, laws) or rules.leads(apart, quiet, laws, selection.trials)):
+    laws = select(apart, quiet, jobs, rules.worth, said, Store()).model
+    if not rules.explains(apart, quiet, laws):
         return None
     fits = dict(zip(still, laws.fits, strict=True))
     told = max(zip(apart, quiet.fits, laws.fits, strict=True), key=lambda seen: evidence(*seen))[2]

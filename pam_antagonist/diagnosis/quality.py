@@ -87,12 +87,12 @@ def unseen(trials: Sequence[Trial], invisible: Sequence[str] = ()) -> tuple[str,
     return tuple(said)
 
 
-def partly(effect: str, share: float) -> str:
-    """What is said of a law that is not the whole explanation."""
+def in_part(effects: Sequence[str]) -> str:
+    """What is said of effects that explain much of what was there and not all."""
+    which = " and ".join(dict.fromkeys(effects))
     return (
-        f"{effect} takes away {100 * share:.0f} % of the held-out excess, and no other candidate comes near it, but "
-        "what is left is beyond the sensors' noise: the effect has another form than the catalogue's law, or something "
-        "smaller is there as well; see what is left"
+        f"beside {which} much is left beyond the sensors' noise: the effect has another form than the catalogue's law, "
+        "or something smaller is there as well; see what is left"
     )
 
 

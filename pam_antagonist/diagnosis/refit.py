@@ -254,11 +254,6 @@ def excess(experiment: Experiment, residual: Floats) -> Floats:
     return np.asarray(np.sqrt(np.mean(residual**2, axis=0)) / experiment.noise)
 
 
-def beyond(experiment: Experiment, residual: Floats) -> Floats:
-    """How far the squares of each channel are beyond the noise's, in units of it (C,)."""
-    return np.asarray(np.maximum(excess(experiment, residual) ** 2 - 1.0, 0.0))
-
-
 def _moved(point: Point, unknowns: Sequence[Unknown], theta: Floats, effect: Floats) -> Point:
     effects = dict(point.effects)
     for unknown, change in zip(unknowns, effect, strict=True):

@@ -22,7 +22,7 @@ class FoundEffect:
         muscle: 1 or 2; None for both, and for an effect that belongs to neither.
         parameters: value, standard deviation and unit of each, by name.
         delta_bic: evidence for it: what the model loses without it, the price of its unknowns paid.
-        holdout_gain: share of the held-out residual beyond noise that goes with it.
+        holdout_gain: share of the held-out excess over noise (:mod:`beyond`) that goes with it.
         recordings: names of the recordings that show it.
         notes: what is to be known about it.
     """
@@ -45,7 +45,7 @@ class Ranked:
         round: 1 for the first effect, and so on.
         score: evidence to first order.
         delta_bic: evidence in full simulation, None where the score was too low to try.
-        holdout_gain: share of the held-out residual beyond noise that it removes, None likewise.
+        holdout_gain: share of the held-out excess over noise (:mod:`beyond`) that it removes, None likewise.
         taken: whether it went into the model.
         muscles: the score with muscle 1 alone and with muscle 2 alone; None where the effect belongs to no muscle.
     """
@@ -70,7 +70,7 @@ class Diagnosis:
         ambiguous_with: effects that the recordings cannot tell from the found ones.
         experiment: what would tell them apart, by effect.
         ranking: all candidates.
-        share: share of the held-out residual beyond noise that the extended model removes.
+        share: share of the held-out excess over noise (:mod:`beyond`) that the extended model removes.
         errors: by model (``as_configured``, ``recalibrated``, ``extended``), as in ``report.json``.
         by_recording: the same and more, for each recording.
         remaining: what is not explained, described.

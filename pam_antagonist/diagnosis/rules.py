@@ -1,8 +1,8 @@
 """When an effect is called found, when nothing is wrong, and when the answer is that it is not known.
 
 Evidence (ΔBIC, likelihood of held-out data, noise) has its statistical reason. The shares below have none but
-experience: they were set by what right and wrong explanations left of the held-out residual in recordings of rig A and
-of simulated joints.
+experience: they were set by what right and wrong explanations took away of the excess (:mod:`beyond`) in recordings of
+simulated joints.
 """
 
 from __future__ import annotations
@@ -13,25 +13,24 @@ import numpy as np
 
 from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, excess
-from pam_antagonist.diagnosis.select import POSITIVE, STRONG, Model, Trial, excess_squares, price, removed
+from pam_antagonist.diagnosis.select import POSITIVE, STRONG, Model, Trial, price
+from pam_antagonist.diagnosis.shares import left_by, whole_share
 
-FIRST_SHARE = 0.1
+FIRST_SHARE = 0.05
 """The first effect must remove this share of the held-out excess: a law that holds does so on data it never saw. Where
 another effect is there too, it need not be much."""
-FURTHER_SHARE = 0.05
-"""Likewise a further one, of what is left, fitted and held out together: most of that may be what another form of the
-first one leaves, and does not foretell."""
-EXPLAINED = (0.8, 0.8, 0.85)
-"""Share of the excess, fitted and held out together, that one, two or three effects must remove to be called the
-explanation.
+FURTHER_SHARE = 0.2
+"""A further one must remove this share of what is left, fitted and held out together: most of that may be what another
+form of the first one leaves, and does not foretell; less of it is what anything may imitate."""
+EXPLAINED = 0.4
+"""Share of the excess, fitted and held out together, that effects must remove to be called the explanation.
 
-That they foretell is asked before (:func:`worth`). Here a single event of a third of a recording would decide alone if
-only that third counted. The more laws may be chosen, the more of anything they imitate."""
-MOST = 0.5
-"""Share of the excess, fitted and held out together, that a law without rivals must remove: what is left may be due to
-its form. What is in no catalogue finds several laws that imitate a part of it, or none."""
-RIVAL = 1.0 / 3.0
-"""A candidate with more than this share of the best one's evidence is its rival."""
+That they foretell is asked before (:func:`worth`). Here a single event of a third of a recording would decide too much
+if only that third counted. One effect in another form than the catalogue's removed 0.5 of it or more, but for a
+friction that cannot be foretold, and two of them 0.7; those that imitate what is in no catalogue 0.26, two of them
+0.35."""
+MOST = 0.6
+"""Where effects remove less of it, what is left is worth a warning: their form, or something else."""
 _LEAST_UNKNOWNS = 2
 
 
@@ -71,33 +70,17 @@ def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bo
     """Whether a model with effects leaves so little of what the one without leaves that they are the explanation."""
     if not model.effects:
         return False
-    enough = _share_of_all(experiments, base, model) >= EXPLAINED[len(model.effects) - 1]
-    return enough or at_noise(experiments, model)
+    return share_of_all(experiments, base, model) >= EXPLAINED or at_noise(experiments, model)
 
 
-def _share_of_all(experiments: Sequence[Experiment], base: Model, model: Model) -> float:
+def explains_in_part(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
+    """Whether effects that are the explanation leave something that is worth a warning."""
+    return share_of_all(experiments, base, model) < MOST and not at_noise(experiments, model)
+
+
+def share_of_all(experiments: Sequence[Experiment], base: Model, model: Model) -> float:
     """Share of the excess, fitted and held out together, that a model removes."""
-    before, after = (
-        np.concatenate([excess_squares(experiments, m, held) for held in (True, False)]) for m in (base, model)
-    )
-    return removed(before, after)
-
-
-def leads(experiments: Sequence[Experiment], base: Model, model: Model, trials: Sequence[Trial]) -> bool:
-    """Whether a model is one law that removes most of the excess, and nothing else comes near it.
-
-    Args:
-        experiments: the recordings.
-        base: the model without effects.
-        model: that was selected.
-        trials: every candidate of every round.
-    """
-    if len(model.effects) != 1:
-        return False
-    first = [trial for trial in trials if trial.round == 1]
-    best = next(trial for trial in first if trial.effect == model.effects[0])
-    nearest = max((trial.standing for trial in first if trial is not best), default=0.0)
-    return nearest <= RIVAL * best.standing and _share_of_all(experiments, base, model) >= MOST
+    return whole_share(experiments, *(left_by(experiments, m.fits) for m in (base, model)))
 
 
 def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:

@@ -22,11 +22,10 @@ from pam_antagonist.diagnosis.select import (
     Model,
     Selection,
     Trial,
-    excess_squares,
     recalibrated,
-    removed,
     select,
 )
+from pam_antagonist.diagnosis.shares import held_share, left_by
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_session import tuned
@@ -208,7 +207,7 @@ def _judged(part: str, experiments: tuple[Driven, ...], jobs: int, said: Callabl
     base = recalibrated(experiments, jobs)
     selection = select(experiments, base, jobs, _worth, lambda text: said(f"{_NAMES[part]}: {text}"), store)
     model = selection.model
-    share = removed(*(excess_squares(experiments, m, held=True) for m in (base, model)))
+    share = held_share(experiments, *(left_by(experiments, m.fits) for m in (base, model)))
     enough = bool(model.effects) and (share >= EXPLAINED or rules.at_noise(experiments, model))
     if enough:
         verdict, model = "effect", findings.without_idle(experiments, base, model, jobs)

@@ -9,8 +9,18 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from pam_antagonist.diagnosis import shares
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import AT_NOISE, STARTS, Fitted, at_itself, beyond, cost_of, excess, refit, settled
+from pam_antagonist.diagnosis.refit import (
+    AT_NOISE,
+    STARTS,
+    Fitted,
+    at_itself,
+    cost_of,
+    excess,
+    refit,
+    settled,
+)
 from pam_antagonist.diagnosis.score import Score, as_configured, score_all
 from pam_antagonist.diagnosis.store import Kept, Store, key_of
 
@@ -52,10 +62,10 @@ class Trial:
         score: evidence to first order, over all recordings.
         delta_bic: evidence after a refit in full simulation; None where it was not refitted.
         foretold: evidence on the held-out part, where nothing was fitted and no unknown has a price; None likewise.
-        shares: share of the held-out and of the fitted excess residual that it removes; None likewise.
+        shares: of the held-out and of the fitted excess, what it takes away (:mod:`shares`); None likewise.
         model: the refitted model; None likewise.
         muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
-        share: share of the excess residual, fitted and held out together, that it removes; None likewise.
+        share: likewise of both together; None likewise.
     """
 
     effect: str
@@ -119,22 +129,6 @@ def recalibrated(experiments: Sequence[Experiment], jobs: int) -> Model:
         return at_itself(experiment, settled(experiment, refit(experiment, experiment.origin)))
 
     return Model((), tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(e) for e in experiments)))
-
-
-def excess_squares(experiments: Sequence[Experiment], model: Model, held: bool) -> Floats:
-    """How far the squared residuals are beyond the noise's, in units of it, one number a recording and channel."""
-    parts = []
-    for experiment, fitted in zip(experiments, model.fits, strict=True):
-        residual = fitted.residual
-        if held:
-            residual = experiment.held(experiment.residual(fitted.point, whole=True))
-        parts.append(beyond(experiment, residual))
-    return np.concatenate(parts)
-
-
-def removed(before: Floats, after: Floats) -> float:
-    """Share of the excess that is gone; negative where it has grown."""
-    return 1.0 - float(after.sum()) / max(float(before.sum()), 1e-12)
 
 
 def price(experiment: Experiment, before: Fitted, unknowns: int) -> float:
@@ -254,7 +248,7 @@ def _round(
     ]
     begun = {(name, r): (best[name][r][0][name], best[name][r][1]) for name, r in pairs}
     done = _fits(experiments, model, begun, jobs, store)
-    before = [excess_squares(experiments, model, held) for held in (True, False)]
+    before = shares.left_by(experiments, model.fits)
     trials = []
     for name in order:
         if name not in wanted:
@@ -270,10 +264,10 @@ def _round(
             if new is not None and gain > 0.0:
                 foretold += _foretold(experiment, old, new)
         extended = Model((*model.effects, name), tuple(chosen))
-        after = [excess_squares(experiments, extended, held) for held in (True, False)]
-        shares = removed(before[0], after[0]), removed(before[1], after[1])
-        share = removed(np.concatenate(before), np.concatenate(after))
-        trials.append(Trial(name, number, totals[name], total, foretold, shares, extended, muscles[name], share))
+        after = shares.left_by(experiments, extended.fits)
+        each = shares.held_share(experiments, before, after), shares.fitted_share(experiments, before, after)
+        share = shares.whole_share(experiments, before, after)
+        trials.append(Trial(name, number, totals[name], total, foretold, each, extended, muscles[name], share))
     trials.sort(key=lambda trial: (-trial.standing, -trial.score))
     return trials
 

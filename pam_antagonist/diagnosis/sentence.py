@@ -59,14 +59,14 @@ def sentence(
             in_words(effect) + ("" if everywhere else f" in {' and '.join(effect.recordings)}") for effect in found
         )
         return (
-            f"{what[0].upper()}{what[1:]}: with it the model explains {100 * share:.0f} % of what it left beyond noise "
-            f"on data that no fit has seen ({_errors(errors, 'recalibrated')} before, {_errors(errors, 'extended')} "
-            "after)."
+            f"{what[0].upper()}{what[1:]}: with it the model's errors on data that no fit has seen fall from "
+            f"{_errors(errors, 'recalibrated')} to {_errors(errors, 'extended')}: {100 * share:.0f} % of the decibels "
+            "down to the sensors' noise, or to a tenth, second by second."
         )
     tried = [item for item in ranking if item.holdout_gain is not None and item.round == 1]
     best = max(tried, key=lambda item: item.holdout_gain or 0.0, default=None)
     closest = (
-        f" The closest, {best.name}, explains {100 * max(best.holdout_gain or 0.0, 0.0):.0f} % of it on held-out data, "
+        f" The closest, {best.name}, goes {100 * max(best.holdout_gain or 0.0, 0.0):.0f} % of the decibels down to it, "
         "which is not enough."
         if best is not None
         else ""

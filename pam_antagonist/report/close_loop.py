@@ -7,7 +7,8 @@ Keys that others read::
     ambiguous_with  names of effects that the recordings cannot tell from these
     errors          {as_configured, recalibrated, extended}, each with angle, torque, pressure, on held-out data
 
-`holdout_gain` is the share of the held-out squared residual beyond sensor noise that goes with the effect.
+`holdout_gain` is the share of the held-out excess over sensor noise that goes with the effect;
+`share_explained` that of all effects.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def document(
             "strong_evidence": STRONG,
             "first_share": rules.FIRST_SHARE,
             "further_share": rules.FURTHER_SHARE,
-            "explained_share": list(rules.EXPLAINED),
+            "explained_share": rules.EXPLAINED,
         },
         **({} if found.sealed is None else {"sealed": dict(found.sealed)}),
         "timing": dict(found.seconds),

@@ -104,7 +104,8 @@ def _tiles(document: dict[str, Any]) -> tuple[Tile, ...]:
     errors = document["errors"]
     out = []
     if document["verdict"] == "effect":
-        out.append(Tile("Explained", percent(document["share_explained"]), "of the held-out residual beyond noise"))
+        way = "of the decibels down to the sensors' noise, or to a tenth, held out"
+        out.append(Tile("Explained", percent(document["share_explained"]), way))
         out.append(Tile("Evidence", f"ΔBIC {sum(_evidence(document).values()):.0f}", "above 6 is strong"))
     for channel, key, unit in (("angle", "deg", "°"), ("torque", "nm", " N m")):
         if errors["extended"][channel] is not None:
@@ -166,10 +167,10 @@ def _assumed(document: dict[str, Any]) -> tuple[tuple[str, str], ...]:
         (
             "Thresholds",
             f"ΔBIC {settings['strong_evidence']:g} to be taken at all; the first effect removes "
-            f"{100 * settings['first_share']:.0f} % of the held-out excess, a further one "
-            f"{100 * settings['further_share']:.0f} % of what is left, one, two or three together "
-            f"{', '.join(f'{100 * share:.0f}' for share in settings['explained_share'])} %. "
-            "The ΔBIC is a matter of statistics; the shares are experience with rig A and simulated joints.",
+            f"{100 * settings['first_share']:.0f} % of the held-out decibels over noise (a tenth counts as all), "
+            f"a further one {100 * settings['further_share']:.0f} % of what is left, all together "
+            f"{100 * settings['explained_share']:.0f} %. "
+            "The ΔBIC is a matter of statistics; the shares are experience with simulated joints.",
         ),
         ("Catalogue", f"{', '.join(CATALOGUE)}. What is none of these can only be called unexplained."),
     )
