@@ -60,13 +60,13 @@ def sentence(
         )
         return (
             f"{what[0].upper()}{what[1:]}: with it the model's errors on data that no fit has seen fall from "
-            f"{_errors(errors, 'recalibrated')} to {_errors(errors, 'extended')}: {100 * share:.0f} % of the decibels "
-            "down to the sensors' noise, or to a tenth, second by second."
+            f"{_errors(errors, 'recalibrated')} to {_errors(errors, 'extended')}, and {100 * share:.0f} % of what was "
+            "beyond the sensors' noise is gone."
         )
     tried = [item for item in ranking if item.holdout_gain is not None and item.round == 1]
     best = max(tried, key=lambda item: item.holdout_gain or 0.0, default=None)
     closest = (
-        f" The closest, {best.name}, goes {100 * max(best.holdout_gain or 0.0, 0.0):.0f} % of the decibels down to it, "
+        f" The closest, {best.name}, takes away {100 * max(best.holdout_gain or 0.0, 0.0):.0f} % of that, "
         "which is not enough."
         if best is not None
         else ""

@@ -104,8 +104,8 @@ def _tiles(document: dict[str, Any]) -> tuple[Tile, ...]:
     errors = document["errors"]
     out = []
     if document["verdict"] == "effect":
-        way = "of the decibels down to the sensors' noise, or to a tenth, held out"
-        out.append(Tile("Explained", percent(document["share_explained"]), way))
+        what = "of what is beyond noise on held-out data"
+        out.append(Tile("Explained", percent(document["share_explained"]), what))
         out.append(Tile("Evidence", f"ΔBIC {sum(_evidence(document).values()):.0f}", "above 6 is strong"))
     for channel, key, unit in (("angle", "deg", "°"), ("torque", "nm", " N m")):
         if errors["extended"][channel] is not None:
@@ -165,9 +165,14 @@ def _assumed(document: dict[str, Any]) -> tuple[tuple[str, str], ...]:
         ("Sensors", "White noise, told from what changes between samples; their converters' steps likewise."),
         ("Errors of the model", "Gaussian, of unknown size for each channel, at least the sensor's noise."),
         (
+            "Excess",
+            "What is beyond the sensors' noise is counted second by second, in decibels; down to a tenth of the error "
+            "counts as all of it: no law has quite the form of what is there.",
+        ),
+        (
             "Thresholds",
             f"ΔBIC {settings['strong_evidence']:g} to be taken at all; the first effect removes "
-            f"{100 * settings['first_share']:.0f} % of the held-out decibels over noise (a tenth counts as all), "
+            f"{100 * settings['first_share']:.0f} % of the excess on held-out data, "
             f"a further one {100 * settings['further_share']:.0f} % of what is left, all together "
             f"{100 * settings['explained_share']:.0f} %. "
             "The ΔBIC is a matter of statistics; the shares are experience with simulated joints.",
