@@ -95,6 +95,11 @@ class Outcome:
         return self.verdict == {"none": "none", "foreign": "unexplained"}[self.kind]
 
     @property
+    def superfluous(self) -> bool:
+        """Whether an effect was named that is not there."""
+        return not set(self.names) <= {name for name, _ in self.effects}
+
+    @property
     def right_muscle(self) -> bool | None:
         """Whether the first effect was found on its muscle; None where it has none, or was not found."""
         if self.kind != "single" or not self.right or self.effects[0][1] is None:
@@ -301,6 +306,7 @@ def scores(outcomes: Sequence[Outcome]) -> list[Score]:
     leads = [
         item.right or [candidate.effect for candidate in item.leading[:1]] == [item.effects[0][0]] for item in single
     ]
+    exact = [not item.superfluous for item in (*single, *pairs) if item.names]
     alarms = [not item.right for item in by_kind["none"]]
     reductions = [item.reduction for item in single if item.right and item.reduction is not None]
     reduction = median(reductions) if reductions else None
@@ -311,6 +317,7 @@ def scores(outcomes: Sequence[Outcome]) -> list[Score]:
         Score("single effect: named, or the first of the candidates where none explains enough", "", *share(leads)),
         Score("two effects: both found", "at least 70 %", *right("pair"), 0.7),
         Score("two effects: one of them first", "", *share(one_first)),
+        Score("one or two effects, some found: none named that is not there", "", *share(exact)),
         Score("nothing: false alarm", "at most 5 %", *share(alarms), 0.05, at_most=True),
         Score("in no catalogue: unexplained", "at least 80 %", *right("foreign"), 0.8),
         Score(

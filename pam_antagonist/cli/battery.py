@@ -153,7 +153,7 @@ def _tables(done: Sequence[battery.Outcome]) -> tuple[Table, Table]:
 
 
 def _misses(done: Sequence[battery.Outcome]) -> Table:
-    """What was not right."""
+    """What was not right, or had something beside it that was not there."""
 
     def words(effects: Sequence[tuple[str, int | None]]) -> str:
         return " + ".join(f"{name} {muscle}" if muscle else name for name, muscle in effects)
@@ -166,7 +166,7 @@ def _misses(done: Sequence[battery.Outcome]) -> Table:
             words(item.found) if item.verdict == "effect" else item.verdict,
         )
         for item in done
-        if not item.right
+        if not item.right or item.superfluous
     )
     return Table(("case", "form", "size", "said"), rows)
 
@@ -219,7 +219,8 @@ def _markdown(done: Sequence[battery.Outcome], arguments: argparse.Namespace) ->
         "",
         "## What was not right",
         "",
-        "A size is in noises of the channel that the effect moves most.",
+        "Or right, with something beside it that is not there. A size is in noises of the channel that the effect",
+        "moves most.",
         "",
         *_rows(_misses(done)),
         "",

@@ -19,7 +19,7 @@ from pam_antagonist.diagnosis.select import (
     price,
     refitted_without,
 )
-from pam_antagonist.diagnosis.shares import left_by, lost_share
+from pam_antagonist.diagnosis.shares import further_share, left_by
 
 _SMALL = 0.1
 """A muscle whose size is less than this share of the other's is not the one."""
@@ -112,7 +112,7 @@ def found(
     for effect, without in zip(model.effects, smaller, strict=True):
         gains[effect] = evidence_of(experiments, without, model)
         lost = left_by(experiments, without.fits) if several else before
-        shares[effect] = lost_share(experiments, before, lost, whole)
+        shares[effect] = further_share(experiments, before, lost, whole, fitted=False)
     return found_effects(experiments, model, gains, shares)
 
 

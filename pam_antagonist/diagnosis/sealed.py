@@ -39,6 +39,8 @@ _TUNINGS = 25
 """Tunings of the estimator that are tried for each model, from the rig file's."""
 _FORETOLD = 2.0
 """Evidence on held-out data: positive (Kass and Raftery 1995). Few sweeps are held out: strong is too much to ask."""
+_LEAST_SHARE = 0.1
+"""Share of the held-out squares beyond noise that a candidate must remove."""
 EXPLAINED = 0.5
 """Share of the held-out excess over noise that effects must remove. A joint sticks and its muscles stray, and no law of
 the catalogue gives either; the larger part is what can be asked of an explanation."""
@@ -223,7 +225,7 @@ def _worth(trial: Trial) -> bool:
     """Whether a candidate goes into the model: strong evidence where it was fitted, none against it elsewhere."""
     if trial.delta_bic is None or trial.foretold is None or trial.shares is None or trial.model is None:
         return False
-    return trial.delta_bic >= STRONG and trial.foretold >= _FORETOLD and trial.shares[0] >= rules.FIRST_SHARE
+    return trial.delta_bic >= STRONG and trial.foretold >= _FORETOLD and trial.shares[0] >= _LEAST_SHARE
 
 
 def _alike(part: Judged) -> list[Alike]:
@@ -267,7 +269,7 @@ def _near(parts: Sequence[Judged]) -> tuple[str, ...]:
             )  # they stand in the order of evidence
             if trial.round > len(part.selection.model.effects) or trial is taken or trial.shares is None:
                 continue
-            if taken.standing - trial.standing < STRONG and trial.shares[0] >= rules.FIRST_SHARE:
+            if taken.standing - trial.standing < STRONG and trial.shares[0] >= _LEAST_SHARE:
                 out.append(trial.effect)
     found = {name for part in parts for name in part.model.effects}
     return tuple(name for name in dict.fromkeys(out) if name not in found)

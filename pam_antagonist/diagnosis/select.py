@@ -65,7 +65,7 @@ class Trial:
         shares: of the held-out and of the fitted excess, what it takes away (:mod:`shares`); None likewise.
         model: the refitted model; None likewise.
         muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
-        share: likewise of both together; None likewise.
+        share: of the excess without effects, fitted and held out together, what it takes away; None likewise.
     """
 
     effect: str
@@ -164,11 +164,11 @@ def select(
         said: told what is being done.
         store: keeps finished candidates.
     """
-    model, tried = base, []
+    model, tried, first = base, [], shares.left_by(experiments, base.fits)
     for number in range(1, MOST_EFFECTS + 1):
         if all(np.max(excess(e, f.residual)) < AT_NOISE for e, f in _pairs(experiments, model)):
             break
-        found = _round(experiments, model, number, jobs, said, store)
+        found = _round(experiments, first, model, number, jobs, said, store)
         tried += found
         best = next((trial for trial in found if worth(trial)), None)
         if best is None or best.model is None:
@@ -222,6 +222,7 @@ def _certainty(fitted: Fitted, path: str) -> float:
 
 def _round(
     experiments: Sequence[Experiment],
+    first: Sequence[shares.Left],
     model: Model,
     number: int,
     jobs: int,
@@ -266,7 +267,7 @@ def _round(
         extended = Model((*model.effects, name), tuple(chosen))
         after = shares.left_by(experiments, extended.fits)
         each = shares.held_share(experiments, before, after), shares.fitted_share(experiments, before, after)
-        share = shares.whole_share(experiments, before, after)
+        share = shares.further_share(experiments, first, before, after)
         trials.append(Trial(name, number, totals[name], total, foretold, each, extended, muscles[name], share))
     trials.sort(key=lambda trial: (-trial.standing, -trial.score))
     return trials

@@ -49,20 +49,27 @@ def whole_share(experiments: Sequence[Experiment], before: Sequence[Left], after
     return share_of(parts)
 
 
-def lost_share(
-    experiments: Sequence[Experiment], base: Sequence[Left], without: Sequence[Left], whole: Sequence[Left]
+def further_share(
+    experiments: Sequence[Experiment],
+    base: Sequence[Left],
+    before: Sequence[Left],
+    after: Sequence[Left],
+    fitted: bool = True,
 ) -> float:
-    """Share of the base model's held-out excess that comes back without an effect.
+    """Share of the base model's excess that goes with one effect among others.
 
     Args:
         experiments: the recordings.
         base: what the model without effects leaves.
-        without: what the model without this one leaves.
-        whole: what the model with all leaves.
+        before: what the model without this one leaves.
+        after: what the model with it leaves.
+        fitted: whether the fitted parts count as well as the held-out ones.
     """
-    gone = [e.taken_away(w.held, m.held)[0] for e, w, m in zip(experiments, without, whole, strict=True)]
-    there = [e.taken_away(b.held, b.held)[1] for e, b in zip(experiments, base, strict=True)]
-    return share_of(list(zip(gone, there, strict=True)))
+    parts = []
+    for experiment, first, old, new in zip(experiments, base, before, after, strict=True):
+        for b, w, a in list(zip(first, old, new, strict=True))[: 2 if fitted else 1]:
+            parts.append((experiment.taken_away(w, a)[0], experiment.taken_away(b, b)[1]))
+    return share_of(parts)
 
 
 def share_of(parts: Sequence[tuple[float, float]]) -> float:

@@ -173,7 +173,7 @@ def _assumed(document: dict[str, Any]) -> tuple[tuple[str, str], ...]:
             "Thresholds",
             f"ΔBIC {settings['strong_evidence']:g} to be taken at all; the first effect removes "
             f"{100 * settings['first_share']:.0f} % of the excess on held-out data, "
-            f"a further one {100 * settings['further_share']:.0f} % of what is left, all together "
+            f"a further one {100 * settings['further_share']:.0f} % of all of it, all together "
             f"{100 * settings['explained_share']:.0f} %. "
             "The ΔBIC is a matter of statistics; the shares are experience with simulated joints.",
         ),

@@ -104,6 +104,7 @@ def test_scores() -> None:
     assert leads == (pytest.approx(2.0 / 3.0), 3, None)
     assert values["two effects: both found"] == (0.0, 1, False)
     assert values["two effects: one of them first"] == (1.0, 1, None)
+    assert values["one or two effects, some found: none named that is not there"] == (pytest.approx(2.0 / 3.0), 3, None)
     assert values["nothing: false alarm"] == (0.25, 4, False)
     assert values["in no catalogue: unexplained"] == (1.0, 1, True)
     assert values["error that a true model takes away, taken away (median)"] == (pytest.approx(0.75), 1, True)

@@ -38,7 +38,7 @@ def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> 
     assert rules.worth(trial(2, 9.0, 0.25))
     assert not rules.worth(trial(2, 9.0, 0.25, foretold=-4.0))
     assert not rules.worth(trial(2, 1.0, 0.9))
-    assert not rules.worth(trial(2, 9.0, 0.15))
+    assert not rules.worth(trial(2, 9.0, 0.1))
 
 
 def test_what_foretells_little_beside_something_unknown_must_be_the_more_certain() -> None:
