@@ -14,6 +14,7 @@ from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.diagnosis.refit import Fitted, cost_of, excess, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import STRONG, Model, evidence, price, recalibrated, select
+from pam_antagonist.diagnosis.shares import left_by
 from pam_antagonist.diagnosis.store import Store
 
 NOTE = (
@@ -33,7 +34,7 @@ class Explanation:
 
     Attributes:
         model: with the laws, and with a torque that is not known beforehand where something pushed.
-        effects: what was found.
+        effects: what was found, the strongest first.
         values: of the effects, for one rig.
         share: of the held-out excess that the pushes take away.
         warnings: what there is to say of them.
@@ -84,7 +85,8 @@ def explain(
     pushed = _find(experiments, base, jobs)
     if pushed is not None and not pushed.left:
         quiet = Model((), pushed.fits)
-        model = select(pushed.experiments, quiet, jobs, rules.worth, said, Store()).model
+        first = left_by(experiments, base.fits)
+        model = select(pushed.experiments, quiet, jobs, rules.worth, said, Store(), first).model
         return _explanation(pushed, quiet, model, jobs)
     apart = None if pushed is None else _told_apart(experiments, base, pushed.left, jobs, said)
     laws, explained = (chosen, ()) if pushed is None or apart is None else (apart, pushed.left)
@@ -134,7 +136,7 @@ def _explanation(pushed: _Pushed, quiet: Model, model: Model, jobs: int) -> Expl
     )
     return Explanation(
         Model((*model.effects, UNKNOWN_INPUT), fits),
-        (*laws, pushed.effect),
+        tuple(sorted((*laws, pushed.effect), key=lambda effect: -effect.delta_bic)),
         {**values, _NOISE: pushed.effect.parameters["noise"][0]},
         pushed.effect.holdout_gain,
         (*warnings, NOTE),

@@ -153,6 +153,7 @@ def select(
     worth: Callable[[Trial], bool],
     said: Callable[[str], None],
     store: Store,
+    first: Sequence[shares.Left] = (),
 ) -> Selection:
     """Add effects while one pays.
 
@@ -163,9 +164,12 @@ def select(
         worth: decides on a refitted candidate.
         said: told what is being done.
         store: keeps finished candidates.
+        first: what was left before an effect that is in the experiments already, and is the first then; default: what
+            the recalibrated model leaves.
     """
-    model, tried, first = base, [], shares.left_by(experiments, base.fits)
-    for number in range(1, MOST_EFFECTS + 1):
+    begin = 2 if first else 1
+    model, tried, first = base, [], first or shares.left_by(experiments, base.fits)
+    for number in range(begin, MOST_EFFECTS + 1):
         if all(np.max(excess(e, f.residual)) < AT_NOISE for e, f in _pairs(experiments, model)):
             break
         found = _round(experiments, first, model, number, jobs, said, store)
