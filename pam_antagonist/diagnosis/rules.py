@@ -28,7 +28,7 @@ EXPLAINED = 0.4
 
 That they foretell is asked before (:func:`worth`). Here a single event of a third of a recording would decide too much
 if only that third counted. One effect in another form than the catalogue's removed 0.5 of it or more, but for a
-friction that cannot be foretold, and two of them 0.7; those that imitate what is in no catalogue 0.26, two of them
+friction that cannot be foretold, and two of them 0.6; those that imitate what is in no catalogue 0.26, two of them
 0.35."""
 MOST = 0.6
 """Where effects remove less of it, what is left is worth a warning: their form, or something else."""
