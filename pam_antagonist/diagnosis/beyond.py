@@ -44,9 +44,10 @@ def in_squares(before: Floats, after: Floats, noise: Floats) -> tuple[float, flo
 
 def _levels(residual: Floats, noise: Floats) -> Floats:
     """How far each stretch of each channel is above its noise [dB] (S, C)."""
-    begin = np.arange(0, max(len(residual) - _STRETCH // 2, 1), _STRETCH)
     if not len(residual):
         return np.zeros((0, residual.shape[1]))
+    # A rest of less than half a stretch belongs to the last one.
+    begin = np.arange(0, max(len(residual) - _STRETCH // 2, 1), _STRETCH)
     lengths = np.diff(np.append(begin, len(residual)))
     squares = np.add.reduceat((residual / noise) ** 2, begin, axis=0) / lengths[:, None]
     return np.asarray(10.0 * np.log10(np.maximum(squares / _QUIET, 1.0)))

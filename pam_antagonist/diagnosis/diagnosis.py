@@ -24,12 +24,7 @@ from pam_antagonist.diagnosis.profiles import profile_sizes
 from pam_antagonist.diagnosis.remaining import describe
 from pam_antagonist.diagnosis.result import Diagnosis, Ranked
 from pam_antagonist.diagnosis.sealed import diagnose_sealed
-from pam_antagonist.diagnosis.select import (
-    STRONG,
-    Selection,
-    recalibrated,
-    select,
-)
+from pam_antagonist.diagnosis.select import STRONG, Selection, recalibrated, select
 from pam_antagonist.diagnosis.sentence import sentence
 from pam_antagonist.diagnosis.shares import held_share, left_by
 from pam_antagonist.diagnosis.store import Store
@@ -201,7 +196,7 @@ def _trial(recording: Recording, rig: Rig, joint: str, lock_angle: float | None)
 def _judge(experiments: Sequence[Experiment], selection: Selection) -> tuple[Verdict, float]:
     """The verdict, and the share of the held-out excess that is explained."""
     base, model = selection.recalibrated, selection.model
-    share = held_share(experiments, *(left_by(experiments, m.fits) for m in (base, model)))
+    share = held_share(experiments, *(left_by(experiments, m.fits) for m in (base, model))) if model.effects else 0.0
     if rules.explains(experiments, base, model):
         return "effect", share
     return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share

@@ -11,16 +11,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import shares
 from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import (
-    AT_NOISE,
-    STARTS,
-    Fitted,
-    at_itself,
-    cost_of,
-    excess,
-    refit,
-    settled,
-)
+from pam_antagonist.diagnosis.refit import AT_NOISE, STARTS, Fitted, at_itself, cost_of, excess, refit, settled
 from pam_antagonist.diagnosis.score import Score, as_configured, score_all
 from pam_antagonist.diagnosis.store import Kept, Store, key_of
 

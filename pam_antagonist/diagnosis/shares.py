@@ -33,7 +33,7 @@ def left_by(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> list[L
 
 def held_share(experiments: Sequence[Experiment], before: Sequence[Left], after: Sequence[Left]) -> float:
     """Share of the held-out excess that is gone; negative where it has grown."""
-    return share_of([e.taken_away(b.held, a.held) for e, b, a in zip(experiments, before, after, strict=True)])
+    return further_share(experiments, before, before, after, fitted=False)
 
 
 def fitted_share(experiments: Sequence[Experiment], before: Sequence[Left], after: Sequence[Left]) -> float:
@@ -43,10 +43,7 @@ def fitted_share(experiments: Sequence[Experiment], before: Sequence[Left], afte
 
 def whole_share(experiments: Sequence[Experiment], before: Sequence[Left], after: Sequence[Left]) -> float:
     """Likewise of both together."""
-    parts = []
-    for experiment, old, new in zip(experiments, before, after, strict=True):
-        parts += [experiment.taken_away(b, a) for b, a in zip(old, new, strict=True)]
-    return share_of(parts)
+    return further_share(experiments, before, before, after)
 
 
 def further_share(

@@ -69,7 +69,7 @@ def test_a_torque_that_returns_at_the_same_angle_is_no_push(free, pushed) -> Non
 
 def test_events_in_what_a_law_leaves_are_no_pushes(pushed) -> None:
     assert pushed.explains
-    # Hysteresis, 90 % of whose squares were gone with a torque that came and went, had only a tenth of its level.
+    # Hysteresis, 82 % of whose squares were gone with a torque that came and went, had only a tenth of its level.
     assert not replace(pushed, shares=(0.1, 0.1)).explains
     assert not replace(pushed, squares=0.5).explains
 
