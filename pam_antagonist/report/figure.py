@@ -1,0 +1,222 @@
+"""Figures as typed data: what is shown, not how it is drawn.
+
+A figure holds panels. A panel holds two axes and the series on them, from back to front. Two renderers draw it:
+:mod:`pam_antagonist.report.plotly_renderer` for the page, :mod:`pam_antagonist.report.matplotlib_renderer`.
+Colours are CSS colours of the light theme; the page maps them to the dark one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.report.style import HELD_OUT, QUIET
+
+FloatArray = NDArray[np.float64]
+Dash = Literal["", "dash", "dot"]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A horizontal or vertical axis.
+
+    Attributes:
+        title: with the unit in brackets.
+        log: logarithmic.
+        bounds: values at its two ends, the first one left or below; None: as the series need.
+        labels: names at 0, 1, 2, ... in place of numbers.
+        is_time: seconds of a recording. Figures of one link zoom it together, and a pause is a gap in a line.
+        from_zero: 0 is shown.
+    """
+
+    title: str = ""
+    log: bool = False
+    bounds: tuple[float, float] | None = None
+    labels: tuple[str, ...] = ()
+    is_time: bool = False
+    from_zero: bool = False
+
+
+TIME = Axis("Time [s]", is_time=True)
+"""Time since the first sample of a recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A curve.
+
+    Attributes:
+        name: in the legend; series of one name are switched together.
+        x: (N,).
+        y: (N,), NaN where there is nothing.
+        color: CSS colour.
+        dash: empty for a full line.
+        width: in pixels.
+        quiet: not in the legend.
+        opacity: 0 to 1; a line that is not opaque stands behind another one and has no hover text.
+    """
+
+    name: str
+    x: FloatArray
+    y: FloatArray
+    color: str
+    dash: Dash = ""
+    width: float = 1.3
+    quiet: bool = False
+    opacity: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """The area between two curves, an interval for example.
+
+    Attributes:
+        name: in the legend.
+        x: (N,).
+        lower: (N,), NaN where there is nothing.
+        upper: (N,).
+        color: CSS colour, translucent.
+        quiet: not in the legend.
+    """
+
+    name: str
+    x: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    color: str
+    quiet: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Single values.
+
+    Attributes:
+        name: in the legend; series of one name are switched together.
+        x: (N,).
+        y: (N,).
+        color: CSS colour.
+        size: diameter in pixels.
+        opacity: 0 to 1.
+        hollow: circles in place of discs.
+        half_width: (N,) of an interval around `x`, drawn as a bar; None: no bars.
+        bar_width: thickness of these bars in pixels.
+        quiet: not in the legend.
+    """
+
+    name: str
+    x: FloatArray
+    y: FloatArray
+    color: str
+    size: float = 6.0
+    opacity: float = 1.0
+    hollow: bool = False
+    half_width: FloatArray | None = None
+    bar_width: float = 2.0
+    quiet: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Bars:
+    """Bars from 0; those of several series stand beside each other.
+
+    Attributes:
+        name: in the legend.
+        x: (N,) places.
+        y: (N,) heights.
+        color: CSS colour.
+    """
+
+    name: str
+    x: FloatArray
+    y: FloatArray
+    color: str
+
+
+@dataclass(frozen=True, eq=False)
+class Heatmap:
+    """Cells that are coloured by their value.
+
+    Attributes:
+        x: (C,) middles of the columns.
+        values: (R, C) of the rows at 0, 1, ...; NaN leaves a cell empty.
+        rows: (R,) names of the rows for the hover text.
+        colors: at the least value, at equal steps between, and at the largest value.
+        bounds: least and largest value.
+        hover: hover text, a format of ``row``, ``column`` and ``value``.
+        cell: text in each cell, a format of ``value``; empty: none.
+        scale: show which colour means which value.
+    """
+
+    x: FloatArray
+    values: FloatArray
+    rows: tuple[str, ...]
+    colors: tuple[str, ...]
+    bounds: tuple[float, float]
+    hover: str
+    cell: str = ""
+    scale: bool = False
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A dashed line at one value of the vertical axis (or of the horizontal one), with a label at its end."""
+
+    value: float
+    label: str = ""
+    color: str = QUIET
+    vertical: bool = False
+
+
+@dataclass(frozen=True)
+class Region:
+    """A shaded stretch of the horizontal axis behind everything else, the held-out part for example."""
+
+    first: float
+    last: float
+    color: str = HELD_OUT
+
+
+Series = Line | Band | Points | Bars | Heatmap | Reference | Region
+"""What a panel shows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One pair of axes.
+
+    Attributes:
+        x: horizontal axis.
+        y: vertical axis.
+        series: from back to front.
+        height: of the area between the axes, in pixels.
+        title: above it.
+    """
+
+    x: Axis
+    y: Axis
+    series: tuple[Series, ...]
+    height: int = 230
+    title: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A figure.
+
+    Attributes:
+        title: what it shows.
+        about: how to read it, one or two sentences.
+        panels: above each other over the same horizontal axis, or beside each other with axes of their own.
+        link: figures of the same link share their time axis.
+        beside: the panels stand beside each other.
+    """
+
+    title: str
+    about: str
+    panels: tuple[Panel, ...]
+    link: str = ""
+    beside: bool = False
