@@ -34,7 +34,7 @@ setup(
     maintainer_email="maintainers@pam-antagonist.invalid",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "report/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -43,6 +43,7 @@ setup(
     ],
     install_requires=[
         'backports.zstd>=1; python_version < "3.14"',
+        "jinja2>=3.0",
         "joblib>=1.3",
         "lz4>=4",
         "matplotlib>=3.6",

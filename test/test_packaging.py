@@ -31,6 +31,7 @@ TABLES = {node.__name__.rsplit(".", 1)[1]: node.PARAMETERS for node in (plant, b
 
 # import name -> rosdep key; None: rosdep has no key, and the nodes do without.
 ROSDEP = {
+    "jinja2": "python3-jinja2",
     "joblib": "python3-joblib",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",

@@ -17,8 +17,8 @@ from pam_antagonist.benchmark.battery_plants import DURATION, JOINTS, KINDS, RIG
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording import Recording
-from pam_antagonist.report.strict_json import write_json
 from pam_antagonist.rig import load_rig
+from pam_antagonist.strict_json import write_json
 
 HOLDOUT = 1.0 / 3.0
 CHANNELS = ("angle", "torque", "pressure_1", "pressure_2")

@@ -14,10 +14,11 @@ from pam_antagonist.benchmark.battery_plants import DURATION, RIG, Case, cases
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
-from pam_antagonist.report.software import versions
-from pam_antagonist.report.strict_json import write_json
+from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, percent
 from pam_antagonist.rig import load_rig
+from pam_antagonist.software import versions
+from pam_antagonist.strict_json import write_json
 
 _DESCRIPTION = """\
 Diagnose a battery of simulated joints and say how often the diagnosis was right.
@@ -180,7 +181,7 @@ def _tell(done: Sequence[battery.Outcome], arguments: argparse.Namespace) -> Non
     print(f"{len(done)} of {arguments.count} cases are finished\n")
     for table in (figures, matrix, misses):
         if table.rows:
-            print(table.text(indent="") + "\n")
+            print(terminal.table(table, indent="") + "\n")
     if arguments.docs is not None:
         try:
             arguments.docs.write_text(_markdown(done, arguments), encoding="utf-8")

@@ -13,10 +13,11 @@ from pathlib import Path
 from pam_antagonist.benchmark.figure import Figure
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report.software import versions
-from pam_antagonist.report.strict_json import write_json
+from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import load_rig
+from pam_antagonist.software import versions
+from pam_antagonist.strict_json import write_json
 
 _DESCRIPTION = """\
 Measure what the package costs on this machine.
@@ -112,16 +113,17 @@ def _soak(arguments: argparse.Namespace) -> int:
     }
     _tell(result.figures, arguments.json, {"duration_s": arguments.soak, "series": series})
     if html is not None:
+        from pam_antagonist.report.html import render
         from pam_antagonist.report.soak_page import page
 
-        html.write_text(page(result, load_rig(arguments.rig).name).render(), encoding="utf-8")
+        html.write_text(render(page(result, load_rig(arguments.rig).name)), encoding="utf-8")
         print(f"\npage: {html}")
     return common.DONE
 
 
 def _tell(figures: Sequence[Figure], json: Path | None, more: Mapping[str, object] = {}) -> None:
     """Print the figures, and write them where that was asked for."""
-    print(_table(figures).text(indent=""))
+    print(terminal.table(_table(figures), indent=""))
     print("\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures))
     if json is not None:
         machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}

@@ -19,11 +19,11 @@ from pam_antagonist.cli import recordings as given
 from pam_antagonist.diagnosis import Diagnosis, diagnose
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import Recording, bag_hash
+from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import close_loop_tables as tables
+from pam_antagonist.report import terminal
 from pam_antagonist.report.close_loop_page import write_report
-from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -197,7 +197,7 @@ def _summary(document: dict) -> str:  # type: ignore[type-arg]
         textwrap.fill(f"! {text}", 100, subsequent_indent="  ") for text in (*document["warnings"], *document["unseen"])
     ]
     shown = [tables.before_after(document), tables.parameters(document), tables.ranking(document)]
-    return "\n\n".join(["\n".join(said), *(table.text() for table in shown if table.rows)])
+    return "\n\n".join(["\n".join(said), *(terminal.table(table) for table in shown if table.rows)])
 
 
 if __name__ == "__main__":

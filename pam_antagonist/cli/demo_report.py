@@ -10,15 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from pam_antagonist import strict_json
 from pam_antagonist.cli import common
 from pam_antagonist.control import Mode
 from pam_antagonist.control.tracking import SHORTEST_STEP, STEADY_PART, Tracking, held, tracking
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.accounting import Accounting, account
 from pam_antagonist.recording import Recording, read_bag
-from pam_antagonist.report import figures, replay_tables, strict_json
+from pam_antagonist.report import figures, replay_tables, terminal
 from pam_antagonist.report import replay as replaying
-from pam_antagonist.report.html import Block, Figure, Section, TableBlock, Text
+from pam_antagonist.report.document import Block, Section, Text
+from pam_antagonist.report.html import Figure, render
 from pam_antagonist.report.replay_page import document, page
 from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
 from pam_antagonist.report.table import Table, number, percent
@@ -65,14 +67,16 @@ def judge(out: Path, rig: Rig, tuning: str, mode: Mode, simulated: Simulated, wi
     followed = follow(recording, mode)
     accounting = account(recording, rig.sample_period)
     table = demo_table(replay.report, followed, accounting, mode)
-    print(f"\n{replay_tables.errors_table(replay.report).text()}\n\n{table.text()}\n")
+    print(f"\n{terminal.table(replay_tables.errors_table(replay.report))}\n\n{terminal.table(table)}\n")
     first: list[Block] = [
-        Section("Closed loop", (TableBlock(table, prose=True), Text(_definitions(mode, simulated))), 2, "loop"),
+        Section(
+            "Closed loop", (dataclasses.replace(table, prose=True), Text(_definitions(mode, simulated))), 2, "loop"
+        ),
     ]
     if with_figures:
         first.append(_figure(replay, mode))
     strict_json.write_json(out / "report.json", document([replay], demo=_entry(mode, followed, accounting, simulated)))
-    html = page([replay], "Sensor-less control, live", with_figures=with_figures, first=first).render()
+    html = render(page([replay], "Sensor-less control, live", with_figures=with_figures, first=first))
     (out / "report.html").write_text(html, encoding="utf-8")
     print(f"report: {out / 'report.html'} and report.json; recording: {out / 'bag'}")
 

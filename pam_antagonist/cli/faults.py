@@ -58,8 +58,8 @@ def _main(argv: Sequence[str] | None) -> int:
     from pam_antagonist.faults.catalogue import FAULTS
     from pam_antagonist.faults.fault import Outcome
     from pam_antagonist.faults.run import run_faults
-    from pam_antagonist.report.strict_json import write_json
     from pam_antagonist.rig import load_rig
+    from pam_antagonist.strict_json import write_json
 
     if arguments.list:
         width = max(len(fault.name) for fault in FAULTS)

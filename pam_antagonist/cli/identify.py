@@ -15,13 +15,12 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_session import STEPS as SEALED_STEPS
 from pam_antagonist.identification.sealed_session import identify_sealed
 from pam_antagonist.identification.session import Identified, Options, identify, steps
-from pam_antagonist.recording import Recording, bag_hash
+from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report import identify as numbers
-from pam_antagonist.report import identify_tables, identify_words, sealed
+from pam_antagonist.report import identify_tables, identify_words, sealed, terminal
 from pam_antagonist.report.identify_page import write_report
-from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -139,7 +138,7 @@ def _sealed(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[_Given
         write_rig(_named(found.rig, rig.name, source), folder / "rig.yaml", about)
         sealed.write_report(folder, content, judged, with_figures=not arguments.no_figures)
     tables = [sealed.values_table(content), *(sealed.held_out_table(entry) for entry in content["held_out"])]
-    print("\n\n".join(table.text() for table in tables))
+    print("\n\n".join(terminal.table(table) for table in tables))
     given.tell_where(arguments)
     return common.DONE
 
@@ -197,8 +196,8 @@ def _summary(document: dict) -> str:  # type: ignore[type-arg]
         textwrap.fill(item.text, 100, initial_indent=mark[item.status], subsequent_indent="  ")
         for item in identify_words.findings(document)
     )
-    tables = "\n\n".join(identify_tables.held_out(item).text() for item in document["held_out"])
-    return f"{identify_tables.parameters(document).text()}\n\n{tables}\n\n{said}"
+    tables = "\n\n".join(terminal.table(identify_tables.held_out(item)) for item in document["held_out"])
+    return f"{terminal.table(identify_tables.parameters(document))}\n\n{tables}\n\n{said}"
 
 
 if __name__ == "__main__":

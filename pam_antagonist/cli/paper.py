@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from pam_antagonist import strict_json
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import ProcessFailed
@@ -17,7 +18,8 @@ from pam_antagonist.paper import docs, page
 from pam_antagonist.paper.experiments import EXPERIMENTS, Options, run
 from pam_antagonist.paper.scenario import load_scenario
 from pam_antagonist.paths import config_dir
-from pam_antagonist.report import strict_json
+from pam_antagonist.report import terminal
+from pam_antagonist.report.html import render
 
 _DESCRIPTION = """\
 Run the paper's experiments on a virtual rig and put the numbers beside the paper's.
@@ -93,11 +95,11 @@ def _main(argv: Sequence[str] | None) -> int:
                 return common.FAILED
         document = page.document(results, scenario, options.seeds, took)
         strict_json.write_json(folder / "report.json", document)
-        html = page.page(results, scenario, options.seeds, took).render()
+        html = render(page.page(results, scenario, options.seeds, took))
         (folder / "report.html").write_text(html, encoding="utf-8")
     if arguments.docs is not None:
         docs.write(arguments.docs, results, scenario, options.seeds)
-    print(f"\n{page.overview(results).text()}\n\n{page.CAUTION}\n")
+    print(f"\n{terminal.table(page.overview(results))}\n\n{page.CAUTION}\n")
     print(f"report: {arguments.out / 'report.html'} and report.json, after {sum(took.values()):.0f} s")
     return common.DONE
 

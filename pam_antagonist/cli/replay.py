@@ -13,7 +13,7 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report import replay as replaying
-from pam_antagonist.report import replay_tables, words
+from pam_antagonist.report import replay_tables, terminal, words
 from pam_antagonist.report.replay_page import write_report
 from pam_antagonist.rig import Rig, load_rig
 
@@ -110,7 +110,7 @@ def _summary(replay: replaying.Replay) -> str:
         textwrap.fill(item.text, 100, initial_indent=mark[item.status], subsequent_indent="  ")
         for item in words.findings(report)
     )
-    return f"{head}\n{replay_tables.errors_table(report).text()}\n\n{said}"
+    return f"{head}\n{terminal.table(replay_tables.errors_table(report))}\n\n{said}"
 
 
 if __name__ == "__main__":

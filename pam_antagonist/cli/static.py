@@ -16,7 +16,7 @@ from pam_antagonist.identification.static_result import StaticResult, work_out
 from pam_antagonist.identification.static_rig import with_length
 from pam_antagonist.identification.static_table import read_force_map, read_volumes
 from pam_antagonist.model import parameters as par
-from pam_antagonist.report import static_page
+from pam_antagonist.report import static_page, terminal
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -168,9 +168,9 @@ def _remarks(result: StaticResult) -> list[str]:
 
 
 def _summary(result: StaticResult, arguments: argparse.Namespace) -> str:
-    lines = [static_page.coefficients_table(result).text()]
+    lines = [terminal.table(static_page.coefficients_table(result))]
     if result.force_map is not None:
-        lines += ["", static_page.forms_table(result.forms, result.form).text()]
+        lines += ["", terminal.table(static_page.forms_table(result.forms, result.form))]
     lines += ["", textwrap.fill(static_page.verdict(result), 100)]
     lines += [textwrap.fill(text, 100, initial_indent="! ", subsequent_indent="  ") for text in result.warnings]
     made = "report.html and report.json" if result.fitted is None else "rig.yaml, report.html and report.json"

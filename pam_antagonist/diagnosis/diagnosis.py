@@ -30,9 +30,8 @@ from pam_antagonist.diagnosis.shares import held_share, left_by
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.trial import Trial, make_trial
-from pam_antagonist.recording import Recording
+from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.joint import joint_condition
-from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig
 
 Verdict = Literal["effect", "none", "unexplained"]

@@ -18,9 +18,8 @@ from pam_antagonist.identification.change import moved
 from pam_antagonist.identification.sealed import SealedTrial, balance, closed_chambers, sealed_trial
 from pam_antagonist.identification.sealed_session import refuse_moving_valves
 from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial, make_trial
-from pam_antagonist.recording import Recording
+from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.joint import joint_condition
-from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Rig
 
 DRIVEN = "driven"

@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 from typing import Any
 
 from pam_antagonist.faults.fault import LIMIT_MS, Outcome, Recovery, Valves
-from pam_antagonist.report.software import versions
+from pam_antagonist.software import versions
 
 _LONGEST = 96  # of what diagnostics said [characters]
 HEADER = f"{'holds':6} {'fault':28} {'valves':36} {'control':30} diagnostics"

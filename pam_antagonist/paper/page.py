@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from html import escape
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from pam_antagonist.paper.result import HEADER, Beside, Result
 from pam_antagonist.paper.scenario import Scenario
-from pam_antagonist.report.html import Block, Findings, Page, Section, TableBlock, Text, blocks
-from pam_antagonist.report.html import Finding as HtmlFinding
-from pam_antagonist.report.software import versions
+from pam_antagonist.report.document import Block, Document, Findings, Section, Text
+from pam_antagonist.report.document import Finding as HtmlFinding
 from pam_antagonist.report.table import Table, number
+from pam_antagonist.software import versions
 
 SOURCE = (
     "T. Shin, T. Ibayashi, K. Kogiso, “Detailed Dynamic Model of Antagonistic PAM System and its Experimental "
@@ -30,27 +29,14 @@ _UNITS = ("%", "ms")
 _WIDTHS = (27, 20, 10, 43)
 
 
-@dataclass(frozen=True)
-class BesideBlock:
-    """Numbers beside the paper's, with the sentence on each difference in a column that is wide enough for it."""
-
-    items: tuple[Beside, ...]
-
-    def html(self, serial: Iterator[int]) -> str:
-        """The table."""
-        widths = "".join(f'<col style="width:{width}%">' for width in _WIDTHS)
-        head = "".join(f'<th scope="col" style="text-align:left">{escape(title)}</th>' for title in HEADER)
-        body, said = [], ""
-        for item in self.items:
-            *cells, why = (escape(cell) for cell in item.cells)
-            # A sentence that stands for several numbers in a row is said once.
-            cells.append("″" if why == said else why)
-            said = why
-            body.append("<tr>" + "".join(f'<td class="text">{cell}</td>' for cell in cells) + "</tr>")
-        return (
-            '<div class="scroll"><table style="table-layout:fixed;width:100%;min-width:720px">'
-            f"<colgroup>{widths}</colgroup><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div>"
-        )
+def beside(items: Sequence[Beside]) -> Table:
+    """Numbers beside the paper's; a sentence that stands for several numbers in a row is said once."""
+    rows, last = [], ""
+    for item in items:
+        *cells, why = item.cells
+        rows.append((*cells, "″" if why == last else why))
+        last = why
+    return Table(HEADER, tuple(rows), prose=True, widths=_WIDTHS)
 
 
 def overview(results: Sequence[Result]) -> Table:
@@ -87,34 +73,30 @@ def mismatches(scenario: Scenario, seeds: Sequence[int]) -> Table:
     )
 
 
-def page(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], took: Mapping[str, float]) -> Page:
+def page(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], took: Mapping[str, float]) -> Document:
     """The report as a page."""
     parts: list[Block] = [Text(f"After {SOURCE}.", "lede"), Text(CAUTION, "verdict")]
     shown = overview(results)
     if shown.rows:
-        parts.append(Section("Beside the paper", (TableBlock(shown, prose=True),), 2, "overview"))
-    parts.append(Section("The virtual rigs", (TableBlock(mismatches(scenario, seeds), prose=True),), 2, "rigs"))
+        parts.append(Section("Beside the paper", (replace(shown, prose=True),), 2, "overview"))
+    parts.append(Section("The virtual rigs", (replace(mismatches(scenario, seeds), prose=True),), 2, "rigs"))
     for result in results:
         parts.append(Section(result.title, _section(result), 2, result.name))
-    parts.append(Section("How long it took", (TableBlock(_times(took)),), folded=True))
-    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return Page(
+    parts.append(Section("How long it took", (_times(took),), folded=True))
+    return Document(
         "The paper's experiments on a virtual rig",
         "Everything the paper shows, beside its numbers",
-        blocks(parts),
-        footer,
+        tuple(parts),
     )
 
 
 def _section(result: Result) -> tuple[Block, ...]:
     out: list[Block] = [Text(result.question)]
     if result.beside:
-        out.append(BesideBlock(result.beside))
+        out.append(beside(result.beside))
     if result.findings:
         out.append(Findings(tuple(HtmlFinding("note", text) for text in result.findings)))
-    out += [TableBlock(table) for table in result.tables]
-    out += list(result.figures)
-    return tuple(out)
+    return (*out, *result.tables, *result.figures)
 
 
 def _times(took: Mapping[str, float]) -> Table:

@@ -14,7 +14,7 @@ from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, TOPICS, Topic
 if TYPE_CHECKING:
     from .reader import read_bag
     from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
-    from .storage import bag_hash
+    from .storage import bag_hash, bag_name
     from .writer import BagWriter, write_bag
 
 _LAZY = {
@@ -25,6 +25,7 @@ _LAZY = {
     "RecordedReference": "recording",
     "Recording": "recording",
     "bag_hash": "storage",
+    "bag_name": "storage",
     "BagWriter": "writer",
     "write_bag": "writer",
 }
@@ -41,6 +42,7 @@ __all__ = [
     "Recording",
     "Topic",
     "bag_hash",
+    "bag_name",
     "read_bag",
     "write_bag",
 ]

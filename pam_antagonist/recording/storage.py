@@ -106,6 +106,15 @@ def bag_hash(path: str | Path) -> str:
     return hashlib.sha256(b"".join(digest.digest() for digest in digests)).hexdigest()
 
 
+def bag_name(path: str | Path) -> str:
+    """A bag's name for reports: its folder and the folder above it, nothing else of the machine's paths.
+
+    Args:
+        path: of the bag; ``/home/me/nominal/free`` gives ``nominal/free``.
+    """
+    return "/".join(Path(path).resolve().parts[-2:]).lstrip("/")
+
+
 def _locate(path: Path) -> _Files:
     """Find the message files of a bag."""
     if "\0" in str(path):

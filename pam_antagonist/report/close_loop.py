@@ -19,8 +19,8 @@ from typing import Any
 from pam_antagonist.diagnosis import rules
 from pam_antagonist.diagnosis.result import Diagnosis
 from pam_antagonist.diagnosis.select import STRONG
-from pam_antagonist.report.software import versions
 from pam_antagonist.rig import Rig
+from pam_antagonist.software import versions
 
 
 def document(

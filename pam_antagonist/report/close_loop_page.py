@@ -11,21 +11,8 @@ from pam_antagonist.report import close_loop_figures as drawn
 from pam_antagonist.report import close_loop_residuals as residuals
 from pam_antagonist.report import close_loop_sealed as sealed
 from pam_antagonist.report import close_loop_tables as tables
-from pam_antagonist.report import strict_json
-from pam_antagonist.report.html import (
-    Block,
-    Definitions,
-    Finding,
-    Findings,
-    Page,
-    Section,
-    TableBlock,
-    Text,
-    Tile,
-    Tiles,
-    blocks,
-)
-from pam_antagonist.report.software import versions
+from pam_antagonist.report import html
+from pam_antagonist.report.document import Block, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
 from pam_antagonist.report.table import Table, number, percent
 
 _DEFINITIONS = (
@@ -59,11 +46,10 @@ def write_report(folder: Path, document: dict[str, Any], found: Diagnosis, with_
         found: the diagnosis.
         with_figures: False leaves the figures out of the page.
     """
-    strict_json.write_json(folder / "report.json", document)
-    (folder / "report.html").write_text(page(document, found, with_figures).render(), encoding="utf-8")
+    html.write(folder, page(document, found, with_figures), document)
 
 
-def page(document: dict[str, Any], found: Diagnosis, with_figures: bool = True) -> Page:
+def page(document: dict[str, Any], found: Diagnosis, with_figures: bool = True) -> Document:
     """The report as a page."""
     lede = (
         "The model of this joint was compared with what was measured. What it misses was traced to a physical effect, "
@@ -77,15 +63,15 @@ def page(document: dict[str, Any], found: Diagnosis, with_figures: bool = True) 
         Text(document["sentence"], "verdict"),
         Tiles(_tiles(document)),
         Findings(_findings(document)),
-        TableBlock(tables.before_after(document)),
+        tables.before_after(document),
     ]
     if with_figures:
         parts.append(Section("Residual before and after", drawn.residuals(found), 2, "residual"))
     parts.append(Section("Residuals", residuals.statistics(document, with_figures), 2, "statistics"))
-    parts.append(Section("Candidates", (TableBlock(tables.ranking(document)), *_law(found)), 2, "candidates"))
+    parts.append(Section("Candidates", (tables.ranking(document), *_law(found)), 2, "candidates"))
     if found.effects:
         figures = drawn.profiles(document) if with_figures and document["profiles"] else ()
-        section: tuple[Block, ...] = (TableBlock(tables.parameters(document)), *figures)
+        section: tuple[Block, ...] = (tables.parameters(document), *figures)
         parts.append(Section("Parameters", section, 2, "parameters"))
     if found.remaining:
         parts.append(Section("What is left", residuals.left(found.remaining, with_figures), 2, "left"))
@@ -94,8 +80,7 @@ def page(document: dict[str, Any], found: Diagnosis, with_figures: bool = True) 
         Section("What the words mean", (Definitions(_words(document)),), folded=True),
         Section("How this report was made", _provenance(document, found), folded=True),
     ]
-    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return Page("Closing the loop with measured data", title, blocks(parts), footer)
+    return Document("Closing the loop with measured data", title, tuple(parts))
 
 
 def _tiles(document: dict[str, Any]) -> tuple[Tile, ...]:
@@ -193,7 +178,7 @@ def _provenance(document: dict[str, Any], found: Diagnosis) -> tuple[Block, ...]
         role = "; held out" if part["role"] == "held out" else ""
         rows.append((f"Recording {part['recording']}", f"{part['joint']}{role}; SHA-256 {part['sha256']}"))
     rows += [(f"Time for {name}", f"{value:.1f} s") for name, value in document["timing"].items()]
-    return (TableBlock(Table(("What", "Which"), tuple(rows)), prose=True),)
+    return (Table(("What", "Which"), tuple(rows), prose=True),)
 
 
 def _held_out(what: float | list[str]) -> str:

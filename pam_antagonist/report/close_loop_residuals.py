@@ -11,8 +11,9 @@ from pam_antagonist.diagnosis import dependence
 from pam_antagonist.diagnosis.remaining import Left
 from pam_antagonist.report.close_loop_sealed import ABOUT_RESIDUALS
 from pam_antagonist.report.curves import Curve, chart
+from pam_antagonist.report.document import Block, Finding, Findings, Text
 from pam_antagonist.report.figures import axis, base_layout
-from pam_antagonist.report.html import Block, Figure, Finding, Findings, TableBlock, Text
+from pam_antagonist.report.html import Figure
 from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
 
@@ -44,7 +45,7 @@ def statistics(document: Document, with_figures: bool) -> tuple[Block, ...]:
     for part in document["recordings"]:
         if "residuals" not in part:
             continue
-        out.append(TableBlock(_table(part, models)))
+        out.append(_table(part, models))
         if with_figures:
             about = (
                 "How strongly each residual (left) goes with what was there before it (below): the largest correlation "

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pam_antagonist.diagnosis.sealed import EXPLAINED
-from pam_antagonist.report.html import Finding, Tile
+from pam_antagonist.report.document import Finding, Tile
 from pam_antagonist.report.table import number, percent
 
 Document = Mapping[str, Any]

@@ -38,8 +38,8 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.report import channels
 from pam_antagonist.report.replay import Replay, after, replay
-from pam_antagonist.report.software import versions
 from pam_antagonist.rig import Rig
+from pam_antagonist.software import versions
 
 STRONG = 0.9
 """Correlation from which on two parameters are named as a pair."""

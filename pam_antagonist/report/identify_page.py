@@ -8,25 +8,13 @@ from typing import Any
 
 from pam_antagonist.identification.session import Identified
 from pam_antagonist.identification.stages import MEASURED
+from pam_antagonist.report import html
 from pam_antagonist.report import identify_figures as drawn
 from pam_antagonist.report import identify_tables as tables
 from pam_antagonist.report import identify_words as words
-from pam_antagonist.report import strict_json
 from pam_antagonist.report.channels import CHANNELS
-from pam_antagonist.report.html import (
-    Block,
-    Definitions,
-    Findings,
-    Page,
-    Section,
-    TableBlock,
-    Text,
-    Tile,
-    Tiles,
-    blocks,
-)
+from pam_antagonist.report.document import Block, Definitions, Document, Findings, Section, Text, Tile, Tiles
 from pam_antagonist.report.identify import Judged
-from pam_antagonist.report.software import versions
 from pam_antagonist.report.table import Table, number, percent
 
 
@@ -42,11 +30,10 @@ def write_report(
         judged: recordings by the rigs that are compared.
         with_figures: False leaves the figures out of the page.
     """
-    strict_json.write_json(folder / "report.json", document)
-    (folder / "report.html").write_text(page(document, found, judged, with_figures).render(), encoding="utf-8")
+    html.write(folder, page(document, found, judged, with_figures), document)
 
 
-def page(document: dict[str, Any], found: Identified, judged: Sequence[Judged], with_figures: bool = True) -> Page:
+def page(document: dict[str, Any], found: Identified, judged: Sequence[Judged], with_figures: bool = True) -> Document:
     """The report as a page.
 
     Args:
@@ -73,8 +60,7 @@ def page(document: dict[str, Any], found: Identified, judged: Sequence[Judged], 
         Section("What the words mean", (Definitions(words.DEFINITIONS),), folded=True),
         Section("How this report was made", _provenance(document), folded=True),
     ]
-    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return Page("Identification of a pneumatic muscle joint", f"Rig {found.start.name}", blocks(parts), footer)
+    return Document("Identification of a pneumatic muscle joint", f"Rig {found.start.name}", tuple(parts))
 
 
 def _tiles(document: dict[str, Any]) -> tuple[Tile, ...]:
@@ -98,7 +84,7 @@ def _held_out(document: dict[str, Any], found: Identified, judged: Sequence[Judg
         Text("Errors on the part of each recording that was neither fitted nor used for tuning; the best is bold.")
     ]
     for index, (entry, item) in enumerate(zip(document["held_out"], judged, strict=True)):
-        inner: list[Block] = [TableBlock(tables.held_out(entry))]
+        inner: list[Block] = [tables.held_out(entry)]
         if with_figures:
             inner += drawn.held_out_figures(item, found, index)
         content.append(Section(item.name, tuple(inner)))
@@ -109,18 +95,18 @@ def _parameters(document: dict[str, Any], found: Identified, with_figures: bool)
     content: list[Block] = []
     if with_figures:
         content.append(drawn.parameters_figure(document))
-    content.append(TableBlock(tables.parameters(document, "All free parameters, in SI units")))
+    content.append(tables.parameters(document, "All free parameters, in SI units"))
     left = [item for item in document["parameters"] if not item["determined"]]
     if left:
         rows = tuple((item["name"], item["record"]) for item in left)
-        content.append(TableBlock(Table(("Not determined", "What to record to determine it"), rows), prose=True))
+        content.append(Table(("Not determined", "What to record to determine it"), rows, prose=True))
     pairs = tables.correlated(document, "Pairs that the recordings hardly tell apart")
     if pairs is not None:
-        content.append(TableBlock(pairs))
+        content.append(pairs)
     if with_figures:
         profile = drawn.profiles_figure(found)
         content += [*([profile] if profile else []), drawn.correlation_figure(found)]
-    content.append(TableBlock(_profile_table(document)))
+    content.append(_profile_table(document))
     return Section("Parameters, and what the data cannot tell", tuple(content), 2, "parameters")
 
 
@@ -145,7 +131,7 @@ def _between(document: dict[str, Any]) -> Section:
     )
     table = tables.differences(document, "Deviation of each recording from the common value")
     assert table is not None
-    return Section("How the recordings disagree", (Text(text), TableBlock(table)), 2, "between")
+    return Section("How the recordings disagree", (Text(text), table), 2, "between")
 
 
 def _stages(document: dict[str, Any], found: Identified, with_figures: bool) -> Section:
@@ -162,15 +148,15 @@ def _stages(document: dict[str, Any], found: Identified, with_figures: bool) -> 
             Text(f"From {stage.source}." + (f" {stage.note[:1].upper()}{stage.note[1:]}." if stage.note else ""))
         ]
         if stage.values or stage.balance is not None:
-            inner.append(TableBlock(tables.stage_residuals(entry)))
+            inner.append(tables.stage_residuals(entry))
         moved = tables.stage_values(entry)
         if moved is not None and stage.name != "joint refinement":
-            inner.append(TableBlock(moved))
+            inner.append(moved)
         figure = drawn.stage_figure(stage, fitted) if with_figures else None
         content.append(Section(stage.name, (*inner, *([figure] if figure else []))))
     if len(document["starts"]) > 1:
         rows = tuple((s["name"], number(s["cost"], 6), "best" if s["best"] else "") for s in document["starts"])
-        content.append(TableBlock(Table(("Start", "cost", ""), rows, "The joint refinement from several starts")))
+        content.append(Table(("Start", "cost", ""), rows, "The joint refinement from several starts"))
     return Section("Step by step", tuple(content), 2, "steps")
 
 
@@ -195,9 +181,9 @@ def _noise(document: dict[str, Any]) -> Section:
     return Section(
         "Noise and tuning",
         (
-            TableBlock(tables.noise(document, "Sensor noise, process noise Q and measurement noise R")),
+            tables.noise(document, "Sensor noise, process noise Q and measurement noise R"),
             Text(text),
-            TableBlock(Table(header, tuple(rows)), prose=True),
+            Table(header, tuple(rows), prose=True),
         ),
         2,
         "noise",
@@ -218,4 +204,4 @@ def _provenance(document: dict[str, Any]) -> tuple[Block, ...]:
         rows.append(("Its joint", f"{item['condition']}; told from: {item['told_from']}"))
         rows.append(("Its length", f"{item['duration_s']:.1f} s, of which {item['fitted_until_s']:.1f} s were fitted"))
         rows += [("Remark", issue) for issue in item["issues"][:3]]
-    return (TableBlock(Table(("What", "Which"), tuple(rows)), prose=True),)
+    return (Table(("What", "Which"), tuple(rows), prose=True),)

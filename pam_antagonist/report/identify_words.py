@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from pam_antagonist.report.channels import CHANNELS
-from pam_antagonist.report.html import Finding
+from pam_antagonist.report.document import Finding
 from pam_antagonist.report.identify_tables import Document
 from pam_antagonist.report.table import number, percent
 

@@ -37,11 +37,10 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator, metrics, simulate_model
 from pam_antagonist.model import sensor
-from pam_antagonist.recording import Recording, bag_hash
+from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report.live import LiveInput, as_live, compare_with_live
-from pam_antagonist.report.software import bag_name
 from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerprint
 
 FloatArray = NDArray[np.float64]

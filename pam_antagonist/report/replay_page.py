@@ -7,23 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pam_antagonist.report import replay_tables, strict_json, words
-from pam_antagonist.report.html import (
-    Block,
-    Columns,
-    Definitions,
-    Findings,
-    Page,
-    Section,
-    TableBlock,
-    Text,
-    Tiles,
-    blocks,
-)
+from pam_antagonist.report import html, replay_tables, words
+from pam_antagonist.report.document import Block, Columns, Definitions, Document, Findings, Section, Text, Tiles
 from pam_antagonist.report.replay import Replay
 from pam_antagonist.report.replay_figures import replay_figures
-from pam_antagonist.report.software import versions
 from pam_antagonist.report.table import Table
+from pam_antagonist.software import versions
 
 
 def document(replays: Sequence[Replay], **more: Any) -> dict[str, Any]:
@@ -60,7 +49,9 @@ def _settings(replay: Replay) -> dict[str, Any]:
     }
 
 
-def page(replays: Sequence[Replay], title: str = "", with_figures: bool = True, first: Sequence[Block] = ()) -> Page:
+def page(
+    replays: Sequence[Replay], title: str = "", with_figures: bool = True, first: Sequence[Block] = ()
+) -> Document:
     """The report as a page.
 
     Args:
@@ -80,7 +71,7 @@ def page(replays: Sequence[Replay], title: str = "", with_figures: bool = True, 
     if len(reports) == 1:
         parts += [*first, *_recording(replays[0], with_figures)]
     else:
-        parts += [TableBlock(replay_tables.overview(reports)), *first]
+        parts += [replay_tables.overview(reports), *first]
         parts += [
             Section(
                 report["recording"]["name"],
@@ -94,8 +85,7 @@ def page(replays: Sequence[Replay], title: str = "", with_figures: bool = True, 
         Section("What the words mean", (Definitions(words.DEFINITIONS),), folded=True),
         Section("How this report was made", _provenance(replays), folded=True),
     ]
-    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return Page("Replay of a pneumatic muscle joint", name, blocks(parts), footer)
+    return Document("Replay of a pneumatic muscle joint", name, tuple(parts))
 
 
 def _recording(replay: Replay, with_figures: bool) -> list[Block]:
@@ -103,7 +93,7 @@ def _recording(replay: Replay, with_figures: bool) -> list[Block]:
     caption = "Errors; the better of the two is bold"
     out: list[Block] = [
         Tiles(replay_tables.tiles(report)),
-        Columns(Findings(words.findings(report)), TableBlock(replay_tables.errors_table(report, caption))),
+        Columns(Findings(words.findings(report)), replay_tables.errors_table(report, caption)),
     ]
     return out + list(replay_figures(replay)) if with_figures else out
 
@@ -131,7 +121,7 @@ def _provenance(replays: Sequence[Replay]) -> tuple[Block, ...]:
             ("Its joint", f"{joint}; told from: {report['joint']['told_from']}"),
             ("Its length", f"{report['samples']} samples, {report['duration_s']:.3f} s"),
         ]
-    return (TableBlock(Table(("What", "Which"), tuple(rows)), prose=True),)
+    return (Table(("What", "Which"), tuple(rows), prose=True),)
 
 
 def write_report(
@@ -152,6 +142,4 @@ def write_report(
         first: blocks of another command that uses a replay, as in :func:`page`.
         more: further keys for ``report.json``.
     """
-    strict_json.write_json(folder / "report.json", document(replays, **more))
-    html = page(replays, title, with_figures, first).render()
-    (folder / "report.html").write_text(html, encoding="utf-8")
+    html.write(folder, page(replays, title, with_figures, first), document(replays, **more))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from pam_antagonist.report.channels import CHANNELS, MODELS, Report, judged, lock_angle, moves
-from pam_antagonist.report.html import Tile
+from pam_antagonist.report.document import Tile
 from pam_antagonist.report.table import MISSING, Table, number, percent
 
 _NOTHING: frozenset[int] = frozenset()

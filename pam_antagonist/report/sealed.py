@@ -21,13 +21,13 @@ from typing import Any
 
 from pam_antagonist.identification.sealed_session import SealedIdentified
 from pam_antagonist.recording import Recording
-from pam_antagonist.report import strict_json
-from pam_antagonist.report.html import Block, Page, Section, TableBlock, Text, Tile, Tiles, blocks
+from pam_antagonist.report import html
+from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles
 from pam_antagonist.report.replay import Replay, after, replay
 from pam_antagonist.report.replay_figures import replay_figures
-from pam_antagonist.report.software import versions
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.rig import Rig
+from pam_antagonist.software import versions
 
 _RIGS = ("as_configured", "identified")
 ASSUMED = (
@@ -163,11 +163,10 @@ def write_report(
         judged: of :func:`judge`.
         with_figures: False leaves the figures out of the page.
     """
-    strict_json.write_json(folder / "report.json", content)
-    (folder / "report.html").write_text(page(content, judged, with_figures).render(), encoding="utf-8")
+    html.write(folder, page(content, judged, with_figures), content)
 
 
-def page(content: dict[str, Any], judged: Sequence[SealedJudged], with_figures: bool = True) -> Page:
+def page(content: dict[str, Any], judged: Sequence[SealedJudged], with_figures: bool = True) -> Document:
     """The report as a page.
 
     Args:
@@ -188,7 +187,7 @@ def page(content: dict[str, Any], judged: Sequence[SealedJudged], with_figures: 
         tiles.append(Tile("Torque from outside (RMS)", f"{external['rmse_nm']:.2f} N m", note))
     held: list[Block] = []
     for entry, item in zip(content["held_out"], judged, strict=True):
-        held.append(TableBlock(held_out_table(entry)))
+        held.append(held_out_table(entry))
         if with_figures:
             held += replay_figures(item.whole["identified"])
     stages = tuple((s["name"], f"{number(s['residual'])} {s['unit']}", s["note"]) for s in content["stages"])
@@ -208,10 +207,10 @@ def page(content: dict[str, Any], judged: Sequence[SealedJudged], with_figures: 
         Text(verdict, "verdict"),
         Tiles(tuple(tiles)),
         Section("On data that were held out", tuple(held), 2, "held-out"),
-        Section("Parameters", (TableBlock(values_table(content)),), 2, "parameters"),
+        Section("Parameters", (values_table(content),), 2, "parameters"),
         Section(
             "Step by step",
-            (TableBlock(Table(("Step", "left over (RMS)", "to be known"), stages), prose=True),),
+            (Table(("Step", "left over (RMS)", "to be known"), stages, prose=True),),
             2,
             "steps",
         ),
@@ -219,7 +218,7 @@ def page(content: dict[str, Any], judged: Sequence[SealedJudged], with_figures: 
             "Tuning",
             (
                 Text("The values under which the errors of the measured angle are most likely, on the fitted part."),
-                TableBlock(Table(("", "as configured", "identified"), (*rows, walk))),
+                Table(("", "as configured", "identified"), (*rows, walk)),
             ),
             2,
             "tuning",
@@ -227,10 +226,9 @@ def page(content: dict[str, Any], judged: Sequence[SealedJudged], with_figures: 
         Section("What is assumed", tuple(Text(text) for text in content["assumed"]), 2, "assumed"),
         Section(
             "How this report was made",
-            (TableBlock(Table(("Recording", "Length", "SHA-256"), provenance), prose=True),),
+            (Table(("Recording", "Length", "SHA-256"), provenance, prose=True),),
             folded=True,
         ),
     ]
-    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
     rig = judged[0].whole["identified"].rig.name
-    return Page("Identification of a sealed muscle joint", f"Rig {rig}", blocks(parts), footer)
+    return Document("Identification of a sealed muscle joint", f"Rig {rig}", tuple(parts))

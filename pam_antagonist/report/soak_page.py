@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pam_antagonist.benchmark.figure import Figure as Measured
 from pam_antagonist.benchmark.soak import BLOCK, WARM_UP, Soak
 from pam_antagonist.report.curves import PALETTE
+from pam_antagonist.report.document import Block, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
 from pam_antagonist.report.figures import Clock, Level, Line, Panel, stack
-from pam_antagonist.report.html import Block, Definitions, Figure, Finding, Findings, Page, Section, Text, Tile, Tiles
-from pam_antagonist.report.software import versions
+from pam_antagonist.report.html import Figure
 from pam_antagonist.report.table import number
 
 Floats = NDArray[np.float64]
@@ -50,7 +50,7 @@ DEFINITIONS = (
 )
 
 
-def page(soak: Soak, rig: str) -> Page:
+def page(soak: Soak, rig: str) -> Document:
     """The page.
 
     Args:
@@ -76,8 +76,7 @@ def page(soak: Soak, rig: str) -> Page:
         _drift(soak),
         Section("What the words mean", (Definitions(DEFINITIONS),), folded=True),
     )
-    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return Page("Soak run of the live pipeline", f"{length} of {rig}", content, footer)
+    return Document("Soak run of the live pipeline", f"{length} of {rig}", content)
 
 
 def _tile(figure: Measured) -> Tile:

@@ -14,23 +14,11 @@ from pam_antagonist.identification.static_regression import Undetermined
 from pam_antagonist.identification.static_result import StaticResult
 from pam_antagonist.identification.static_rig import reach
 from pam_antagonist.identification.static_volume import COEFFICIENTS as VOLUME_COEFFICIENTS
-from pam_antagonist.report import strict_json
-from pam_antagonist.report.html import (
-    Block,
-    Definitions,
-    Finding,
-    Findings,
-    Page,
-    Section,
-    TableBlock,
-    Text,
-    Tile,
-    Tiles,
-    blocks,
-)
-from pam_antagonist.report.software import versions
+from pam_antagonist.report import html
+from pam_antagonist.report.document import Block, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
 from pam_antagonist.report.static_figures import static_figures
 from pam_antagonist.report.table import MISSING, Table, number
+from pam_antagonist.software import versions
 
 Forms = Mapping[str, ForceFit | Undetermined]
 Floats = NDArray[np.float64]
@@ -232,7 +220,7 @@ def _begun(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
-def page(result: StaticResult, with_figures: bool = True) -> Page:
+def page(result: StaticResult, with_figures: bool = True) -> Document:
     """The report as a page."""
     tables = [table for table in (result.volumes, result.force_map) if table is not None]
     names = " and ".join(table.name for table in tables)
@@ -246,10 +234,10 @@ def page(result: StaticResult, with_figures: bool = True) -> Page:
         findings.append(Finding("note", f"Both muscles are given the same coefficients; {once}."))
     parts: list[Block] = [
         Text(lede, "lede"), Text(verdict(result), "verdict"), Tiles(_tiles(result)), Findings(tuple(findings)),
-        TableBlock(coefficients_table(result)),
+        coefficients_table(result),
     ]  # fmt: skip
     if result.force_map is not None:
-        parts += [TableBlock(forms_table(result.forms, result.form)), TableBlock(lengths_table(result.forms))]
+        parts += [forms_table(result.forms, result.form), lengths_table(result.forms)]
         parts += [Text(f"Form {name} is not determined by this map: {fit}.") for name, fit in result.forms.items()
                   if isinstance(fit, Undetermined)]  # fmt: skip
         for name, fit in result.forms.items():
@@ -261,8 +249,7 @@ def page(result: StaticResult, with_figures: bool = True) -> Page:
         Section("What the words mean", (Definitions(DEFINITIONS),), folded=True),
         Section("How this report was made", _provenance(result), folded=True),
     ]
-    footer = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return Page("Static data of a pneumatic muscle", names, blocks(parts), footer)
+    return Document("Static data of a pneumatic muscle", names, tuple(parts))
 
 
 def _tiles(result: StaticResult) -> tuple[Tile, ...]:
@@ -284,10 +271,9 @@ def _tiles(result: StaticResult) -> tuple[Tile, ...]:
 def _provenance(result: StaticResult) -> tuple[Block, ...]:
     rows = [("Rig", result.rig.name), ("Muscle length at angle 0", f"{result.rig.geometry.length:g} m")]
     rows += [(f"File {table.name}", f"SHA-256 {table.sha256}") for table in (result.volumes, result.force_map) if table]
-    return (TableBlock(Table(("What", "Which"), tuple(rows)), prose=True),)
+    return (Table(("What", "Which"), tuple(rows), prose=True),)
 
 
 def write_report(folder: Path, result: StaticResult, with_figures: bool = True) -> None:
     """Write ``report.json`` and ``report.html`` into a folder that exists."""
-    strict_json.write_json(folder / "report.json", document(result))
-    (folder / "report.html").write_text(page(result, with_figures).render(), encoding="utf-8")
+    html.write(folder, page(result, with_figures), document(result))

@@ -1,9 +1,9 @@
-"""Tables for the terminal: aligned plain text, numbers with the digits that mean something."""
+"""Tables of text, and numbers with the digits that mean something."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 MISSING = "–"
@@ -35,29 +35,77 @@ class Table:
 
     Attributes:
         header: column titles.
-        rows: cells, each row as long as the header.
+        rows: cells, each row as long as the header; a row with nothing but its first cell is a heading.
         caption: what the table shows, in one sentence.
         best: for each row, the columns whose value is the best one (drawn bold in HTML).
+        prose: whether the cells are text, set to the left, and not numbers.
+        widths: of the columns in a page [%], where they should not follow from the cells.
     """
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
     best: tuple[frozenset[int], ...] = ()
+    prose: bool = False
+    widths: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the shape."""
         if any(len(row) != len(self.header) for row in self.rows):
             raise ValueError(f"every row needs {len(self.header)} cells")
 
-    def text(self, indent: str = "  ") -> str:
-        """The table for a terminal: first column left, the others right, two spaces between."""
-        lines = [self.header, *self.rows]
-        widths = [max(len(line[column]) for line in lines) for column in range(len(self.header))]
+    @property
+    def marked(self) -> tuple[frozenset[int], ...]:
+        """`best`, with an entry for each row."""
+        return self.best or (frozenset(),) * len(self.rows)
 
-        def line(cells: Sequence[str]) -> str:
-            first = cells[0].ljust(widths[0])
-            rest = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
-            return (indent + "  ".join([first, *rest])).rstrip()
 
-        return "\n".join(line(cells) for cells in lines)
+class Comparison:
+    """A table under construction whose columns are compared: it marks the best value of each row."""
+
+    def __init__(self, *header: str) -> None:
+        """Begin a table.
+
+        Args:
+            header: column titles, the first for the rows' names.
+        """
+        self._header = header
+        self._rows: list[tuple[str, ...]] = []
+        self._best: list[frozenset[int]] = []
+
+    def heading(self, name: str) -> None:
+        """A row that names the rows below it."""
+        self.text(name, *[""] * (len(self._header) - 1))
+
+    def text(self, *cells: str) -> None:
+        """A row that is not compared."""
+        self._rows.append(cells)
+        self._best.append(frozenset())
+
+    def values(
+        self,
+        name: str,
+        values: Sequence[float | None],
+        write: Callable[[float | None], str] = number,
+        best: Callable[[Sequence[float]], float] | None = min,
+    ) -> None:
+        """A row of numbers.
+
+        Args:
+            name: of the row.
+            values: one a column.
+            write: makes a cell of a number.
+            best: picks the best of the finite values; None where no value is better than another. What is written
+                alike is alike: nothing is marked where all cells look the same.
+        """
+        cells = [write(value) for value in values]
+        known = [value for value in values if value is not None and math.isfinite(value)]
+        winner = write(best(known)) if known and best else ""
+        marked = {place for place, cell in enumerate(cells, 1) if cell == winner}
+        alike = len({cell for cell in cells if cell != MISSING}) < 2
+        self._rows.append((name, *cells))
+        self._best.append(frozenset() if alike else frozenset(marked))
+
+    def table(self, caption: str = "") -> Table:
+        """The finished table."""
+        return Table(self._header, tuple(self._rows), caption, tuple(self._best))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pam_antagonist.report.channels import CHANNELS, Channel, Report, judged, lock_angle, moves, worst
-from pam_antagonist.report.html import Finding
+from pam_antagonist.report.document import Finding
 from pam_antagonist.report.table import number, percent
 
 HONEST_COVERAGE = 0.88

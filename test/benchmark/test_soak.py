@@ -13,6 +13,7 @@ from pam_antagonist.benchmark.soak import Soak, Usage, clock_drift, growth
 from pam_antagonist.cli import benchmark
 from pam_antagonist.nodes.accounting import STAGES, OverTime
 from pam_antagonist.recording import Arrival, Recording
+from pam_antagonist.report.html import render
 from pam_antagonist.report.soak_page import page
 
 
@@ -64,12 +65,12 @@ def test_the_page_shows_what_broke_and_when(tmp_path: Path) -> None:
         at_most("soak_memory_growth", "largest growth", 6.0, 2.0, "MB", {}),
         at_most("soak_lost", "share", 0.0, 0.1, "%", {}),
     ]
-    html = page(Soak(figures, grown, np.linspace(0.0, 0.2, 12), samples), "shin2022").render()
+    html = render(page(Soak(figures, grown, np.linspace(0.0, 0.2, 12), samples), "shin2022"))
     assert "1 of 2 figures broke their bound." in html
     assert "largest growth: 6.00 MB, expected ≤ 2." in html
     for title in ("Memory", "Processor", "Losses", "Round trip", "Drift"):
         assert f"<figcaption>{title}</figcaption>" in html
-    good = page(Soak(figures[1:], grown, np.zeros(12), samples), "shin2022").render()
+    good = render(page(Soak(figures[1:], grown, np.zeros(12), samples), "shin2022"))
     assert "Every bound held." in good and "broke" not in good
 
 

@@ -19,7 +19,7 @@ from pam_antagonist.faults.fault import Fault, Observed, Outcome, Recovery, Said
 from pam_antagonist.faults.relay import Line, Order, parse_order
 from pam_antagonist.faults.valve_log import BRIDGE_SAFE, Row
 from pam_antagonist.hardware.line_faults import parse_fault
-from pam_antagonist.report.strict_json import plain
+from pam_antagonist.strict_json import plain
 
 MS = 1_000_000
 ON = (6.0, 5.0)

@@ -13,19 +13,8 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report import decimate, figures
-from pam_antagonist.report.html import (
-    Columns,
-    Definitions,
-    Figure,
-    Finding,
-    Findings,
-    Page,
-    Section,
-    TableBlock,
-    Text,
-    Tile,
-    Tiles,
-)
+from pam_antagonist.report.document import Columns, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
+from pam_antagonist.report.html import Figure, render
 from pam_antagonist.report.table import Table
 
 
@@ -61,7 +50,7 @@ def _figure(values: np.ndarray, title: str = "Angle") -> Figure:
 
 
 def test_a_page_loads_nothing_from_elsewhere() -> None:
-    page = Page("Kicker", "Title", (_figure(np.arange(10.0)), _figure(np.arange(10.0)))).render()
+    page = render(Document("Kicker", "Title", (_figure(np.arange(10.0)), _figure(np.arange(10.0)))))
     read = Reader(page)
     assert [load for load in read.loads if not load.startswith("#")] == []
     assert "@import" not in page.split("<script>")[0]
@@ -73,39 +62,39 @@ def test_a_page_loads_nothing_from_elsewhere() -> None:
 
 
 def test_the_library_is_there_once_and_only_for_figures() -> None:
-    with_two = Page("k", "t", (_figure(np.arange(10.0)), _figure(np.arange(10.0)))).render()
+    with_two = render(Document("k", "t", (_figure(np.arange(10.0)), _figure(np.arange(10.0)))))
     assert len(re.findall(r"plotly\.js v\d", with_two)) == 1
-    without = Page("k", "t", (Text("nothing to draw"),)).render()
+    without = render(Document("k", "t", (Text("nothing to draw"),)))
     assert len(without) < 20_000
     assert "<script" not in without
 
 
 def test_figure_data_can_be_read_back_and_cannot_end_the_script() -> None:
     figure = Figure("</script><b>", "About & <i>", {"data": [{"name": "</script>"}], "layout": {"height": 99}}, 'a"b')
-    read = Reader(Page("k", "t", (figure,)).render())
+    read = Reader(render(Document("k", "t", (figure,))))
     assert json.loads(read.texts["figure-1-data"])["data"] == [{"name": "</script>"}]
     assert not any(tag in ("b", "i") for tag, _ in read.tags)
 
 
 def test_text_is_escaped_everywhere() -> None:
     bad = "<script>alert(1)</script>"
-    page = Page(
+    document = Document(
         bad,
         bad,
         (
             Text(bad),
             Findings((Finding("warn", bad),)),
             Tiles((Tile(bad, bad, bad),)),
-            Columns(Text(bad), TableBlock(Table((bad, bad), ((bad, bad),), bad))),
+            Columns(Text(bad), Table((bad, bad), ((bad, bad),), bad)),
             Section(bad, (Definitions(((bad, bad),)),), folded=True),
         ),
         bad,
-    ).render()
-    assert not any(tag == "script" for tag, _ in Reader(page).tags)
+    )
+    assert not any(tag == "script" for tag, _ in Reader(render(document)).tags)
 
 
 def test_findings_are_told_by_sign_and_not_by_colour_alone() -> None:
-    page = Page("k", "t", (Findings((Finding("good", "a"), Finding("warn", "b"), Finding("note", "c"))),)).render()
+    page = render(Document("k", "t", (Findings((Finding("good", "a"), Finding("warn", "b"), Finding("note", "c"))),)))
     assert [sign in page for sign in (">✓<", ">!<", ">i<")] == [True] * 3
     assert [f'aria-label="{word}"' in page for word in ("good", "attention", "note")] == [True] * 3
 
@@ -120,7 +109,7 @@ def test_without_plotly_a_page_with_figures_says_what_to_do(monkeypatch: pytest.
 
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(BadInput, match="--no-figures"):
-        Page("k", "t", (_figure(np.arange(10.0)),)).render()
+        render(Document("k", "t", (_figure(np.arange(10.0)),)))
 
 
 def test_a_trace_has_few_points_and_keeps_its_spike() -> None:

@@ -18,7 +18,8 @@ from pam_antagonist.estimation import EstimateRun, Estimator, simulate_model
 from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, write_bag
 from pam_antagonist.recording.notes import SEALED, write_notes
 from pam_antagonist.report import words
-from pam_antagonist.report.html import Text
+from pam_antagonist.report.document import Text
+from pam_antagonist.report.html import render
 from pam_antagonist.report.replay import replay, replay_recording
 from pam_antagonist.report.replay_page import document, page, write_report
 from pam_antagonist.rig import Rig, RigIdentity, fingerprint, load_rig
@@ -76,7 +77,7 @@ def test_a_channel_that_was_not_recorded_is_null(rig: Rig, free: Recording, chan
 
 def test_nothing_measured_is_said_plainly(rig: Rig, free: Recording, changed: Changed) -> None:
     done = replay(changed(free, torque=None, angle=None), rig)
-    text = page([done], with_figures=False).render()
+    text = render(page([done], with_figures=False))
     assert "The estimate stands alone" in text
     assert "taken for free" in text
 
@@ -91,7 +92,7 @@ def test_a_locked_joints_torque_is_judged_and_its_angle_is_given(rig: Rig, locke
     done = replay(locked, rig)
     assert done.report["joint"] == {"condition": "locked", "lock_angle_rad": 0.0, "told_from": "measured angle"}
     assert not done.run.rows["angle"].any()
-    text = page([done], with_figures=False).render()
+    text = render(page([done], with_figures=False))
     assert "the torque is known to" in text
     assert "the angle is known to" not in text
 
@@ -207,7 +208,7 @@ def test_one_bit_is_a_difference_and_the_late_flag_is_none(rig: Rig, free: Recor
 def test_another_tuning_does_not_give_the_live_bits(rig: Rig, free: Recording, changed: Changed) -> None:
     done = replay(changed(free, estimate=_live(rig, free, (0,), 500)), rig, tuning="published")
     assert done.report["live_equal"]["equal"] < 500
-    assert "differ: " in page([done], with_figures=False).render()
+    assert "differ: " in render(page([done], with_figures=False))
 
 
 def test_a_filter_started_before_the_recording_cannot_be_repeated(rig: Rig, free: Recording, changed: Changed) -> None:
@@ -249,7 +250,7 @@ def test_another_command_adds_its_own_part(rig: Rig, free: Recording, tmp_path: 
 
 
 def test_the_page_shows_every_figure_with_units(rig: Rig, free: Recording, locked: Recording) -> None:
-    html = page([replay(free, rig), replay(locked, rig)]).render()
+    html = render(page([replay(free, rig), replay(locked, rig)]))
     for title, count in (
         ("Joint angle", 1),
         ("Joint torque", 2),

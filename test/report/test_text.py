@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.report.strict_json import dumps, write_json
 from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.report.terminal import table
+from pam_antagonist.strict_json import dumps, write_json
 
 
 def _refuse(text: str) -> Any:
@@ -66,7 +67,7 @@ def test_percent() -> None:
 
 
 def test_columns_line_up() -> None:
-    text = Table(("", "UKF", "model alone"), (("Angle", "0.1", "12.25"), ("a longer name", "1", "2"))).text("")
+    text = table(Table(("", "UKF", "model alone"), (("Angle", "0.1", "12.25"), ("a longer name", "1", "2"))), indent="")
     assert text.splitlines() == [
         "               UKF  model alone",
         "Angle          0.1        12.25",

@@ -1,10 +1,9 @@
-"""What a result was made with and from: versions and names, so that it can be made again."""
+"""Versions of the software that made a result."""
 
 from __future__ import annotations
 
 import platform
 from importlib import metadata
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -22,8 +21,3 @@ def versions() -> dict[str, str]:
         "numpy": np.__version__,
         "numba": numba.__version__,
     }
-
-
-def bag_name(path: Path) -> str:
-    """A bag's name that tells ``nominal/free`` from ``nominal/locked`` and says nothing about the machine."""
-    return "/".join(Path(path).resolve().parts[-2:]).lstrip("/")

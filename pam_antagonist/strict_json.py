@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -13,9 +14,15 @@ import numpy as np
 def plain(value: Any) -> Any:
     """The same value in Python's own types, with None for every number that is not finite.
 
+    A dataclass becomes an object with its fields as keys, unless it has a method ``to_json`` that says otherwise.
+
     Raises:
         TypeError: a type that JSON has no form for.
     """
+    if hasattr(value, "to_json"):
+        return plain(value.to_json())
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, dict):

@@ -1,6 +1,3 @@
-"""What draws a report's figures: on sight, linked in time, and fit for fingers."""
-
-SCRIPT = """
 (function () {
   "use strict";
   var plots = Array.prototype.slice.call(document.querySelectorAll(".plot"));
@@ -17,7 +14,7 @@ SCRIPT = """
   // A zoom in one figure's time is a zoom in that of every figure of the same recording.
   function follow(source, event) {
     if (busy) { return; }
-    var key = Object.keys(event).filter(function (k) { return /^xaxis[0-9]*\\.(range|autorange)/.test(k); })[0];
+    var key = Object.keys(event).filter(function (k) { return /^xaxis[0-9]*\.(range|autorange)/.test(k); })[0];
     if (!key) { return; }
     var axis = key.split(".")[0];
     var shown = source.layout[axis];
@@ -107,4 +104,3 @@ SCRIPT = """
     plots.forEach(draw);
   });
 }());
-"""

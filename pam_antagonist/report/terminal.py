@@ -1,0 +1,62 @@
+"""Documents on a terminal: aligned tables, wrapped sentences, a mark before each finding."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+
+from pam_antagonist.report.document import Block, Finding, Findings, Section, Text
+from pam_antagonist.report.table import Table
+
+WIDTH = 100
+_MARKS = {"good": "✓ ", "warn": "! ", "note": "  "}
+
+
+def render(blocks: Sequence[Block]) -> str:
+    """Blocks one below the other, an empty line between them; what only a page can show is left out."""
+    parts = [_block(block) for block in blocks]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _block(block: Block) -> str:
+    match block:
+        case Text():
+            return textwrap.fill(block.text, WIDTH)
+        case Findings():
+            return "\n".join(finding(item) for item in block.items)
+        case Table():
+            return table(block)
+        case Section():
+            return f"{block.title}\n{render(block.blocks)}"
+    return ""
+
+
+def finding(item: Finding) -> str:
+    """One finding with its mark, wrapped."""
+    return textwrap.fill(item.text, WIDTH, initial_indent=_MARKS[item.status], subsequent_indent="  ")
+
+
+def warnings(texts: Sequence[str]) -> str:
+    """Warnings, each with its mark and wrapped."""
+    return "\n".join(finding(Finding("warn", text)) for text in texts)
+
+
+def table(content: Table, indent: str = "  ") -> str:
+    """A table: first column left, the others right (text left), two spaces between; empty without rows.
+
+    Args:
+        content: the table.
+        indent: before each line.
+    """
+    if not content.rows:
+        return ""
+    lines = [content.header, *content.rows]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(content.header))]
+
+    def line(cells: Sequence[str]) -> str:
+        first = cells[0].ljust(widths[0])
+        align = str.ljust if content.prose else str.rjust
+        rest = [align(cell, width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
+        return (indent + "  ".join([first, *rest])).rstrip()
+
+    return "\n".join(line(cells) for cells in lines)
