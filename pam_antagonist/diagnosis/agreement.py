@@ -8,12 +8,12 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.rigs import farthest_apart
 from pam_antagonist.diagnosis.select import STRONG, Model, evidence
+from pam_antagonist.inference.candidates import UNKNOWN_INPUT
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import Fitted, refit
 
 Floats = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def _loss(experiment: Experiment, fitted: Fitted, values: Mapping[str, float]) -
     effect = next(iter(values)).rsplit(".", 1)[0] + "."
     own = {path: value for path, value in fitted.point.effects.items() if not path.startswith(effect)}
     before, after = (
-        refit(experiment, Point(fitted.point.theta, effects), pace=fitted.scale.pace)
+        refit(experiment, Point(fitted.point.theta, effects), blocks_per_error=fitted.scale.blocks_per_error)
         for effects in (own, {**own, **values})
     )
     return -evidence(experiment, before, after)

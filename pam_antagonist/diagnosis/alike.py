@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.candidates import Unknown
-from pam_antagonist.diagnosis.driven import Driven
-from pam_antagonist.diagnosis.experiment import Point
-from pam_antagonist.diagnosis.refit import Fitted, cost_of, refit
 from pam_antagonist.diagnosis.select import STRONG
+from pam_antagonist.inference.angle_driven import AngleDriven
+from pam_antagonist.inference.experiment import Point
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ class Alike:
         return self.evidence < STRONG
 
 
-def loops(experiments: Sequence[Driven], fits: Sequence[Fitted], found: Sequence[str]) -> Alike | None:
+def loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Sequence[str]) -> Alike | None:
     """Friction beside hysteresis where the joint slides; None where neither was found.
 
     Args:
@@ -89,7 +89,7 @@ def loops(experiments: Sequence[Driven], fits: Sequence[Fitted], found: Sequence
             )  # fmt: skip
             left.append(float(np.sum(best.residual[slides, 0] ** 2)))
             if name == here:
-                sizes.append(best.point.effects[best.unknowns[0].path])
+                sizes.append(best.point.effects[best.free[0].path])
             if name == "hysteresis":
                 width = best.point.effects[parameter_path("hysteresis", "width")]
         independent = max(slides.sum() / fitted.scale.counted, np.e)
@@ -108,24 +108,24 @@ def loops(experiments: Sequence[Driven], fits: Sequence[Fitted], found: Sequence
     )
 
 
-def _starts(experiment: Driven, name: str) -> list[tuple[dict[str, float], tuple[Unknown, ...]]]:
+def _starts(experiment: AngleDriven, name: str) -> list[tuple[dict[str, float], tuple[FreeEffectParameter, ...]]]:
     if name == "friction":
         path = parameter_path("friction", "coulomb")
-        return [({path: 0.2}, (Unknown((path,), CATALOGUE["friction"].parameters[0]),))]
+        return [({path: 0.2}, (FreeEffectParameter((path,), CATALOGUE["friction"].parameters[0]),))]
     rig = experiment.rig
     narrow = float(np.sqrt(12.0)) * rig.sensors.angle_std * rig.geometry.radius / _TURN
     items = {item.name: item for item in CATALOGUE["hysteresis"].parameters}
     sizes = tuple(parameter_path("hysteresis", f"amplitude_{number}") for number in (1, 2))
     width = parameter_path("hysteresis", "width")
     unknowns = (
-        Unknown(sizes, items["amplitude_1"]),
-        Unknown((width,), replace(items["width"], low=min(narrow, items["width"].low))),
+        FreeEffectParameter(sizes, items["amplitude_1"]),
+        FreeEffectParameter((width,), replace(items["width"], low=min(narrow, items["width"].low))),
     )
     force = 0.1 / rig.geometry.radius
     return [({**dict.fromkeys(sizes, force), width: start}, unknowns) for start in (narrow, 4.0 * narrow, 2e-4)]
 
 
-def losses(experiments: Sequence[Driven], base: Sequence[Fitted], found: Sequence[str]) -> Alike | None:
+def losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: Sequence[str]) -> Alike | None:
     """A leak beside a loss that dies out, in the mean of the pressures; None where no leak was found.
 
     Args:
@@ -153,7 +153,7 @@ def losses(experiments: Sequence[Driven], base: Sequence[Fitted], found: Sequenc
     return Alike("leak", "thermal", evidence, (rms[0], rms[1]), "kPa", float(seconds), about)
 
 
-def either_muscle(experiments: Sequence[Driven], fits: Sequence[Fitted], effect: str) -> int | None:
+def either_muscle(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], effect: str) -> int | None:
     """The muscle that alone would do nearly as well as both alike; None where both are needed, or are not alike.
 
     Args:
@@ -163,14 +163,19 @@ def either_muscle(experiments: Sequence[Driven], fits: Sequence[Fitted], effect:
     """
     lost = {1: 0.0, 2: 0.0}
     for experiment, fitted in zip(experiments, fits, strict=True):
-        both = next((u for u in fitted.unknowns if u.path.startswith(f"effects.{effect}.") and len(u.paths) == 2), None)
+        both = next((u for u in fitted.free if u.path.startswith(f"effects.{effect}.") and len(u.paths) == 2), None)
         if both is None:
             return None
-        others = tuple(unknown for unknown in fitted.unknowns if unknown is not both)
+        others = tuple(unknown for unknown in fitted.free if unknown is not both)
         for number, path in enumerate(both.paths, 1):
             effects = {name: value for name, value in fitted.point.effects.items() if name not in both.paths}
             start = Point(fitted.point.theta, {**effects, path: 2.0 * fitted.point.effects[path]})
-            alone = refit(experiment, start, (*others, Unknown((path,), both.item)), pace=fitted.scale.pace)
+            alone = refit(
+                experiment,
+                start,
+                (*others, FreeEffectParameter((path,), both.item)),
+                blocks_per_error=fitted.scale.blocks_per_error,
+            )
             gap = cost_of(experiment, alone.point, alone.residual, fitted.scale) - fitted.cost
             lost[number] += fitted.scale.share * gap
     best = min(lost, key=lambda number: lost[number])

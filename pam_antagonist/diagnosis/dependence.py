@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.solve import correlation_length
+from pam_antagonist.inference.likelihood import correlation_length
 
 Floats = NDArray[np.float64]
 

@@ -19,7 +19,6 @@ from pam_antagonist.diagnosis import (
     visible,
 )
 from pam_antagonist.diagnosis.advice import experiments_that_tell
-from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.profiles import profile_sizes
 from pam_antagonist.diagnosis.remaining import describe
 from pam_antagonist.diagnosis.result import Diagnosis, Ranked
@@ -29,7 +28,8 @@ from pam_antagonist.diagnosis.sentence import sentence
 from pam_antagonist.diagnosis.shares import held_share, left_by
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.trial import Trial, make_trial
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.trial import Trial, make_trial
 from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
@@ -198,7 +198,7 @@ def _judge(experiments: Sequence[Experiment], selection: Selection) -> tuple[Ver
     share = held_share(experiments, *(left_by(experiments, m.fits) for m in (base, model))) if model.effects else 0.0
     if rules.explains(experiments, base, model):
         return "effect", share
-    return ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), share
+    return ("unexplained" if rules.has_significant_excess(experiments, base.fits) else "none"), share
 
 
 def _ambiguous(selection: Selection) -> tuple[str, ...]:

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.simulation import BLOCK
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, TORQUE
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE
 from pam_antagonist.model import dynamics, flow, muscle, sensor
 
 Floats = NDArray[np.float64]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, TORQUE
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 

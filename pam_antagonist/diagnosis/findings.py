@@ -8,9 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis.candidates import Unknown
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted, cost_of, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import (
     STRONG,
@@ -20,6 +17,9 @@ from pam_antagonist.diagnosis.select import (
     refitted_without,
 )
 from pam_antagonist.diagnosis.shares import further_share, left_by
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 
 _SMALL = 0.1
 """A muscle whose size is less than this share of the other's is not the one."""
@@ -46,15 +46,20 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
         effect: its name.
     """
     while True:
-        here = [u for u in fitted.unknowns if u.path.startswith(f"effects.{effect}.") and u.item.is_size]
+        here = [u for u in fitted.free if u.path.startswith(f"effects.{effect}.") and u.item.is_size]
         if len(here) < 2:
             return fitted
-        std = dict(zip(fitted.unknowns, np.sqrt(np.diag(fitted.effect_covariance)), strict=True))
+        std = dict(zip(fitted.free, np.sqrt(np.diag(fitted.effect_covariance)), strict=True))
         weakest = min(here, key=lambda u: _strength(fitted, u, std[u]))
-        left = tuple(u for u in fitted.unknowns if u is not weakest)
+        left = tuple(u for u in fitted.free if u is not weakest)
         effects = {path: value for path, value in fitted.point.effects.items() if path not in weakest.paths}
         smaller = refit(
-            experiment, Point(fitted.point.theta, effects), left, fitted.base, renewals=1, pace=fitted.scale.pace
+            experiment,
+            Point(fitted.point.theta, effects),
+            left,
+            fitted.base,
+            renewals=1,
+            blocks_per_error=fitted.scale.blocks_per_error,
         )
         scale = before.scale
         lost = scale.share * (
@@ -66,7 +71,7 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
         fitted = smaller
 
 
-def _strength(fitted: Fitted, unknown: Unknown, std: float) -> float:
+def _strength(fitted: Fitted, unknown: FreeEffectParameter, std: float) -> float:
     value = unknown.coordinate(fitted.point.effects.get(unknown.path, 0.0))
     return abs(value) / std if std > 0.0 else 0.0
 
@@ -144,7 +149,7 @@ def found_effects(
             sized = {unknown: _sizes(model, unknown, certain=False) for unknown in sized}
         sized = {unknown: seen for unknown, seen in sized.items() if seen}
         shapes = {u: seen for u, seen in sized.items() if not u.item.is_size}
-        groups: dict[int | None, dict[Unknown, list[Sized]]] = {}
+        groups: dict[int | None, dict[FreeEffectParameter, list[Sized]]] = {}
         for unknown, seen in sized.items():
             if unknown.item.is_size:
                 groups.setdefault(unknown.muscle, {})[unknown] = seen
@@ -196,13 +201,13 @@ def found_effects(
     return tuple(found), values, contradictions
 
 
-def unknowns_of(model: Model, effect: str) -> tuple[Unknown, ...]:
+def unknowns_of(model: Model, effect: str) -> tuple[FreeEffectParameter, ...]:
     """Numbers of an effect that are free in any recording, in the order of the catalogue and its sizes first."""
     path = f"effects.{effect}."
-    return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.unknowns if u.path.startswith(path)))
+    return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.free if u.path.startswith(path)))
 
 
-def _sizes(model: Model, unknown: Unknown, certain: bool = True) -> list[Sized]:
+def _sizes(model: Model, unknown: FreeEffectParameter, certain: bool = True) -> list[Sized]:
     """Value of a number in every recording in which it is free, not 0, and not a shadow of its sibling.
 
     Args:
@@ -212,9 +217,9 @@ def _sizes(model: Model, unknown: Unknown, certain: bool = True) -> list[Sized]:
     """
     seen = []
     for r, fitted in enumerate(model.fits):
-        if unknown not in fitted.unknowns:
+        if unknown not in fitted.free:
             continue
-        k = fitted.unknowns.index(unknown)
+        k = fitted.free.index(unknown)
         if not np.any(fitted.effect[:, :, k]):
             continue
         value = fitted.point.effects.get(unknown.path, unknown.item.neutral)

@@ -10,12 +10,12 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import errors, residuals, rigs
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted, refit
 from pam_antagonist.diagnosis.select import Model
-from pam_antagonist.diagnosis.simulation import BLOCK
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.trial import Trial
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.trial import BLOCK, Trial
+from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -63,14 +63,14 @@ def experiments_of(
     if not others:
         cut = [round(len(trial) * (1.0 - share) / 100.0) * 100 for trial in trials]
         return tuple(
-            Experiment(rig, trial, end, seed=seed, jobs=jobs) for trial, end in zip(trials, cut, strict=True)
+            ValveDriven(rig, trial, end, seed=seed, jobs=jobs) for trial, end in zip(trials, cut, strict=True)
         ), ()
     held = tuple(
-        Experiment(rig, trial, round(START / trial.dt / BLOCK) * BLOCK, seed=seed, jobs=jobs) for trial in others
+        ValveDriven(rig, trial, round(START / trial.dt / BLOCK) * BLOCK, seed=seed, jobs=jobs) for trial in others
     )
     common = {trial.joint for trial in trials} & {trial.joint for trial in others}
     return tuple(
-        Experiment(
+        ValveDriven(
             rig, trial, len(trial) // BLOCK * BLOCK,
             tuple(other for other in held if not common or other.trial.joint == trial.joint), seed, jobs,
         )
@@ -103,7 +103,7 @@ def check_same_rig(experiments: Sequence[Experiment], base: Model, held: Sequenc
     """
 
     def own(other: Experiment) -> Fitted:
-        whole = Experiment(other.rig, other.trial, len(other.trial) // BLOCK * BLOCK, jobs=jobs)
+        whole = ValveDriven(other.rig, other.trial, len(other.trial) // BLOCK * BLOCK, jobs=jobs)
         return refit(whole, whole.origin)
 
     fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(own)(other) for other in held)

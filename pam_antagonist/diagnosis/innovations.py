@@ -8,10 +8,10 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import errors, rigs
-from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.heldout import Compared
-from pam_antagonist.identification.trial import ANGLE, TORQUE
 from pam_antagonist.identification.tuning import innovation_likelihood
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.trial import ANGLE, TORQUE
 from pam_antagonist.recording import Recording
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import findings, pushes, rules
-from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted, cost_of, excess, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import STRONG, Model, evidence, price, recalibrated, select
 from pam_antagonist.diagnosis.shares import left_by
 from pam_antagonist.diagnosis.store import Store
+from pam_antagonist.inference.candidates import UNKNOWN_INPUT
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 
 NOTE = (
     "a push is known only afterwards: the model alone cannot foresee it, and its errors stay; the estimator has it as "
@@ -158,7 +158,7 @@ def _told_apart(
         if r not in fits:
             # What pushes bends a fit of the laws as well: their values are taken over until the pushes are known.
             point = Point(base.fits[r].point.theta, told.point.effects)
-            fits[r] = refit(experiment, point, told.unknowns, rounds=0)
+            fits[r] = refit(experiment, point, told.free, rounds=0)
     return Model(laws.effects, tuple(fits[r] for r in range(len(experiments))))
 
 
@@ -209,7 +209,7 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed
 
 
 def _leaves(experiment: Experiment, fitted: Fitted) -> bool:
-    return float(np.max(excess(experiment, fitted.residual))) >= _CLEAN
+    return float(np.max(experiment.times_noise(fitted.residual))) >= _CLEAN
 
 
 def _restless(fitted: Fitted, noise: float) -> Fitted:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT, Unknown
-from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.diagnosis.findings import unknowns_of
-from pam_antagonist.diagnosis.refit import Fitted, prior_cost, refit
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import Model
+from pam_antagonist.inference.candidates import UNKNOWN_INPUT
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
 
 _SHARES = (0.0, 0.5)
 """Of the size: what it takes to be called found."""
@@ -57,7 +58,7 @@ def profile_sizes(
             said(f"profile of {unknown.path}")
             fitted, experiment = model.fits[r], experiments[r]
             best = fitted.point.effects[unknown.path]
-            k = len(fitted.covariance) - len(fitted.unknowns) + fitted.unknowns.index(unknown)
+            k = len(fitted.covariance) - len(fitted.free) + fitted.free.index(unknown)
             std = float(np.sqrt(fitted.covariance[k, k])) * unknown.slope(best)
             far = [best * share for share in _SHARES]
             near = [unknown.bounded(best + position * std) for position in _POSITIONS]
@@ -83,31 +84,41 @@ def profile_sizes(
     return tuple(result)
 
 
-def _where(model: Model, unknown: Unknown, recordings: Sequence[int]) -> int | None:
-    shown = [
-        r for r in recordings if unknown in model.fits[r].unknowns and model.fits[r].point.effects.get(unknown.path)
-    ]
+def _where(model: Model, unknown: FreeEffectParameter, recordings: Sequence[int]) -> int | None:
+    shown = [r for r in recordings if unknown in model.fits[r].free and model.fits[r].point.effects.get(unknown.path)]
     return shown[0] if shown else None
 
 
-def _along(fitted: Fitted, k: int, unknown: Unknown, value: float) -> Point:
+def _along(fitted: Fitted, k: int, unknown: FreeEffectParameter, value: float) -> Point:
     """Where the others go, by the covariance, while one number is moved to a value."""
     best = fitted.point.effects[unknown.path]
     moved = fitted.covariance[:, k] / fitted.covariance[k, k] * (unknown.coordinate(value) - unknown.coordinate(best))
-    count = len(fitted.covariance) - len(fitted.unknowns)
+    count = len(fitted.covariance) - len(fitted.free)
     effects = dict(fitted.point.effects)
-    for other, change in zip(fitted.unknowns, moved[count:], strict=True):
+    for other, change in zip(fitted.free, moved[count:], strict=True):
         now = effects.get(other.path, other.item.neutral)
         effects.update(dict.fromkeys(other.paths, other.bounded(other.value(other.coordinate(now) + float(change)))))
     return Point(fitted.point.theta + moved[:count], effects)
 
 
-def _held(experiment: Experiment, fitted: Fitted, start: Point, unknown: Unknown, value: float) -> tuple[float, float]:
+def _held(
+    experiment: Experiment, fitted: Fitted, start: Point, unknown: FreeEffectParameter, value: float
+) -> tuple[float, float]:
     """Least rise of −2 log posterior with one number held at a value: as errors are told, and as evidence is."""
     effects = {**start.effects, **dict.fromkeys(unknown.paths, value)}
-    others = tuple(u for u in fitted.unknowns if u != unknown)
+    others = tuple(u for u in fitted.free if u != unknown)
     scale = fitted.scale
-    moved = refit(experiment, Point(start.theta, effects), others, fitted.base, rounds=5, renewals=0, pace=scale.pace)
+    moved = refit(
+        experiment,
+        Point(start.theta, effects),
+        others,
+        fitted.base,
+        rounds=5,
+        renewals=0,
+        blocks_per_error=scale.blocks_per_error,
+    )
     change = scale.misfits(moved.residual) - scale.misfits(fitted.residual)
     prior = prior_cost(experiment, moved.point.theta) - prior_cost(experiment, fitted.point.theta)
-    return max(float(scale.pace / scale.length @ change) + prior, 0.0), scale.share * (float(change.sum()) + prior)
+    return max(float(scale.blocks_per_error / scale.length @ change) + prior, 0.0), scale.share * (
+        float(change.sum()) + prior
+    )

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.diagnosis.beyond import in_squares
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted, refit
 from pam_antagonist.diagnosis.shares import held_share, left_by, share_of, whole_share
-from pam_antagonist.diagnosis.simulation import BLOCK, blocks
-from pam_antagonist.diagnosis.solve import PACE
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1
+from pam_antagonist.inference.excess import in_mean_squares
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
+from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, blocks
 from pam_antagonist.model import dynamics, rest
 
 Floats = NDArray[np.float64]
@@ -138,7 +137,7 @@ def find(experiment: Experiment, fitted: Fitted) -> Pushes | None:
             found.append(_told(experiment, fitted, point))
             point = found[-1].fitted.point
     best = max(found, key=lambda pushes: pushes.squares)
-    return replace(best, fitted=refit(best.experiment, best.fitted.point, fitted.unknowns, rounds=0))
+    return replace(best, fitted=refit(best.experiment, best.fitted.point, fitted.free, rounds=0))
 
 
 def _told(experiment: Experiment, fitted: Fitted, point: Point) -> Pushes:
@@ -156,10 +155,10 @@ def _told(experiment: Experiment, fitted: Fitted, point: Point) -> Pushes:
     samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
     pushed = replace(experiment, trial=replace(trial, external=known + samples))
-    beside = refit(_between(pushed, torque), point, fitted.unknowns, renewals=2)
+    beside = refit(_between(pushed, torque), point, fitted.free, renewals=2)
     before = left_by([experiment], [fitted])
     after = left_by([pushed], [replace(beside, residual=pushed.residual(beside.point))])
-    squares = [in_squares(*pair, experiment.noise) for pair in zip(before[0], after[0], strict=True)]
+    squares = [in_mean_squares(*pair, experiment.noise) for pair in zip(before[0], after[0], strict=True)]
     steps = np.diff(torque[::_LOOK])
     return Pushes(
         experiment=pushed,
@@ -178,23 +177,23 @@ def _between_pushes(experiment: Experiment, point: Point) -> Point:
 
     By iteratively reweighted least squares; a torque counts once a second, as an error does in a fit.
     """
-    knobs = len(experiment.knobs)
-    prior, theta = experiment.prior[:knobs], point.theta.copy()
+    directions = len(experiment.directions)
+    prior, theta = experiment.prior[:directions], point.theta.copy()
     for _ in range(_BENT_BACK):
         torque, columns = _smooth(_observed(experiment, Point(theta, point.effects))), []
-        for k in range(knobs):
+        for k in range(directions):
             moved = Point(theta + _STEP * np.eye(len(theta))[k], point.effects)
             columns.append((_smooth(_observed(experiment, moved)) - torque) / _STEP)
         matrix = np.stack(columns, axis=1)
-        step: Floats = np.zeros(knobs)
+        step: Floats = np.zeros(directions)
         for _ in range(_REWEIGHTED):
             size = np.abs(torque + matrix @ step)
             usual = max(float(np.median(size)), _LEAST_TORQUE)
-            weights = 1.0 / (np.maximum(size, _ABOUT_NONE * usual) * usual * PACE)
+            weights = 1.0 / (np.maximum(size, _ABOUT_NONE * usual) * usual * BLOCKS_PER_ERROR)
             information = (matrix * weights[:, None]).T @ matrix + np.diag(prior)
-            slope = matrix.T @ (weights * torque) + prior * theta[:knobs]
+            slope = matrix.T @ (weights * torque) + prior * theta[:directions]
             step = np.asarray(-np.linalg.solve(information, slope))
-        theta[:knobs] += step
+        theta[:directions] += step
     return Point(theta, point.effects)
 
 

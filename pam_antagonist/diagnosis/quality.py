@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.select import Model
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial, check
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial, check
 
 _FAR = 5.0
 _WORSE = 1.5
@@ -39,11 +39,11 @@ def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
     """Base parameters that had to leave their prior: a wrong number in the rig file, or an effect in disguise."""
     said = []
     for experiment, fitted in zip(experiments, model.fits, strict=True):
-        for knob, amount in zip(experiment.knobs, fitted.point.theta, strict=False):
-            if abs(amount) > _FAR * knob.prior:
+        for direction, amount in zip(experiment.directions, fitted.point.theta, strict=False):
+            if abs(amount) > _FAR * direction.prior:
                 said.append(
-                    f"recalibration moves {knob.name} by {100 * amount:+.0f} % in {experiment.trial.name}, "
-                    f"{abs(amount) / knob.prior:.0f} standard deviations of what was expected"
+                    f"recalibration moves {direction.name} by {100 * amount:+.0f} % in {experiment.trial.name}, "
+                    f"{abs(amount) / direction.prior:.0f} standard deviations of what was expected"
                 )
     return said
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import dependence
 from pam_antagonist.diagnosis.dependence import Form, Surroundings
 from pam_antagonist.diagnosis.equations import NAMES, SPAN, UNITS, equation_errors
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import AT_NOISE, excess
 from pam_antagonist.diagnosis.select import Model
-from pam_antagonist.diagnosis.simulation import BLOCK, blocks
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import AT_NOISE
+from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, blocks
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +77,7 @@ def describe(experiments: Sequence[Experiment], model: Model) -> list[Left]:
     """What is beyond the noise: of the equations of each recording, then of its sensors."""
     out = []
     for experiment, fitted in zip(experiments, model.fits, strict=True):
-        over = excess(experiment, fitted.residual)
+        over = experiment.times_noise(fitted.residual)
         if np.max(over) < AT_NOISE:
             continue
         out += _of_equations(experiment, fitted.point)

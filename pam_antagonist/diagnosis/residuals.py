@@ -22,11 +22,10 @@ from scipy.special import ndtr, ndtri
 
 from pam_antagonist.diagnosis.equations import NAMES, SPAN, UNITS, equation_errors
 from pam_antagonist.diagnosis.errors import FilterRun
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.simulation import BLOCK, blocks
-from pam_antagonist.diagnosis.solve import correlation_length
 from pam_antagonist.estimation import metrics
-from pam_antagonist.identification.trial import ANGLE, CHANNELS, PRESSURE_1
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.inference.trial import ANGLE, BLOCK, CHANNELS, PRESSURE_1, blocks
 
 Floats = NDArray[np.float64]
 

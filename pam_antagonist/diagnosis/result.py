@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.heldout import Compared
 from pam_antagonist.diagnosis.remaining import Left
 from pam_antagonist.diagnosis.select import Model, Trial
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.rig import Rig
 
 

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted
 from pam_antagonist.diagnosis.select import Model
-from pam_antagonist.identification.change import moved
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
@@ -51,7 +51,7 @@ def common_point(experiments: Sequence[Experiment], model: Model, effects: Mappi
         effects: values of the effects' parameters by dotted path.
     """
     first = experiments[0]
-    count = len(first.knobs)
+    count = len(first.directions)
     theta = np.zeros(first.size)
     if len(experiments) == 1:
         theta[:count] = model.fits[0].point.theta[:count]
@@ -76,12 +76,14 @@ def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[
         one: its model.
         other: that of the other.
     """
-    count = len(experiment.knobs)
+    count = len(experiment.directions)
     apart = one.point.theta[:count] - other.point.theta[:count]
     variances = np.diag(one.covariance)[:count] + np.diag(other.covariance)[:count]
-    bound = np.maximum(_FAR * np.array([knob.prior for knob in experiment.knobs]), _CERTAIN * np.sqrt(variances))
+    bound = np.maximum(
+        _FAR * np.array([direction.prior for direction in experiment.directions]), _CERTAIN * np.sqrt(variances)
+    )
     worst = int(np.argmax(np.abs(apart) / bound))
-    return (experiment.knobs[worst].name, float(apart[worst])) if abs(apart[worst]) > bound[worst] else None
+    return (experiment.directions[worst].name, float(apart[worst])) if abs(apart[worst]) > bound[worst] else None
 
 
 def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pam_antagonist.diagnosis.experiment import Experiment
-from pam_antagonist.diagnosis.refit import AT_NOISE, Fitted, excess
 from pam_antagonist.diagnosis.select import POSITIVE, STRONG, Model, Trial, price
 from pam_antagonist.diagnosis.shares import left_by, whole_share
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import AT_NOISE, Fitted
 
 FIRST_SHARE = 0.05
 """The first effect must remove this share of the held-out excess: a law that holds does so on data it never saw. Where
@@ -54,11 +54,11 @@ def worth(trial: Trial) -> bool:
     return trial.standing >= enough and removes
 
 
-def could_pay(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool:
+def has_significant_excess(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool:
     """Whether an effect that explained everything beyond the sensors' noise would pay for itself."""
     total = 0.0
     for experiment, fitted in zip(experiments, fits, strict=True):
-        over = excess(experiment, fitted.residual)
+        over = experiment.times_noise(fitted.residual)
         if np.max(over) < AT_NOISE:
             continue
         squares = over**2
@@ -87,6 +87,6 @@ def share_of_all(experiments: Sequence[Experiment], base: Model, model: Model) -
 def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
     """Whether nothing is left beyond the sensors' noise."""
     return all(
-        float(np.max(excess(experiment, fitted.residual))) < AT_NOISE
+        float(np.max(experiment.times_noise(fitted.residual))) < AT_NOISE
         for experiment, fitted in zip(experiments, model.fits, strict=True)
     )

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.candidates import Candidate, Unknown
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted, cost_of, prior_cost
-from pam_antagonist.diagnosis.solve import Scale, Step, solve
+from pam_antagonist.inference.candidates import Candidate
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, prior_cost
+from pam_antagonist.inference.likelihood import Scale, Step, solve
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     known = here.effect.shape[2]
     columns: dict[tuple[tuple[str, ...], tuple[tuple[str, float], ...]], Floats] = {}
 
-    def column(size: Unknown, shape: Mapping[str, float]) -> Floats:
+    def column(size: FreeEffectParameter, shape: Mapping[str, float]) -> Floats:
         key = size.paths, tuple(sorted(shape.items()))
         if key not in columns:
             values = dict.fromkeys(size.paths, size.item.scale)
@@ -61,7 +62,7 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     def cost(step: Step) -> float:
         return float(scale.misfits(step.residual).sum()) + prior_cost(experiment, here.point.theta + step.theta)
 
-    def score(candidate: Candidate, shape: Mapping[str, float], sizes: Sequence[Unknown]) -> Score:
+    def score(candidate: Candidate, shape: Mapping[str, float], sizes: Sequence[FreeEffectParameter]) -> Score:
         while sizes:
             effect = np.concatenate([here.effect, np.stack([column(size, shape) for size in sizes], axis=2)], axis=2)
             step = min(
@@ -99,7 +100,7 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
 
 def _price_beyond(fitted: Fitted, candidate: Candidate, simpler: Score) -> float:
     """What the further unknowns of another form of a candidate cost."""
-    further = len(candidate.unknowns) - len(simpler.candidate.unknowns)
+    further = len(candidate.free) - len(simpler.candidate.free)
     return further * float(np.log(max(fitted.scale.values(fitted.residual), np.e)))
 
 

@@ -11,7 +11,6 @@ from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import alike, errors, findings, rigs, rules, sealed_base, sealed_errors, sealed_words
 from pam_antagonist.diagnosis.alike import Alike
-from pam_antagonist.diagnosis.driven import AIR, BALANCE, UNSEEN, Driven
 from pam_antagonist.diagnosis.heldout import Compared
 from pam_antagonist.diagnosis.laps import Laps
 from pam_antagonist.diagnosis.profiles import profile_sizes
@@ -29,7 +28,8 @@ from pam_antagonist.diagnosis.shares import held_share, left_by
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_session import tuned
-from pam_antagonist.identification.trial import TORQUE
+from pam_antagonist.inference.angle_driven import AIR, BALANCE, UNSEEN, AngleDriven
+from pam_antagonist.inference.trial import TORQUE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -63,7 +63,7 @@ class Judged:
     """
 
     part: str
-    experiments: tuple[Driven, ...]
+    experiments: tuple[AngleDriven, ...]
     selection: Selection
     verdict: str
     share: float
@@ -112,7 +112,7 @@ def diagnose_sealed(
         known = [(trial, cut) for trial, cut in zip(trials, cuts, strict=True) if kind == AIR or trial.has(TORQUE)]
         if known:
             driven = tuple(
-                Driven(
+                AngleDriven(
                     plain, replace(trial, name=f"{trial.name}, {_NAMES[kind]}"), cut, seed=seed, jobs=jobs, part=kind
                 )
                 for trial, cut in known
@@ -204,7 +204,9 @@ def diagnose_sealed(
     )
 
 
-def _judged(part: str, experiments: tuple[Driven, ...], jobs: int, said: Callable[[str], None], store: Store) -> Judged:
+def _judged(
+    part: str, experiments: tuple[AngleDriven, ...], jobs: int, said: Callable[[str], None], store: Store
+) -> Judged:
     """Recalibrate, select and judge one part."""
     base = recalibrated(experiments, jobs)
     selection = select(experiments, base, jobs, _worth, lambda text: said(f"{_NAMES[part]}: {text}"), store)
@@ -214,7 +216,7 @@ def _judged(part: str, experiments: tuple[Driven, ...], jobs: int, said: Callabl
     if enough:
         verdict, model = "effect", findings.without_idle(experiments, base, model, jobs)
     else:
-        verdict, model = ("unexplained" if rules.could_pay(experiments, base.fits) else "none"), base
+        verdict, model = ("unexplained" if rules.has_significant_excess(experiments, base.fits) else "none"), base
     effects, values, warnings = findings.found(experiments, base, model, jobs)
     return Judged(
         part, experiments, selection, verdict, share if enough else 0.0, model, effects, values, tuple(warnings)

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from pam_antagonist.diagnosis.driven import SLIDING, motion_of
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.change import moved
 from pam_antagonist.identification.sealed import SealedTrial, balance, closed_chambers, sealed_trial
 from pam_antagonist.identification.sealed_session import refuse_moving_valves
-from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial, make_trial
+from pam_antagonist.inference.angle_driven import SLIDING, motion_of
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial, make_trial
 from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig

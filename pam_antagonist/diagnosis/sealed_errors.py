@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import errors
-from pam_antagonist.diagnosis.driven import BALANCE, SLIDING, Driven
-from pam_antagonist.diagnosis.simulation import predict, start_of
 from pam_antagonist.estimation import Estimator, metrics
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.angle_driven import BALANCE, SLIDING, AngleDriven
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.valve_driven import predict, start_of
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -39,7 +39,7 @@ def held_out(trial: Trial, fitted: int, rig: Rig) -> dict[str, Any]:
     Returns:
         Figures of each channel; of the torque also those of sliding and of sticking alone.
     """
-    driven = Driven(rig, trial, fitted, part=BALANCE)
+    driven = AngleDriven(rig, trial, fitted, part=BALANCE)
     pressure, needed = driven.driven(driven.origin, whole=True)
     start = start_of(trial)
     alone = np.full(len(trial), np.nan)

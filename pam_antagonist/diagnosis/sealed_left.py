@@ -9,27 +9,26 @@ import numpy as np
 
 from pam_antagonist.diagnosis import dependence, residuals
 from pam_antagonist.diagnosis.dependence import Surroundings
-from pam_antagonist.diagnosis.driven import Driven
-from pam_antagonist.diagnosis.experiment import Point
-from pam_antagonist.diagnosis.refit import AT_NOISE, excess
 from pam_antagonist.diagnosis.remaining import Left
 from pam_antagonist.diagnosis.select import Model
-from pam_antagonist.diagnosis.simulation import BLOCK, blocks
+from pam_antagonist.inference.angle_driven import AngleDriven
+from pam_antagonist.inference.experiment import Point
+from pam_antagonist.inference.gauss_newton import AT_NOISE
+from pam_antagonist.inference.trial import BLOCK, blocks
 
 
-def describe(experiments: Sequence[Driven], model: Model) -> list[Left]:
+def describe(experiments: Sequence[AngleDriven], model: Model) -> list[Left]:
     """What is beyond the noise in each channel of a part of the joint."""
     out = []
     for experiment, fitted in zip(experiments, model.fits, strict=True):
-        over = excess(experiment, fitted.residual)
+        over = experiment.times_noise(fitted.residual)
         whole = experiment.residual(fitted.point, whole=True)
         step = BLOCK * experiment.trial.dt
         late = np.arange(len(whole)) >= -(-experiment.fitted // BLOCK)
         around = _around(experiment, fitted.point, step)
-        for k, (title, factor) in enumerate(experiment.titles):
+        for k, (name, unit, factor) in enumerate(experiment.titles):
             if over[k] < AT_NOISE:
                 continue
-            name, unit = title.rstrip("]").split(" [")
             values = whole[:, k] * factor
             out.append(
                 Left(
@@ -48,7 +47,7 @@ def describe(experiments: Sequence[Driven], model: Model) -> list[Left]:
     return out
 
 
-def statistics(experiment: Driven, point: Point) -> list[dict[str, Any]]:
+def statistics(experiment: AngleDriven, point: Point) -> list[dict[str, Any]]:
     """The residuals of a part of the joint on what was held out, with the keys of ``report.json``.
 
     Args:
@@ -63,14 +62,13 @@ def statistics(experiment: Driven, point: Point) -> list[dict[str, Any]]:
     if around.angle is not None and around.velocity is not None:
         given |= {"angle": around.angle[first:], "velocity": around.velocity[first:]}
     out = []
-    for k, (title, factor) in enumerate(experiment.titles):
-        name, unit = title.rstrip("]").split(" [")
+    for k, (name, unit, factor) in enumerate(experiment.titles):
         row = residuals.row_of(factor * residual[:, k], factor * experiment.noise[k], given, step)
         out.append({"channel": name[0].lower() + name[1:], "kind": "sensor", "unit": unit, **row})
     return out
 
 
-def _around(experiment: Driven, point: Point, step: float) -> Surroundings:
+def _around(experiment: AngleDriven, point: Point, step: float) -> Surroundings:
     pressure, _ = experiment.driven(point, whole=True)
     motion = blocks(np.column_stack([experiment.motion.angle, experiment.motion.velocity]))
     count = len(motion)

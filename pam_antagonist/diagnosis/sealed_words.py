@@ -7,7 +7,7 @@ from typing import Any
 
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.sealed_base import sweeps
-from pam_antagonist.identification.trial import Trial
+from pam_antagonist.inference.trial import Trial
 
 _FOUND = {
     "friction": "something holds the joint back with the same torque at any speed ({size} N m, Coulomb friction)",

@@ -10,10 +10,10 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import shares
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import AT_NOISE, STARTS, Fitted, at_itself, cost_of, excess, refit, settled
 from pam_antagonist.diagnosis.score import Score, as_configured, score_all
 from pam_antagonist.diagnosis.store import Kept, Store, key_of
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import AT_NOISE, STARTS, Fitted, best_of_starts, cost_of, refit, relinearised
 
 Floats = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ def refitted_without(
         path = f"effects.{effect}."
         if not any(name.startswith(path) for name in fitted.point.effects):
             return fitted
-        left = tuple(unknown for unknown in fitted.unknowns if not unknown.path.startswith(path))
+        left = tuple(unknown for unknown in fitted.free if not unknown.path.startswith(path))
         effects = {name: value for name, value in fitted.point.effects.items() if not name.startswith(path)}
         return refit(experiment, Point(fitted.point.theta, effects), left)
 
@@ -117,7 +117,7 @@ def recalibrated(experiments: Sequence[Experiment], jobs: int) -> Model:
     """The base parameters of every recording at their most probable values."""
 
     def one(experiment: Experiment) -> Fitted:
-        return at_itself(experiment, settled(experiment, refit(experiment, experiment.origin)))
+        return relinearised(experiment, best_of_starts(experiment, refit(experiment, experiment.origin)))
 
     return Model((), tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(e) for e in experiments)))
 
@@ -161,7 +161,7 @@ def select(
     begin = 2 if first else 1
     model, tried, first = base, [], first or shares.left_by(experiments, base.fits)
     for number in range(begin, MOST_EFFECTS + 1):
-        if all(np.max(excess(e, f.residual)) < AT_NOISE for e, f in _pairs(experiments, model)):
+        if all(np.max(e.times_noise(f.residual)) < AT_NOISE for e, f in _pairs(experiments, model)):
             break
         found = _round(experiments, first, model, number, jobs, said, store)
         tried += found
@@ -176,7 +176,9 @@ def select(
 def _renewed(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
     """The model with derivatives at its own points: of a candidate that is not taken nobody asks for them."""
     pairs = _pairs(experiments, model)
-    return Model(model.effects, tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(at_itself)(*p) for p in pairs)))
+    return Model(
+        model.effects, tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(relinearised)(*p) for p in pairs))
+    )
 
 
 def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
@@ -199,7 +201,7 @@ def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
             shows = max(model.fits, key=lambda other: _certainty(other, path))
             values = {name: value for name, value in shows.point.effects.items() if name.startswith(path)}
             point = Point(fitted.point.theta, {**fitted.point.effects, **values})
-            given = refit(experiment, point, fitted.unknowns, renewals=2, pace=fitted.scale.pace)
+            given = refit(experiment, point, fitted.free, renewals=2, blocks_per_error=fitted.scale.blocks_per_error)
             if evidence(experiment, fitted, given) >= -POSITIVE:
                 fitted = given
         return fitted
@@ -211,8 +213,8 @@ def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
 def _certainty(fitted: Fitted, path: str) -> float:
     """How many standard deviations the sizes of an effect are; 0 where it is not free."""
     std = np.sqrt(np.diag(fitted.effect_covariance))
-    here = [k for k, u in enumerate(fitted.unknowns) if u.path.startswith(path) and u.item.is_size and std[k] > 0.0]
-    return max((abs(fitted.point.effects.get(fitted.unknowns[k].path, 0.0)) / std[k] for k in here), default=0.0)
+    here = [k for k, u in enumerate(fitted.free) if u.path.startswith(path) and u.item.is_size and std[k] > 0.0]
+    return max((abs(fitted.point.effects.get(fitted.free[k].path, 0.0)) / std[k] for k in here), default=0.0)
 
 
 def _round(
@@ -283,22 +285,20 @@ def _fits(
 ) -> dict[tuple[str, int], Fitted]:
     """Candidates (effect, recording), refitted from the start that a score test tells; the best from others as well."""
     keys = {(name, r): key_of(experiments[r], (*model.effects, name)) for name, r in begun}
-    unknowns = {
-        (name, r): (*model.fits[r].unknowns, *score.candidate.unknowns) for (name, r), (score, _) in begun.items()
-    }
+    unknowns = {(name, r): (*model.fits[r].free, *score.candidate.free) for (name, r), (score, _) in begun.items()}
     parallel = Parallel(n_jobs=jobs, prefer="threads")
 
     def descent(which: tuple[str, int]) -> tuple[Fitted, float, bool]:
         experiment, (score, start), kept = experiments[which[1]], begun[which], store.load(keys[which])
         if kept is not None:
-            return refit(experiment, kept.point, unknowns[which], rounds=0, pace=kept.pace), kept.gain, True
+            return refit(experiment, kept.point, unknowns[which], rounds=0, blocks_per_error=kept.pace), kept.gain, True
         point = Point(start.point.theta, {**start.point.effects, **score.start})
         fitted = refit(experiment, point, unknowns[which], start.base, renewals=2)
         return fitted, max(evidence(experiment, model.fits[which[1]], fitted), 0.0), False
 
     def end(which: tuple[str, int], descended: Fitted, gain: float, starts: int) -> Fitted:
-        fitted = settled(experiments[which[1]], descended, starts)
-        store.save(keys[which], Kept(fitted.point, fitted.scale.pace, gain))
+        fitted = best_of_starts(experiments[which[1]], descended, starts)
+        store.save(keys[which], Kept(fitted.point, fitted.scale.blocks_per_error, gain))
         return fitted
 
     first = dict(zip(begun, parallel(delayed(descent)(which) for which in begun), strict=True))
@@ -327,7 +327,7 @@ def _pairs(experiments: Sequence[Experiment], model: Model) -> list[tuple[Experi
 
 def _score_tasks(experiment: Experiment, fitted: Fitted):  # type: ignore[no-untyped-def]
     yield delayed(lambda: (score_all(experiment, fitted), fitted))()
-    if not fitted.unknowns:
+    if not fitted.free:
 
         def far() -> tuple[dict[str, Score], Fitted]:
             start = as_configured(experiment, {})

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.experiment import Experiment
-from pam_antagonist.diagnosis.refit import Fitted
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def held_share(experiments: Sequence[Experiment], before: Sequence[Left], after:
 
 def fitted_share(experiments: Sequence[Experiment], before: Sequence[Left], after: Sequence[Left]) -> float:
     """Likewise of the fitted one."""
-    return share_of([e.taken_away(b.fitted, a.fitted) for e, b, a in zip(experiments, before, after, strict=True)])
+    return share_of([e.excess_removed(b.fitted, a.fitted) for e, b, a in zip(experiments, before, after, strict=True)])
 
 
 def whole_share(experiments: Sequence[Experiment], before: Sequence[Left], after: Sequence[Left]) -> float:
@@ -65,7 +65,7 @@ def further_share(
     parts = []
     for experiment, first, old, new in zip(experiments, base, before, after, strict=True):
         for b, w, a in list(zip(first, old, new, strict=True))[: 2 if fitted else 1]:
-            parts.append((experiment.taken_away(w, a)[0], experiment.taken_away(b, b)[1]))
+            parts.append((experiment.excess_removed(w, a)[0], experiment.excess_removed(b, b)[1]))
     return share_of(parts)
 
 

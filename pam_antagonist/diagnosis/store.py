@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.diagnosis.experiment import Experiment, Point
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.experiment import Experiment, Point
 
 _SETTINGS = "settings.json"
 

@@ -8,12 +8,12 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT, Candidate
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.refit import Fitted
 from pam_antagonist.diagnosis.select import STRONG, Model
-from pam_antagonist.diagnosis.solve import PACE, solve
-from pam_antagonist.identification.trial import ANGLE
+from pam_antagonist.inference.candidates import UNKNOWN_INPUT, Candidate
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, solve
+from pam_antagonist.inference.trial import ANGLE
 
 Floats = NDArray[np.float64]
 
@@ -49,9 +49,9 @@ def _shows(name: str, experiment: Experiment, fitted: Fitted) -> bool:
         # As a fit would see it, were the rest noise.
         step = solve(
             change, fitted.base, none, scale, experiment.prior, np.zeros(experiment.size), rounds=1,
-            first=scale.noise**2, length=np.full(len(scale.noise), PACE),
+            first=scale.noise**2, length=np.full(len(scale.noise), BLOCKS_PER_ERROR),
         )  # fmt: skip
         rise = np.log1p(np.mean(step.residual**2, axis=0) / scale.noise**2)
-        if len(change) / PACE * float(rise.sum()) - float(np.log(change.size / PACE)) > STRONG:
+        if len(change) / BLOCKS_PER_ERROR * float(rise.sum()) - float(np.log(change.size / BLOCKS_PER_ERROR)) > STRONG:
             return True
     return False

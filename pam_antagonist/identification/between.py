@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.freedom import FreeParameter
+from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import Rig
 

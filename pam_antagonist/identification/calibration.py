@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from pam_antagonist.identification.directions import considered_directions, run_filter, short_part, with_directions
 from pam_antagonist.identification.fit import Fit
-from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial
+from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.trial import PRESSURE_1, Trial
 from pam_antagonist.identification.valve_curve import SteadyPoints, steady_open_rate, steady_points, valve_curve
+from pam_antagonist.inference.trial import PRESSURE_1, Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 

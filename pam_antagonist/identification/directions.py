@@ -11,9 +11,8 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import EstimateRun, Estimator
-from pam_antagonist.identification.change import moved
-from pam_antagonist.identification.freedom import FreeParameter
-from pam_antagonist.identification.trial import PRESSURE_1, Trial
+from pam_antagonist.inference.free_parameters import FreeParameter, moved
+from pam_antagonist.inference.trial import PRESSURE_1, Trial
 from pam_antagonist.model import rest
 from pam_antagonist.rig import Rig
 

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from pam_antagonist.identification.between import USUAL_SPREAD, Deviations
 from pam_antagonist.identification.evidence import Local, most_likely_spread
 from pam_antagonist.identification.prediction import BLOCK, Problem, stacked
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, TORQUE
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
 
 Floats = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.freedom import FreeParameter
 from pam_antagonist.identification.slopes import STEP, step_directions
-from pam_antagonist.identification.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
+from pam_antagonist.inference.free_parameters import FreeParameter
+from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
 from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig

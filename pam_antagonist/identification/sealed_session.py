@@ -16,8 +16,8 @@ from scipy.optimize import minimize
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.identification.change import moved
 from pam_antagonist.identification.sealed import SealedStage, balance, closed_chambers, sealed_trial
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 

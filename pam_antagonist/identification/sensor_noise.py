@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]

@@ -14,13 +14,12 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.agreement import Difference, check_same_rig, differences
 from pam_antagonist.identification.between import Variation, deviations, variations
 from pam_antagonist.identification.calibration import INNER_SHARE
-from pam_antagonist.identification.change import moved
 from pam_antagonist.identification.fit import Fit, fit
-from pam_antagonist.identification.freedom import FreeParameter, free_parameters
 from pam_antagonist.identification.profile import Profile, profiles
 from pam_antagonist.identification.stages import Stage, run_stages
-from pam_antagonist.identification.trial import ANGLE, TORQUE, Trial, check, make_trial
 from pam_antagonist.identification.tuning import Tuned, own_tuning, tune
+from pam_antagonist.inference.free_parameters import FreeParameter, free_parameters, moved
+from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial, check, make_trial
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.freedom import FreeParameter
+from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from pam_antagonist.identification.balance import Balance, fit_force_map, fit_friction
 from pam_antagonist.identification.between import Variation, deviations
-from pam_antagonist.identification.change import moved
 from pam_antagonist.identification.curve_stage import CurveFinding, identify_curves
 from pam_antagonist.identification.fit import Fit, fit
-from pam_antagonist.identification.freedom import FreeParameter
 from pam_antagonist.identification.prediction import BLOCK, Problem
-from pam_antagonist.identification.trial import CHANNELS, PRESSURE_1, Trial
+from pam_antagonist.inference.free_parameters import FreeParameter, moved
+from pam_antagonist.inference.trial import CHANNELS, PRESSURE_1, Trial
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]

@@ -19,7 +19,6 @@ from scipy.optimize import minimize
 
 from pam_antagonist.estimation import EstimateRun
 from pam_antagonist.identification.calibration import calibrate
-from pam_antagonist.identification.change import moved
 from pam_antagonist.identification.directions import (
     SETTLE_S,
     Direction,
@@ -30,7 +29,8 @@ from pam_antagonist.identification.directions import (
 )
 from pam_antagonist.identification.fit import Fit
 from pam_antagonist.identification.sensor_noise import with_noise
-from pam_antagonist.identification.trial import Trial
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.trial import Trial
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]

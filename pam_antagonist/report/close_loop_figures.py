@@ -6,24 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.diagnosis.driven import Driven
-from pam_antagonist.diagnosis.experiment import Experiment
 from pam_antagonist.diagnosis.heldout import Compared
 from pam_antagonist.diagnosis.result import Diagnosis
-from pam_antagonist.diagnosis.simulation import BLOCK
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.trial import BLOCK
 from pam_antagonist.report import figures
 from pam_antagonist.report.curves import Curve, chart
 from pam_antagonist.report.figures import Clock, Level, Line, Panel
 from pam_antagonist.report.html import Figure
 from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET
-
-_AXES = (
-    ("Angle [°]", float(np.degrees(1.0))),
-    ("Torque [N m]", 1.0),
-    ("Pressure 1 [kPa]", 1e-3),
-    ("Pressure 2 [kPa]", 1e-3),
-)
-
 
 _NEAR = 4.0
 """Standard errors that a profile shows."""
@@ -38,12 +29,11 @@ def residuals(found: Diagnosis) -> tuple[Figure, ...]:
         count = len(experiment.measured)
         curves = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
         panels = []
-        axes = experiment.titles if isinstance(experiment, Driven) else [_AXES[c] for c in experiment.channels]
-        for k, (title, scale) in enumerate(axes):
+        for k, (title, unit, scale) in enumerate(experiment.titles):
             lines = [Line(name, values[:, k] * scale, color, quiet=k > 0) for name, values, color in curves]
             noise = experiment.noise[k] * scale
             levels = [Level(sign * 2.0 * noise, "", QUIET) for sign in (-1.0, 1.0)]
-            panels.append(Panel(title, [*lines, *levels], 170))
+            panels.append(Panel(f"{title} [{unit}]", [*lines, *levels], 170))
         about = (
             f"Measurement minus model, means over {BLOCK} samples. Dashed: within these lines 95 % of the values lie "
             f"that the sensor's noise alone gives. {_held(part)}"

@@ -47,7 +47,7 @@ ABOUT_RESIDUALS = (
 def rows(document: Document) -> Rows:
     """Rows of the table of errors: name and the three models' values, None for a heading."""
     errors = document["errors"]
-    out: Rows = [("Driven by the measured angle", None)]
+    out: Rows = [("AngleDriven by the measured angle", None)]
     if errors["extended"]["torque"] is not None:
         for name, key in (
             ("torque from outside", "rmse_nm"),

@@ -33,7 +33,7 @@ from typing import Any
 from pam_antagonist.identification.advice import advice
 from pam_antagonist.identification.directions import Direction
 from pam_antagonist.identification.session import Identified, relative
-from pam_antagonist.identification.trial import CHANNELS
+from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.report import channels

@@ -12,7 +12,7 @@ from pam_antagonist.estimation import metrics
 from pam_antagonist.identification.prediction import BLOCK
 from pam_antagonist.identification.session import Identified
 from pam_antagonist.identification.stages import Stage
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.report import figures
 from pam_antagonist.report.figures import Band, Clock, Line, Panel, Part
 from pam_antagonist.report.html import Figure

@@ -12,9 +12,9 @@ import pytest
 from pam_antagonist.__main__ import main as dispatch
 from pam_antagonist.cli import replay
 from pam_antagonist.cli.static import main
-from pam_antagonist.identification.freedom import free_parameters
 from pam_antagonist.identification.static_force import map_force
 from pam_antagonist.identification.static_volume import parabola
+from pam_antagonist.inference.free_parameters import free_parameters
 from pam_antagonist.rig import load_rig
 
 MAP = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured" / "force_maps" / "dmsp_20_300.csv"

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis import diagnose, heldout
-from pam_antagonist.diagnosis.experiment import Experiment
-from pam_antagonist.diagnosis.refit import excess
 from pam_antagonist.diagnosis.select import recalibrated
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.trial import make_trial
+from pam_antagonist.inference.trial import make_trial
+from pam_antagonist.inference.valve_driven import ValveDriven
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +44,7 @@ def test_only_the_start_of_a_held_out_recording_is_fitted(judged) -> None:
     fitted, other = judged.compared
     assert fitted.experiment.fitted == len(fitted.experiment.trial)
     assert other.experiment.fitted * other.experiment.trial.dt == pytest.approx(heldout.START)
-    count = len(other.experiment.knobs)
+    count = len(other.experiment.directions)
     for model in ("recalibrated", "extended"):
         np.testing.assert_array_equal(other.points[model].theta[:count], fitted.points[model].theta[:count])
         assert other.points[model].effects == fitted.points[model].effects
@@ -57,7 +56,7 @@ def test_what_follows_the_start_does_not_change_it(rig, pair, experiment_of) -> 
     start = dataclasses.replace(whole, fitted=5000)
     other = start.trial.measured.copy()
     other[5000:] *= 1.1
-    bent = Experiment(rig, dataclasses.replace(start.trial, measured=other), 5000)
+    bent = ValveDriven(rig, dataclasses.replace(start.trial, measured=other), 5000)
     np.testing.assert_allclose(start.started(start.origin).theta, bent.started(bent.origin).theta, rtol=0.2, atol=0.05)
 
 
@@ -67,8 +66,8 @@ def test_a_channel_that_was_not_measured_there_counts_as_noise(rig, pair) -> Non
     (experiment,), _ = heldout.experiments_of(trials[:1], [bare], rig, 1.0 / 3.0, 0)
     held = experiment.held(experiment.residual(experiment.origin, whole=True))
     assert len(held) == (len(bare) - 5000) // 20
-    assert excess(experiment, held)[0] == pytest.approx(1.0)
-    assert np.all(excess(experiment, held)[1:] > 1.5)
+    assert experiment.times_noise(held)[0] == pytest.approx(1.0)
+    assert np.all(experiment.times_noise(held)[1:] > 1.5)
 
 
 def test_recordings_are_judged_by_those_of_the_same_condition(rig, recorded) -> None:
@@ -76,7 +75,7 @@ def test_recordings_are_judged_by_those_of_the_same_condition(rig, recorded) -> 
     (free, locked), held = heldout.experiments_of(trials, [trials[1]], rig, 1.0 / 3.0, 0)
     assert free.judged == () and locked.judged == held
     nothing = free.held(free.residual(free.origin, whole=True))
-    assert len(nothing) == 0 and excess(free, nothing).tolist() == [1.0] * 4
+    assert len(nothing) == 0 and free.times_noise(nothing).tolist() == [1.0] * 4
     (alone,), held = heldout.experiments_of(trials[:1], [trials[1]], rig, 1.0 / 3.0, 0)
     assert alone.judged == held
 

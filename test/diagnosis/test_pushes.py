@@ -9,8 +9,8 @@ import pytest
 
 from pam_antagonist.benchmark.battery_forms import SINGLE
 from pam_antagonist.diagnosis import pushes
-from pam_antagonist.diagnosis.refit import refit
-from pam_antagonist.diagnosis.simulation import BLOCK
+from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.trial import BLOCK
 
 SEED = 13
 SIZE = 8.0

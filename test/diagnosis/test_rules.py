@@ -9,9 +9,9 @@ import pytest
 
 from pam_antagonist.diagnosis import quality, rules
 from pam_antagonist.diagnosis.advice import experiments_that_tell
-from pam_antagonist.diagnosis.experiment import Point
 from pam_antagonist.diagnosis.select import Model, Trial
 from pam_antagonist.diagnosis.store import Kept, Store
+from pam_antagonist.inference.experiment import Point
 
 NO_MODEL = Model((), ())
 

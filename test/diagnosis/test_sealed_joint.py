@@ -12,13 +12,13 @@ import pytest
 
 from pam_antagonist.cli.close_loop import main as close_loop
 from pam_antagonist.diagnosis import Diagnosis, diagnose
-from pam_antagonist.diagnosis.driven import AIR, BALANCE, Driven, motion_of
-from pam_antagonist.diagnosis.refit import refit
 from pam_antagonist.diagnosis.sealed_base import cut, identified, made_ready
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
-from pam_antagonist.identification.change import moved
-from pam_antagonist.identification.trial import PRESSURE_1, TORQUE
+from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven, motion_of
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.trial import PRESSURE_1, TORQUE
 from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
@@ -101,7 +101,7 @@ def test_the_driven_model_says_what_the_simulation_did(recorded, joint) -> None:
     rig = moved(joint, PLAIN).replaced(effects={"leak": {"area_2": 2e-11}, "thermal": {"share_1": 0.2, "time": 2.0}})
     recording = recorded(rig.effects)
     trial = made_ready(recording, rig, "auto", 1 / 3)
-    driven = Driven(rig, trial, 12000, part=BALANCE)
+    driven = AngleDriven(rig, trial, 12000, part=BALANCE)
     pressure, needed = driven.driven(driven.origin, whole=True)
     # Noise of 20 Pa in what was recorded, and what smoothing the angle leaves; the simulation's charge is a little off.
     error = (pressure - trial.measured[:, PRESSURE_1:])[500:-500]
@@ -210,7 +210,7 @@ def test_no_fit_sees_the_last_third(measured: Path, joint: Rig) -> None:
         rig = identified([(each, "bag")], joint, 1 / 3, lambda text: None)
         trial = made_ready(each, joint, "auto", 1 / 3)
         for part in (AIR, BALANCE):
-            driven = Driven(rig, trial, cut(trial, 1 / 3), part=part)
+            driven = AngleDriven(rig, trial, cut(trial, 1 / 3), part=part)
             theta = refit(driven, driven.origin, (), rounds=3).point.theta
             fitted.append((rig.joint.stiffness, rig.valves.charge_1, *theta))
     assert fitted[:2] == fitted[2:]

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from pam_antagonist.identification.between import variations
-from pam_antagonist.identification.change import moved
-from pam_antagonist.identification.freedom import free_parameters
-from pam_antagonist.identification.trial import Trial, make_trial
+from pam_antagonist.inference.free_parameters import free_parameters, moved
+from pam_antagonist.inference.trial import Trial, make_trial
 from pam_antagonist.model.plant import Plant
 from pam_antagonist.model.profiles import profile
 from pam_antagonist.recording import Recording

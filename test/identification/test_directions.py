@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.identification.change import moved
 from pam_antagonist.identification.directions import considered_directions
-from pam_antagonist.identification.freedom import free_parameters
-from pam_antagonist.identification.trial import make_trial
+from pam_antagonist.inference.free_parameters import free_parameters, moved
+from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.model import rest
 from pam_antagonist.model.plant import Plant
 from pam_antagonist.recording import Recording

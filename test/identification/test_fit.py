@@ -11,11 +11,11 @@ import pytest
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.balance import fit_force_map
 from pam_antagonist.identification.fit import fit
-from pam_antagonist.identification.freedom import free_parameters
 from pam_antagonist.identification.prediction import Problem, blocks, first_state, simulate
 from pam_antagonist.identification.slopes import step_directions
 from pam_antagonist.identification.stages import moved, run_stages
-from pam_antagonist.identification.trial import PRESSURE_1, TORQUE, Trial, check, make_trial
+from pam_antagonist.inference.free_parameters import free_parameters
+from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, check, make_trial
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.plant import Plant

@@ -12,10 +12,10 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.agreement import check_same_rig, differences
 from pam_antagonist.identification.between import deviations, variations
 from pam_antagonist.identification.fit import Fit, fit, memory
-from pam_antagonist.identification.freedom import free_parameters
 from pam_antagonist.identification.prediction import Problem
 from pam_antagonist.identification.profile import profiles
 from pam_antagonist.identification.stages import run_stages
+from pam_antagonist.inference.free_parameters import free_parameters
 from pam_antagonist.rig import Rig, load_rig
 
 RIG = load_rig("shin2022")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-PACE = 50.0
+BLOCKS_PER_ERROR = 50.0
 """[blocks] What a model lacks moves with the commands: a fit counts one independent error a second and channel."""
 _SHORTEST = 10.0
 """The correlation length is not told from fewer of them in a series."""
@@ -46,19 +46,19 @@ class Scale:
     Attributes:
         noise: least standard deviation of each channel's block means (C,).
         length: blocks per independent value of each channel (C,); 1 where a channel is at its noise.
-        pace: blocks per value that a fit counts.
+        blocks_per_error: blocks per value that a fit counts.
     """
 
     noise: Floats
     length: Floats
-    pace: float = PACE
+    blocks_per_error: float = BLOCKS_PER_ERROR
 
     @classmethod
-    def of(cls, residual: Floats, noise: Floats, pace: float = PACE) -> Scale:
+    def of(cls, residual: Floats, noise: Floats, blocks_per_error: float = BLOCKS_PER_ERROR) -> Scale:
         """With the correlation lengths of a residual (B, C)."""
         quiet = np.mean(residual**2, axis=0) <= noise**2
         lengths = [1.0 if still else correlation_length(r) for still, r in zip(quiet, residual.T, strict=True)]
-        return cls(noise, np.array(lengths), pace)
+        return cls(noise, np.array(lengths), blocks_per_error)
 
     @property
     def counted(self) -> float:
@@ -67,12 +67,12 @@ class Scale:
         What is wrong in one channel and what a model of another form leaves in the next have one cause and one pace. A
         channel that counts more than the others because it is white now would forbid everything to such a model.
         """
-        return float(max(self.length.max(), PACE))
+        return float(max(self.length.max(), BLOCKS_PER_ERROR))
 
     @property
     def share(self) -> float:
         """What a gain that a fit counts is worth as evidence."""
-        return self.pace / self.counted
+        return self.blocks_per_error / self.counted
 
     def variances(self, residual: Floats) -> Floats:
         """Error variance of each channel (C,): its mean square, at least the noise's."""
@@ -83,7 +83,9 @@ class Scale:
         if not len(residual):
             return np.zeros(residual.shape[1])
         squares, variances = np.mean(residual**2, axis=0), self.variances(residual)
-        return np.asarray(len(residual) / self.pace * (np.log(variances / self.noise**2) + squares / variances))
+        return np.asarray(
+            len(residual) / self.blocks_per_error * (np.log(variances / self.noise**2) + squares / variances)
+        )
 
     def values(self, residual: Floats) -> float:
         """Independent values in all channels."""
@@ -95,10 +97,10 @@ class Step:
     """Solution of a linear problem.
 
     Attributes:
-        theta: change of the base unknowns (K + 3,).
+        theta: change of the base unknowns (K + S,).
         effect: change of the effects' unknowns (m,).
         residual: what the linear model leaves (B, C).
-        covariance: of all unknowns, the base first (K + 3 + m, K + 3 + m).
+        covariance: of all unknowns, the base first (K + S + m, K + S + m).
     """
 
     theta: Floats
@@ -124,10 +126,10 @@ def solve(
 
     Args:
         residual: measured minus simulated (B, C).
-        base: its derivatives by the base unknowns (B, C, K + 3).
+        base: its derivatives by the base unknowns (B, C, K + S).
         effect: its derivatives by the effects' unknowns (B, C, m).
         scale: how residuals are judged.
-        prior: precision of each base unknown (K + 3,).
+        prior: precision of each base unknown (K + S,).
         theta: the base unknowns now, which the prior pulls to 0.
         rounds: how often the variances are estimated.
         held: effects' unknowns that may not move.
@@ -135,7 +137,7 @@ def solve(
         length: blocks per value (C,); default: as fits count.
         damping: share by which the diagonal of the information grows (Marquardt 1963), for shorter steps.
     """
-    counted = np.full(len(scale.noise), scale.pace) if length is None else length
+    counted = np.full(len(scale.noise), scale.blocks_per_error) if length is None else length
     n, m = base.shape[2], effect.shape[2]
     columns = np.concatenate([base, effect], axis=2)
     gram = np.einsum("bci,bcj->cij", columns, columns, optimize=True)

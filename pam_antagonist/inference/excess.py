@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.solve import PACE
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
 
 Floats = NDArray[np.float64]
 
-_STRETCH = int(PACE)
+_STRETCH = int(BLOCKS_PER_ERROR)
 """[blocks] In each of them a model is right or wrong once: a fit counts one independent error likewise."""
 _QUIET = 1.5
 """The mean square of a stretch of noise alone, over its variance, is hardly ever more."""
@@ -20,7 +20,7 @@ _FULL = 20.0
 """[dB] A stretch is explained where the error falls to a tenth: no law has quite the form of what is there."""
 
 
-def in_levels(before: Floats, after: Floats, noise: Floats) -> tuple[float, float]:
+def in_decibels(before: Floats, after: Floats, noise: Floats) -> tuple[float, float]:
     """Second by second and in decibels: each counts down to the noise, or down to a tenth.
 
     A model that is wrong for a second has that second against it, however wrong it was. Where a joint sticks at another
@@ -36,8 +36,8 @@ def in_levels(before: Floats, after: Floats, noise: Floats) -> tuple[float, floa
     return float(np.sum(np.clip(old - new, -_FULL, there))), float(np.sum(there))
 
 
-def in_squares(before: Floats, after: Floats, noise: Floats) -> tuple[float, float]:
-    """By the mean square of each channel; arguments as :func:`in_levels`."""
+def in_mean_squares(before: Floats, after: Floats, noise: Floats) -> tuple[float, float]:
+    """By the mean square of each channel; arguments as :func:`in_decibels`."""
     old, new = (_squares(residual, noise) for residual in (before, after))
     return float(np.sum(old - new)), float(np.sum(old))
 

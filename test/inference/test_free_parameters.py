@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.freedom import free_parameters
+from pam_antagonist.inference.free_parameters import free_parameters
 
 
 def test_priors_and_bounds_are_those_of_the_rig_file(rig):

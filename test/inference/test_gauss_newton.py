@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.candidates import Candidate
-from pam_antagonist.diagnosis.experiment import Point
-from pam_antagonist.diagnosis.refit import excess, refit
 from pam_antagonist.diagnosis.select import Model, refitted_without, shared
+from pam_antagonist.inference.candidates import Candidate
+from pam_antagonist.inference.experiment import Point
+from pam_antagonist.inference.gauss_newton import refit
 
 DROOP = Candidate("supply_droop")
 LEAK = Candidate("leak")
@@ -25,10 +25,10 @@ def drooping(recorded, experiment_of):
 def test_a_fit_gets_to_its_optimum_from_where_bold_steps_lead_nowhere(drooping) -> None:
     experiment, base = drooping
     values = {"effects.supply_droop.stiffness": 4e9, "effects.supply_droop.time": 0.03}
-    fitted = refit(experiment, Point(base.point.theta, values), DROOP.unknowns, renewals=4)
+    fitted = refit(experiment, Point(base.point.theta, values), DROOP.free, renewals=4)
     # The regulator is another law than the catalogue's, which cannot leave nothing; stuck, it left four noises.
-    assert np.max(excess(experiment, base.residual)) > 4.0
-    assert np.max(excess(experiment, fitted.residual)) < 1.7
+    assert np.max(experiment.times_noise(base.residual)) > 4.0
+    assert np.max(experiment.times_noise(fitted.residual)) < 1.7
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def leaking(recorded, experiment_of):
     free = both(recorded("leak", 1, "seeping", 15.0, seed=3, joint="free"), "free")
     tight = both(recorded(seed=3, joint="free"), "free")
     point = Point(locked[1].point.theta, {SIZE: 1e-10, "effects.leak.exponent": 1.0})
-    shown = refit(locked[0], point, LEAK.unknowns, renewals=4)
+    shown = refit(locked[0], point, LEAK.free, renewals=4)
     return (locked[0], shown), free, tight
 
 
@@ -53,9 +53,9 @@ def test_what_one_recording_shows_the_other_gets(leaking) -> None:
     assert model.fits[0] is shown
     given = model.fits[1]
     assert given.point.effects[SIZE] == shown.point.effects[SIZE]
-    assert given.unknowns == without.unknowns
+    assert given.free == without.free
     before, after = (
-        np.max(excess(free, free.held(free.residual(fitted.point, whole=True)))) for fitted in (without, given)
+        np.max(free.times_noise(free.held(free.residual(fitted.point, whole=True)))) for fitted in (without, given)
     )
     assert after < 0.5 * before
     (alone,) = refitted_without((locked, free), model, ("leak",), 1)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.beyond import in_levels, in_squares
 from pam_antagonist.diagnosis.shares import share_of
+from pam_antagonist.inference.excess import in_decibels, in_mean_squares
 
 NOISE = np.array([0.01, 2.0])
 SECOND = 50
@@ -20,11 +20,11 @@ def noise():
 
 
 def level(before: np.ndarray, after: np.ndarray) -> float:
-    return share_of([in_levels(before * NOISE, after * NOISE, NOISE)])
+    return share_of([in_decibels(before * NOISE, after * NOISE, NOISE)])
 
 
 def square(before: np.ndarray, after: np.ndarray) -> float:
-    return share_of([in_squares(before * NOISE, after * NOISE, NOISE)])
+    return share_of([in_mean_squares(before * NOISE, after * NOISE, NOISE)])
 
 
 @pytest.mark.parametrize("share", [level, square])
@@ -42,7 +42,7 @@ def test_where_there_is_nothing_to_judge_by_nothing_is_gone(share, noise) -> Non
 
 
 def test_what_was_there_is_told_in_decibels(noise) -> None:
-    gone, there = in_levels(8.0 * noise * NOISE, 4.0 * noise * NOISE, NOISE)
+    gone, there = in_decibels(8.0 * noise * NOISE, 4.0 * noise * NOISE, NOISE)
     # 18.1 dB, less the 1.8 dB that noise itself may reach in a second, in 120 seconds of two channels.
     assert there / 120.0 == pytest.approx(16.3, abs=0.2)
     assert gone / 120.0 == pytest.approx(6.02, abs=0.02)

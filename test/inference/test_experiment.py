@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.candidates import UNKNOWN_INPUT, Candidate, candidates
-from pam_antagonist.diagnosis.experiment import Point, block_noise
-from pam_antagonist.diagnosis.knobs import base_knobs
-from pam_antagonist.diagnosis.refit import excess, refit
-from pam_antagonist.diagnosis.simulation import BLOCK, blocks, stride_blocks
+from pam_antagonist.inference.candidates import UNKNOWN_INPUT, Candidate, candidates
+from pam_antagonist.inference.experiment import Point
+from pam_antagonist.inference.free_parameters import base_directions
+from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.noise import block_noise
+from pam_antagonist.inference.trial import BLOCK, blocks
+from pam_antagonist.inference.valve_driven import stride_blocks
 from pam_antagonist.model.effects import CATALOGUE
 
 
@@ -35,9 +37,9 @@ def test_blocks_leave_out_what_is_missing() -> None:
 
 
 def test_a_slope_turns_the_force_map_about_the_middle(rig) -> None:
-    knob = next(k for k in base_knobs(rig) if k.name == "muscle_1.force.v, slope")
+    direction = next(k for k in base_directions(rig) if k.name == "muscle_1.force.v, slope")
     middle = rig.geometry.length
-    assert knob.changes["muscle_1.force.v1"] * middle + knob.changes["muscle_1.force.v2"] == pytest.approx(
+    assert direction.changes["muscle_1.force.v1"] * middle + direction.changes["muscle_1.force.v2"] == pytest.approx(
         0.0, abs=1e-18
     )
 
@@ -46,8 +48,8 @@ def test_a_locked_joint_tells_nothing_of_friction(rig, recorded, experiment_of) 
     experiment = experiment_of(recorded(seconds=20.0), "locked")
     point = experiment.origin
     jacobian = experiment.jacobian(point, experiment.residual(point))
-    dead = [k for k, knob in enumerate(experiment.knobs) if knob.name.startswith("friction.")]
-    alive = [k for k, knob in enumerate(experiment.knobs) if knob.name == "valve_1.inflow_area"]
+    dead = [k for k, direction in enumerate(experiment.directions) if direction.name.startswith("friction.")]
+    alive = [k for k, direction in enumerate(experiment.directions) if direction.name == "valve_1.inflow_area"]
     assert dead and not np.any(jacobian[:, :, dead])
     assert np.any(jacobian[:, :, alive])
 
@@ -130,8 +132,8 @@ def test_what_acts_from_the_first_sample_on_is_fitted(recorded, experiment_of, e
     experiment = experiment_of(recording, "locked")
     base = refit(experiment, experiment.origin, rounds=6)
     begun = Point(base.point.theta, {f"effects.{effect}.{name}": value for name, value in start.items()})
-    found = refit(experiment, begun, Candidate(effect).unknowns, base.base)
-    before, after = (float(np.max(excess(experiment, fitted.residual))) for fitted in (base, found))
+    found = refit(experiment, begun, Candidate(effect).free, base.base)
+    before, after = (float(np.max(experiment.times_noise(fitted.residual))) for fitted in (base, found))
     assert before > 5.0
     assert after < 2.0
 
@@ -143,7 +145,7 @@ def test_every_effect_but_the_unknown_input_is_a_candidate() -> None:
 
 @pytest.mark.parametrize("effect", sorted(set(CATALOGUE) - {UNKNOWN_INPUT}))
 def test_coordinates_go_there_and_back(effect: str) -> None:
-    for unknown in Candidate(effect).unknowns:
+    for unknown in Candidate(effect).free:
         value = unknown.item.scale
         assert unknown.value(unknown.coordinate(value)) == pytest.approx(value)
         assert unknown.item.low <= unknown.bounded(1e30) <= unknown.item.high

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, parameter_path
 
 _SPREAD = 4.0
@@ -13,53 +13,6 @@ _SPREAD = 4.0
 
 UNKNOWN_INPUT = "external_torque"
 """The effect that no deterministic model has: judged by what all others leave (:mod:`pushes`)."""
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """A number of an effect that a fit may move.
-
-    Attributes:
-        paths: dotted paths of the parameters that have this value: several where only their sum shows.
-        item: entry in the catalogue of the first.
-    """
-
-    paths: tuple[str, ...]
-    item: EffectParameter
-
-    @property
-    def path(self) -> str:
-        """Dotted path of the first."""
-        return self.paths[0]
-
-    @property
-    def muscle(self) -> int | None:
-        """The muscle whose number it is, None where it is no muscle's own."""
-        return self.item.muscle if len(self.paths) == 1 else None
-
-    def value(self, coordinate: float) -> float:
-        """Value at a coordinate: sizes in units of their scale, shapes by their logarithm."""
-        if self.item.is_size:
-            return coordinate * self.item.scale
-        return math.exp(coordinate)
-
-    def coordinate(self, value: float) -> float:
-        """Coordinate of a value."""
-        return value / self.item.scale if self.item.is_size else math.log(value)
-
-    def slope(self, value: float) -> float:
-        """Derivative of the value by its coordinate."""
-        return self.item.scale if self.item.is_size else value
-
-    def bounded(self, value: float) -> float:
-        """The nearest value that makes sense."""
-        return min(max(value, self.item.low), self.item.high)
-
-    def step(self, value: float) -> float:
-        """Step of a difference quotient at a value, in coordinates; sizes that cannot shrink step upwards."""
-        if not self.item.is_size:
-            return -0.1 if value * 1.1 > self.item.high else 0.1
-        return 0.1 * max(1.0, abs(value / self.item.scale))
 
 
 _TIED = ("hysteresis",)
@@ -82,28 +35,28 @@ class Candidate:
         return CATALOGUE[self.effect]
 
     @property
-    def unknowns(self) -> tuple[Unknown, ...]:
+    def free(self) -> tuple[FreeEffectParameter, ...]:
         """Its numbers, sizes first."""
         items = sorted(self.catalogued.parameters, key=lambda item: not item.is_size)
         if self.effect not in _TIED:
-            return tuple(Unknown((parameter_path(self.effect, item.name),), item) for item in items)
+            return tuple(FreeEffectParameter((parameter_path(self.effect, item.name),), item) for item in items)
         groups: dict[str, list[EffectParameter]] = {}
         for item in items:
             groups.setdefault(item.name[:-2] if item.muscle else item.name, []).append(item)
         return tuple(
-            Unknown(tuple(parameter_path(self.effect, item.name) for item in group), group[0])
+            FreeEffectParameter(tuple(parameter_path(self.effect, item.name) for item in group), group[0])
             for group in groups.values()
         )
 
     @property
-    def sizes(self) -> tuple[Unknown, ...]:
+    def sizes(self) -> tuple[FreeEffectParameter, ...]:
         """Those with which it vanishes."""
-        return tuple(unknown for unknown in self.unknowns if unknown.item.is_size)
+        return tuple(unknown for unknown in self.free if unknown.item.is_size)
 
     @property
-    def shapes(self) -> tuple[Unknown, ...]:
+    def shapes(self) -> tuple[FreeEffectParameter, ...]:
         """Those that say how it acts."""
-        return tuple(unknown for unknown in self.unknowns if not unknown.item.is_size)
+        return tuple(unknown for unknown in self.free if not unknown.item.is_size)
 
     def grid(self) -> list[dict[str, float]]:
         """Shapes to try."""

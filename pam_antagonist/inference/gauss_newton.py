@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.candidates import Unknown
-from pam_antagonist.diagnosis.experiment import Experiment, Point
-from pam_antagonist.diagnosis.solve import PACE, Scale, Step, solve
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, Scale, Step, solve
 
 Floats = NDArray[np.float64]
 
@@ -43,9 +43,9 @@ class Fitted:
 
     Attributes:
         point: where it is.
-        unknowns: numbers of effects that were free.
+        free: parameters of effects that were free.
         residual: measured minus simulated (B, C) of the part that was fitted.
-        base: its derivatives by the base unknowns (B, C, K + 3).
+        base: its derivatives by the base unknowns (B, C, K + S).
         effect: its derivatives by the unknowns' coordinates (B, C, m).
         scale: how its residual is judged.
         cost: −2 log posterior, up to a constant.
@@ -53,7 +53,7 @@ class Fitted:
     """
 
     point: Point
-    unknowns: tuple[Unknown, ...]
+    free: tuple[FreeEffectParameter, ...]
     residual: Floats
     base: Floats
     effect: Floats
@@ -64,7 +64,7 @@ class Fitted:
     @property
     def effect_covariance(self) -> Floats:
         """Covariance of the effects' coordinates (m, m)."""
-        m = len(self.unknowns)
+        m = len(self.free)
         return self.covariance[len(self.covariance) - m :, len(self.covariance) - m :]
 
 
@@ -78,11 +78,13 @@ def cost_of(experiment: Experiment, point: Point, residual: Floats, scale: Scale
     return float(scale.misfits(residual).sum()) + prior_cost(experiment, point.theta)
 
 
-def effect_jacobian(experiment: Experiment, point: Point, residual: Floats, unknowns: Sequence[Unknown]) -> Floats:
+def effect_jacobian(
+    experiment: Experiment, point: Point, residual: Floats, free: Sequence[FreeEffectParameter]
+) -> Floats:
     """Derivatives of the residual by the coordinates of effects (B, C, m)."""
-    result = np.zeros((*residual.shape, len(unknowns)))
+    result = np.zeros((*residual.shape, len(free)))
     points, steps = [], []
-    for unknown in unknowns:
+    for unknown in free:
         value = point.effects.get(unknown.path, unknown.item.neutral)
         step = unknown.step(value)
         moved = unknown.value(unknown.coordinate(value) + step)
@@ -96,11 +98,11 @@ def effect_jacobian(experiment: Experiment, point: Point, residual: Floats, unkn
 def refit(
     experiment: Experiment,
     point: Point,
-    unknowns: Sequence[Unknown] = (),
+    free: Sequence[FreeEffectParameter] = (),
     base: Floats | None = None,
     rounds: int = _ROUNDS,
     renewals: int = 3,
-    pace: float = PACE,
+    blocks_per_error: float = BLOCKS_PER_ERROR,
     careful: int = 12,
 ) -> Fitted:
     """Gauss-Newton, with the derivatives by the base unknowns kept from step to step while they serve.
@@ -108,11 +110,11 @@ def refit(
     Args:
         experiment: the recording.
         point: where to start; the unknowns' values in it are their starts.
-        unknowns: numbers of effects that may move beside the base parameters.
+        free: parameters of effects that may move beside the base parameters.
         base: derivatives by the base unknowns from a point nearby; default: worked out here.
         rounds: at most so many steps.
         renewals: how often the derivatives by the base unknowns may be worked out.
-        pace: blocks per value that is counted.
+        blocks_per_error: blocks per value that is counted.
         careful: how many steps may be damped ones, which are tried where the others lead nowhere.
     """
     residual = experiment.residual(point)
@@ -120,16 +122,16 @@ def refit(
     if base is None:
         base = experiment.jacobian(point, residual)
         renewals -= 1
-    effect = effect_jacobian(experiment, point, residual, unknowns)
+    effect = effect_jacobian(experiment, point, residual, free)
     gained, first = 0.0, 0
     for _ in range(rounds):
-        scale = Scale.of(residual, experiment.noise, pace)
+        scale = Scale.of(residual, experiment.noise, blocks_per_error)
         cost = cost_of(experiment, point, residual, scale)
         found = None
         damped = len(_CAREFUL) if careful > 0 and (fresh or renewals <= 0) else 0
         for number in range(first, len(_SHARES) + damped):
-            step = _step(experiment, point, unknowns, (residual, base, effect), scale, number)
-            trial = _moved(point, unknowns, step.theta, step.effect)
+            step = _step(experiment, point, free, (residual, base, effect), scale, number)
+            trial = _moved(point, free, step.theta, step.effect)
             moved = experiment.residual(trial)
             new = cost_of(experiment, trial, moved, scale)
             if new < cost:
@@ -143,7 +145,7 @@ def refit(
         if found is not None:
             point, residual, gain = found
             gained += gain
-            effect = effect_jacobian(experiment, point, residual, unknowns)
+            effect = effect_jacobian(experiment, point, residual, free)
             if gain > _ENOUGH + _ENOUGH_OF_ALL * gained:
                 fresh = False
                 continue
@@ -156,16 +158,16 @@ def refit(
         base = experiment.jacobian(point, residual)
         renewals -= 1
         fresh = True
-    scale = Scale.of(residual, experiment.noise, pace)
+    scale = Scale.of(residual, experiment.noise, blocks_per_error)
     last = solve(residual, base, effect, scale, experiment.prior, point.theta, rounds=1, length=scale.length)
     cost = cost_of(experiment, point, residual, scale)
-    return Fitted(point, tuple(unknowns), residual, base, effect, scale, cost, last.covariance)
+    return Fitted(point, tuple(free), residual, base, effect, scale, cost, last.covariance)
 
 
 def _step(
     experiment: Experiment,
     point: Point,
-    unknowns: Sequence[Unknown],
+    free: Sequence[FreeEffectParameter],
     linear: tuple[Floats, Floats, Floats],
     scale: Scale,
     number: int,
@@ -178,12 +180,12 @@ def _step(
     Args:
         experiment: the recording.
         point: where to start.
-        unknowns: numbers of effects that may move.
+        free: parameters of effects that may move.
         linear: the residual (B, C), and its derivatives by the base unknowns and by those.
         scale: how residuals are judged.
         number: from 0.
     """
-    held = _held(point, unknowns)
+    held = _held(point, free)
     if number < len(_SHARES):
         bold, share = solve(*linear, scale, experiment.prior, point.theta, held=held), _SHARES[number]
         return replace(bold, theta=share * bold.theta, effect=share * bold.effect)
@@ -191,10 +193,10 @@ def _step(
     return solve(*linear, scale, experiment.prior, point.theta, rounds=1, held=held, damping=damping)
 
 
-def settled(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
+def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
     """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
 
-    Its derivatives by the base unknowns may be those of a point nearby: :func:`at_itself` renews them.
+    Its derivatives by the base unknowns may be those of a point nearby: :func:`relinearised` renews them.
 
     Args:
         experiment: the recording; its seed draws the starts.
@@ -205,38 +207,38 @@ def settled(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fit
         The best fit; where it ends at the noise of every channel, the finer one that counts every block.
     """
     best = min((fitted, *_from_elsewhere(experiment, fitted, starts)), key=lambda found: found.cost)
-    if np.max(excess(experiment, best.residual)) <= _NEAR:
-        finer = refit(experiment, best.point, best.unknowns, best.base, renewals=2, pace=1.0, careful=0)
-        best = finer if np.max(excess(experiment, finer.residual)) < AT_NOISE else best
+    if np.max(experiment.times_noise(best.residual)) <= _NEAR:
+        finer = refit(experiment, best.point, best.free, best.base, renewals=2, blocks_per_error=1.0, careful=0)
+        best = finer if np.max(experiment.times_noise(finer.residual)) < AT_NOISE else best
     return best
 
 
-def at_itself(experiment: Experiment, fitted: Fitted) -> Fitted:
+def relinearised(experiment: Experiment, fitted: Fitted) -> Fitted:
     """A fit with the derivatives at its own point, so that one of which only the point was kept is the same again."""
-    return refit(experiment, fitted.point, fitted.unknowns, rounds=0, pace=fitted.scale.pace)
+    return refit(experiment, fitted.point, fitted.free, rounds=0, blocks_per_error=fitted.scale.blocks_per_error)
 
 
 def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list[Fitted]:
     """Fits from other starts: after a few steps the best of those that are drawn, to its end if it may get there."""
-    if not fitted.unknowns or starts == 0:
+    if not fitted.free or starts == 0:
         return []
     # Each model has draws of its own, whatever was fitted before it and on which thread.
-    name = zlib.crc32(" ".join(unknown.path for unknown in fitted.unknowns).encode())
+    name = zlib.crc32(" ".join(unknown.path for unknown in fitted.free).encode())
     rng = np.random.default_rng([experiment.seed, name])
     drawn = [
-        refit(experiment, _drawn(fitted, rng), fitted.unknowns, fitted.base, rounds=_TRIED, renewals=0, careful=0)
+        refit(experiment, _drawn(fitted, rng), fitted.free, fitted.base, rounds=_TRIED, renewals=0, careful=0)
         for _ in range(starts)
     ]
     best = min(drawn, key=lambda found: found.cost)
     if best.cost > fitted.cost + _HOPELESS:
         return []
-    return [refit(experiment, best.point, best.unknowns, best.base, renewals=0)]
+    return [refit(experiment, best.point, best.free, best.base, renewals=0)]
 
 
 def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:
     """Another start: sizes of another magnitude, also where one was 0, and any shape that makes sense."""
     effects = dict(fitted.point.effects)
-    for unknown in fitted.unknowns:
+    for unknown in fitted.free:
         value, item = effects.get(unknown.path, unknown.item.neutral), unknown.item
         if item.is_size:
             drawn = (value if value and rng.random() < 0.5 else item.scale) * float(np.exp(rng.normal()))
@@ -247,16 +249,9 @@ def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:
     return Point(fitted.point.theta, effects)
 
 
-def excess(experiment: Experiment, residual: Floats) -> Floats:
-    """Root mean square of each channel over its noise (C,); the noise's where there is nothing to judge by."""
-    if not len(residual):
-        return np.ones(residual.shape[1])
-    return np.asarray(np.sqrt(np.mean(residual**2, axis=0)) / experiment.noise)
-
-
-def _moved(point: Point, unknowns: Sequence[Unknown], theta: Floats, effect: Floats) -> Point:
+def _moved(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, effect: Floats) -> Point:
     effects = dict(point.effects)
-    for unknown, change in zip(unknowns, effect, strict=True):
+    for unknown, change in zip(free, effect, strict=True):
         value = effects.get(unknown.path, unknown.item.neutral)
         bound = np.inf if unknown.item.is_size else _LEAP
         moved = unknown.bounded(unknown.value(unknown.coordinate(value) + float(np.clip(change, -bound, bound))))
@@ -264,12 +259,12 @@ def _moved(point: Point, unknowns: Sequence[Unknown], theta: Floats, effect: Flo
     return Point(point.theta + theta, effects)
 
 
-def _held(point: Point, unknowns: Sequence[Unknown]) -> list[int]:
+def _held(point: Point, free: Sequence[FreeEffectParameter]) -> list[int]:
     """Shapes of an effect without size: nothing depends on them."""
     held = []
-    for k, unknown in enumerate(unknowns):
+    for k, unknown in enumerate(free):
         effect = unknown.path.rsplit(".", 1)[0] + "."
-        sizes = [u for u in unknowns if u.item.is_size and u.path.startswith(effect)]
+        sizes = [u for u in free if u.item.is_size and u.path.startswith(effect)]
         if not unknown.item.is_size and not any(point.effects.get(size.path, 0.0) for size in sizes):
             held.append(k)
     return held

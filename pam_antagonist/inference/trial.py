@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 CHANNELS = ("angle", "torque", "pressure_1", "pressure_2")
 """Columns of measurements and predictions: [rad, N m, Pa, Pa]."""
 ANGLE, TORQUE, PRESSURE_1, PRESSURE_2 = range(len(CHANNELS))
+BLOCK = 20
+"""Samples that are averaged to one residual: what a model lacks is slower than this, and noise averages out."""
 
 _SHORTEST = 5.0
 _LEAST_SWING = 30e3
@@ -79,6 +81,16 @@ class Trial:
             self.measured[first:last],
             None if self.external is None else self.external[first:last],
         )
+
+
+def blocks(values: Floats, size: int = BLOCK) -> Floats:
+    """Means over blocks of samples, (N // size, C); NaN where less than half of a block is known."""
+    count = len(values) // size
+    cut = values[: count * size].reshape(count, size, values.shape[1])
+    known = np.isfinite(cut)
+    number = known.sum(axis=1)
+    total = np.where(known, cut, 0.0).sum(axis=1)
+    return np.where(number >= size / 2, total / np.maximum(number, 1), np.nan)
 
 
 def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, name: str) -> Trial:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.solve import PACE, Scale, correlation_length, solve
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, Scale, correlation_length, solve
 
 
 def test_white_residuals_are_worth_their_number() -> None:
@@ -39,7 +39,7 @@ def test_noise_bounds_the_variance() -> None:
 def test_a_channel_at_its_noise_counts_as_white() -> None:
     drift = np.linspace(-0.5, 0.5, 1000)[:, None]
     assert Scale.of(drift, np.array([1.0])).length[0] == 1.0
-    assert Scale.of(drift, np.array([0.01])).length[0] > PACE
+    assert Scale.of(drift, np.array([0.01])).length[0] > BLOCKS_PER_ERROR
 
 
 def _problem(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.diagnosis.beyond import in_squares
-from pam_antagonist.diagnosis.candidates import Candidate, Unknown
-from pam_antagonist.diagnosis.experiment import Experiment, Point, block_noise
-from pam_antagonist.diagnosis.knobs import Knob
-from pam_antagonist.diagnosis.simulation import blocks
-from pam_antagonist.identification.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE
+from pam_antagonist.inference.candidates import Candidate
+from pam_antagonist.inference.excess import in_mean_squares
+from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.free_parameters import FreeDirection, FreeEffectParameter
+from pam_antagonist.inference.noise import block_noise
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, blocks
 from pam_antagonist.model import dynamics, joint, rest
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
@@ -139,13 +139,13 @@ def motion_of(measured: Floats, dt: float) -> Motion:
 class _Own(Candidate):
     """A candidate with unknowns of its own choice."""
 
-    chosen: tuple[Unknown, ...] = ()
+    chosen: tuple[FreeEffectParameter, ...] = ()
     start: tuple[dict[str, float], ...] = ()
 
     @property
-    def unknowns(self) -> tuple[Unknown, ...]:
+    def free(self) -> tuple[FreeEffectParameter, ...]:
         """Its numbers, sizes first."""
-        return self.chosen or super().unknowns
+        return self.chosen or super().free
 
     def grid(self) -> list[dict[str, float]]:
         """Shapes to try."""
@@ -169,7 +169,8 @@ def _unknowns(effect: str, tied: bool, without: tuple[str, ...] = ()) -> _Own:
     return _Own(
         effect,
         tuple(
-            Unknown(tuple(parameter_path(effect, name) for name in group), items[group[0]]) for group in groups.values()
+            FreeEffectParameter(tuple(parameter_path(effect, name) for name in group), items[group[0]])
+            for group in groups.values()
         ),
     )
 
@@ -185,7 +186,7 @@ _VARIANTS: Mapping[str, tuple[Candidate, ...]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Driven(Experiment):
+class AngleDriven(Experiment):
     """A part of a driven joint as an experiment: its air, or its balance of torques.
 
     Attributes:
@@ -197,24 +198,24 @@ class Driven(Experiment):
     resolved: bool = False
 
     @cached_property
-    def knobs(self) -> tuple[Knob, ...]:
+    def directions(self) -> tuple[FreeDirection, ...]:
         """Free base directions: what :mod:`pam_antagonist.identification.sealed` identifies, but for friction."""
         rig, length = self.rig, self.rig.geometry.length
         if self.part == BALANCE:
             apart = {"muscle_1.force.w2": _FORCE, "muscle_2.force.w2": -_FORCE}
             return (
-                Knob("joint.stiffness", {"joint.stiffness": max(rig.joint.stiffness, 1.0)}, 1.0),
-                Knob("difference of the muscles' forces", apart, 1.0),
-                Knob("joint.viscous_friction", {"joint.viscous_friction": _VISCOUS}, 1.0),
+                FreeDirection("joint.stiffness", {"joint.stiffness": max(rig.joint.stiffness, 1.0)}, 1.0),
+                FreeDirection("difference of the muscles' forces", apart, 1.0),
+                FreeDirection("joint.viscous_friction", {"joint.viscous_friction": _VISCOUS}, 1.0),
             )
         found = []
         for number in (1, 2):
             slope = getattr(rig, f"muscle_{number}").volume.d2
             # About the volume at angle 0, which stays as declared.
             turned = {f"muscle_{number}.volume.d2": slope, f"muscle_{number}.volume.d3": -slope * length}
-            found.append(Knob(f"muscle_{number}.volume, slope", turned, 0.1))
+            found.append(FreeDirection(f"muscle_{number}.volume, slope", turned, 0.1))
             charge = f"valves.charge_{number}"
-            found.append(Knob(charge, {charge: rig.value(charge)}, 0.01))
+            found.append(FreeDirection(charge, {charge: rig.value(charge)}, 0.01))
         return tuple(found)
 
     @cached_property
@@ -222,19 +223,23 @@ class Driven(Experiment):
         """The torque from outside, or the pressures' mean and half their difference in the place of the pressures."""
         return (TORQUE,) if self.part == BALANCE else (PRESSURE_1, PRESSURE_2)
 
-    def taken_away(self, before: Floats, after: Floats) -> tuple[float, float]:
-        """What of a residual beyond noise (B, C) is gone in another one (B, C), and what was there, in squares.
+    def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
+        """What of one residual's excess over noise is gone in another one, and what was there, in mean squares.
 
         A model that is driven by the measured angle does not stray: nothing of its error comes from an earlier one.
+
+        Args:
+            before: residual of a model (B, C).
+            after: of another one (B, C).
         """
-        return in_squares(before, after, self.noise)
+        return in_mean_squares(before, after, self.noise)
 
     @property
-    def titles(self) -> tuple[tuple[str, float], ...]:
-        """What each channel is called in a figure, with its unit, and the factor to it."""
+    def titles(self) -> tuple[Channel, ...]:
+        """The channels' names and units."""
         if self.part == BALANCE:
-            return (("Torque from outside [N m]", 1.0),)
-        return ("Mean pressure [kPa]", 1e-3), ("Half difference [kPa]", 1e-3)
+            return (Channel("Torque from outside", "N m", 1.0),)
+        return Channel("Mean pressure", "kPa", 1e-3), Channel("Half difference", "kPa", 1e-3)
 
     @cached_property
     def measured(self) -> Floats:
@@ -255,7 +260,7 @@ class Driven(Experiment):
 
         An encoder's error stays while the joint does, so it does not average out in a block.
         """
-        p, angle = self._vector, self.rig.sensors.angle_std
+        p, angle = self.vector, self.rig.sensors.angle_std
         slopes = [(rest.closed_pressure(i, 0.01, p) - rest.closed_pressure(i, -0.01, p)) / 0.02 for i in (0, 1)]
         if self.part == BALANCE:
             x = np.array([0.0, 0.0, *(rest.closed_pressure(i, 0.0, p) for i in (0, 1))])
@@ -268,7 +273,8 @@ class Driven(Experiment):
         )
 
     @cached_property
-    def _vector(self) -> Floats:
+    def vector(self) -> Floats:
+        """Parameter vector as configured: the joint is moved by its angle, not by its torques."""
         return self.rig.parameters("locked", 0.0)
 
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
@@ -297,18 +303,15 @@ class Driven(Experiment):
         columns = [np.interp(every, at, column) for column in (*pressure.T, needed)]
         return np.column_stack(columns[:2]), np.asarray(columns[2])
 
+    def states(self, point: Point) -> tuple[Floats, Floats]:
+        """States (N, 4), the measured motion and the model's pressures, and the torque from outside (N,) [N m]."""
+        pressure, needed = self.driven(point, whole=True)
+        return np.column_stack([self.motion.angle, self.motion.velocity, pressure]), needed
+
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """What the measured motion asks for (N, 4), the pressures by their mean and half their difference."""
         pressure, needed = self.driven(point, whole)
         return _parted(np.column_stack([self.motion.angle[: len(needed)], needed, pressure]))
-
-    def _matters(self, k: int) -> bool:
-        return k < len(self.knobs)
-
-    @property
-    def _strides(self) -> tuple[int, ...]:
-        # It is simulated in strides already.
-        return ()
 
 
 def _parted(values: Floats) -> Floats:

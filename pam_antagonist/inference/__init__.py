@@ -1,0 +1,1 @@
+"""What identification and diagnosis share: experiments, free parameters, likelihood, fits and profiles."""

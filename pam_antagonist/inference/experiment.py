@@ -1,0 +1,301 @@
+"""A recording that a model is compared with: the one interface of everything that fits and judges.
+
+A way of driving a joint is one class. :class:`~pam_antagonist.inference.valve_driven.ValveDriven` puts the recorded
+voltages in, :class:`~pam_antagonist.inference.angle_driven.AngleDriven` the recorded angle. For a third way, say a
+pressure regulator, derive from :class:`Experiment` and give what it declares abstract; all else follows from that.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.candidates import Candidate
+from pam_antagonist.inference.excess import in_decibels
+from pam_antagonist.inference.free_parameters import FreeDirection
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
+from pam_antagonist.inference.trial import BLOCK, Trial, blocks
+from pam_antagonist.model import parameters as par
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+_STEP = 2e-3
+"""Relative step of the base directions' differences: far above what stiction rounds off."""
+_RUNAWAY = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point in the space of models of one recording.
+
+    Attributes:
+        theta: amounts of the free directions (K,), then the start's deviations in standard deviations (S,).
+        effects: values of the effects' parameters by dotted path.
+    """
+
+    theta: Floats
+    effects: Mapping[str, float] = field(default_factory=dict)
+
+
+class Channel(NamedTuple):
+    """What is compared, as a figure shows it.
+
+    Attributes:
+        title: its name.
+        unit: of the figure.
+        factor: from SI to that unit.
+    """
+
+    title: str
+    unit: str
+    factor: float
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment(ABC):
+    """A recording of a rig, made ready to be explained.
+
+    Every recording has base parameters and effects of its own: a day later the rig is warmer, and what is wrong with
+    it may have changed. What recordings have in common is looked for afterwards.
+
+    Attributes:
+        rig: as configured.
+        trial: the recording.
+        fitted: how many of its samples may be fitted; the rest is held out.
+        judged: recordings that are held out as a whole, on which this one's models are judged; `fitted` of theirs is
+            their start, from which nothing but their first state is fitted. Then all of this one is fitted.
+        seed: of what is drawn in fits.
+        jobs: threads that work out derivatives, beside those that fit several recordings or candidates at once.
+    """
+
+    rig: Rig
+    trial: Trial
+    fitted: int
+    judged: tuple[Experiment, ...] = ()
+    seed: int = 0
+    jobs: int = 1
+
+    # What each way of driving a joint gives.
+
+    @property
+    @abstractmethod
+    def directions(self) -> tuple[FreeDirection, ...]:
+        """Free base directions (K)."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[int, ...]:
+        """What is compared: columns of :meth:`simulated` (C)."""
+
+    @property
+    @abstractmethod
+    def titles(self) -> tuple[Channel, ...]:
+        """The channels' names and units (C)."""
+
+    @property
+    @abstractmethod
+    def measured(self) -> Floats:
+        """Block means of the measurements (B, C), NaN where there are none."""
+
+    @property
+    @abstractmethod
+    def noise(self) -> Floats:
+        """Standard deviation of a block mean by the sensors alone (C,)."""
+
+    @abstractmethod
+    def simulated(self, point: Point, whole: bool = False) -> Floats:
+        """What the sensors would show, sample by sample.
+
+        Args:
+            point: the model.
+            whole: over all of the recording, or over the part that may be fitted.
+        """
+
+    @abstractmethod
+    def states(self, point: Point) -> tuple[Floats, Floats]:
+        """Course of the model over all of the recording.
+
+        Args:
+            point: the model.
+
+        Returns:
+            States (N, n), the first of them angle [rad], velocity [rad/s] and pressures [Pa], and torques (N,) [N m].
+        """
+
+    @abstractmethod
+    def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+        """Effects that this recording can show, beside those that a model has already.
+
+        Args:
+            taken: values of the model's effects' parameters, by dotted path.
+        """
+
+    # What may differ, with what holds for most.
+
+    @property
+    def start_std(self) -> Floats:
+        """Standard deviations of the start values that are fitted with the parameters (S,)."""
+        return np.zeros(0)
+
+    @cached_property
+    def vector(self) -> Floats:
+        """Parameter vector of the rig as configured."""
+        return self.rig.parameters(self.trial.joint, self.trial.lock_angle)
+
+    def depends_on(self, k: int) -> bool:
+        """Whether anything that is compared depends on a base unknown."""
+        return True
+
+    def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
+        """What of one residual's excess over noise is gone in another one, and what was there [dB].
+
+        Args:
+            before: residual of a model (B, C).
+            after: of another one (B, C).
+        """
+        return in_decibels(before, after, self.noise)
+
+    def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
+        """How the residual (B, C) changes from a point to others nearby.
+
+        Args:
+            point: where the residual is known.
+            residual: there (B, C).
+            moved: the others.
+        """
+        return self.side_by_side(lambda there: self.residual(there) - residual, moved)
+
+    # What follows from that.
+
+    @property
+    def size(self) -> int:
+        """How many base unknowns there are, the start's included (K + S)."""
+        return len(self.directions) + len(self.start_std)
+
+    @property
+    def origin(self) -> Point:
+        """The model as configured."""
+        return Point(np.zeros(self.size))
+
+    @cached_property
+    def prior(self) -> Floats:
+        """Precision of the prior of each base unknown (K + S,)."""
+        return np.array([direction.prior**-2 for direction in self.directions] + [1.0] * len(self.start_std))
+
+    def start_shift(self, point: Point) -> Floats:
+        """Deviations of the start from what the sensors showed first (S,) [rad, Pa, Pa]."""
+        return np.asarray(point.theta[len(self.directions) :] * self.start_std)
+
+    def changes(self, point: Point) -> dict[str, float]:
+        """Values of the base parameters that differ from the rig file's, by dotted path."""
+        total: dict[str, float] = {}
+        for direction, amount in zip(self.directions, point.theta, strict=False):
+            for name, change in direction.changes.items():
+                total[name] = total.get(name, self.rig.value(name)) + change * float(amount)
+        return total
+
+    def parameters(self, point: Point) -> Floats:
+        """Parameter vector of a point."""
+        p = self.vector.copy()
+        for name, value in self.changes(point).items():
+            p[par.INDEX[name]] = value
+        return par.changed(p, point.effects)
+
+    def residual(self, point: Point, whole: bool = False) -> Floats:
+        """Measured minus simulated block means (B, C), 0 where nothing was measured.
+
+        The whole is followed by what it leaves of recordings that are held out, see :meth:`residual_elsewhere`.
+        """
+        own = self.residual_of(blocks(self.simulated(point, whole)[:, list(self.channels)]))
+        if not whole:
+            return own
+        return np.concatenate([own, *(self.residual_elsewhere(other, point) for other in self.judged)])
+
+    def residual_of(self, simulated: Floats) -> Floats:
+        """Measured minus simulated block means (B, C), 0 where nothing was measured.
+
+        Args:
+            simulated: the latter (B, C).
+        """
+        difference = self.measured[: len(simulated)] - simulated
+        # A model that runs away is wrong, not undefined.
+        bound = _RUNAWAY * self.noise
+        return np.clip(np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf), -bound, bound)
+
+    def held(self, residual: Floats) -> Floats:
+        """The held-out blocks of a residual of the whole; none where there is nothing to judge by."""
+        return residual[-(-self.fitted // BLOCK) :]
+
+    def times_noise(self, residual: Floats) -> Floats:
+        """Root mean square of each channel over its noise (C,); 1 where there is nothing to judge by."""
+        if not len(residual):
+            return np.ones(residual.shape[1])
+        return np.asarray(np.sqrt(np.mean(residual**2, axis=0)) / self.noise)
+
+    def residual_elsewhere(self, other: Experiment, point: Point) -> Floats:
+        """What a point of this recording leaves of another one, behind its start (B, C), in this one's noises.
+
+        A channel that was not measured there is neither for nor against: it counts as noise.
+        """
+        there = other.started(point)
+        left = other.held(other.residual(there, whole=True)) / other.noise
+        out = np.ones((len(left), len(self.channels)))
+        for k, channel in enumerate(self.channels):
+            if channel in other.channels:
+                out[:, k] = left[:, other.channels.index(channel)]
+        return np.asarray(out * self.noise)
+
+    def started(self, point: Point) -> Point:
+        """A point with the start's deviations fitted to the fitted samples, and everything else as it is."""
+        count, starts = len(self.directions), len(self.start_std)
+        now = Point(np.concatenate([point.theta[:count], np.zeros(starts)]), point.effects)
+        residual = self.residual(now)
+        shifts = np.eye(self.size)[count:]
+        moved_by = (Point(now.theta + shift, now.effects) for shift in shifts)
+        columns = np.stack(self.differences(now, residual, moved_by), axis=2)
+        # Weighed and counted as in any fit, and pulled to what the sensors showed.
+        weight = 1.0 / (np.maximum(np.mean(residual**2, axis=0), self.noise**2) * BLOCKS_PER_ERROR)
+        information = np.einsum("c,bci,bcj->ij", weight, columns, columns, optimize=True) + np.eye(starts)
+        step = -np.linalg.solve(information, np.einsum("c,bci,bc->i", weight, columns, residual, optimize=True))
+        moved = Point(np.concatenate([point.theta[:count], step]), point.effects)
+        before, after = (weight @ np.sum(part**2, axis=0) for part in (residual, self.residual(moved)))
+        return moved if after + step @ step < before else now
+
+    def jacobian(self, point: Point, residual: Floats) -> Floats:
+        """Derivatives of the residual by the base unknowns (B, C, K + S)."""
+        result = np.zeros((*residual.shape, self.size))
+        free = [k for k in range(self.size) if self.depends_on(k)]
+        steps = np.where(np.arange(self.size) < len(self.directions), _STEP, 1.0)
+        moved = (Point(point.theta + np.eye(self.size)[k] * steps, point.effects) for k in free)
+        for k, difference in zip(free, self.differences(point, residual, moved), strict=True):
+            result[:, :, k] = difference / steps[k]
+        return result
+
+    def side_by_side(self, work: Callable[[Point], Floats], points: Iterable[Point]) -> list[Floats]:
+        """Something of several points, on the threads that all fits share."""
+        return side_by_side(work, points, self.jobs)
+
+
+def side_by_side(work: Callable[..., Floats], items: Iterable[object], jobs: int) -> list[Floats]:
+    """Work on several items, each by itself: a single fit would leave the other cores idle.
+
+    Args:
+        work: compiled for the most part, so that threads do.
+        items: what each call gets.
+        jobs: threads.
+    """
+    return list(map(work, items) if jobs == 1 else _workers(jobs).map(work, items))
+
+
+@lru_cache(maxsize=1)
+def _workers(jobs: int) -> ThreadPoolExecutor:
+    """Threads that all fits share, so that there are no more of them than asked for, however many fits run."""
+    return ThreadPoolExecutor(jobs, thread_name_prefix="simulation")

@@ -1,0 +1,263 @@
+"""Which parameters may move in a fit, by how much they are expected to, and within what bounds."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.physical import is_positive
+
+RELATIVE_PRIOR = 0.05
+"""Standard deviation before identification of a parameter for which the rig file gives none."""
+_GAUGE_PRIOR = {"supply.pressure": 0.01}
+"""What a gauge shows is known better than what is not measured; a regulator holds it to about a per cent."""
+
+_FLOW = (
+    "valve_1.inflow_area", "valve_1.outflow_area", "valve_2.inflow_area", "valve_2.outflow_area",
+    "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure",
+)  # fmt: skip
+_MOTION = ("joint.inertia", "joint.viscous_friction")
+_FORCE = {"linear": ("v1", "v2", "w1", "w2")}
+_FRICTION = {
+    "kikuuwe": ("shaft", "muscle"),
+    "simple": ("lever_force",),
+    "tondu": ("static", "kinetic"),
+    "none": (),
+}
+_EFFECTS = {parameter_path(effect.name, item.name): item for effect in CATALOGUE.values() for item in effect.parameters}
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter that a fit may move.
+
+    Attributes:
+        name: its dotted path.
+        start: value in the rig file.
+        prior_std: standard deviation of the prior around it, in the parameter's unit.
+        low: least value that makes sense.
+        high: largest value.
+    """
+
+    name: str
+    start: float
+    prior_std: float
+    low: float
+    high: float
+
+
+def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = ()) -> list[FreeParameter]:
+    """The parameters of a fit.
+
+    By default all that cannot be measured directly (Proposition 1): the force maps, the orifice areas, the
+    polytropic indices, the friction, the sizes of the effects that the rig has; and the supply pressure, which a
+    gauge shows to a per cent. The prior of each is that of the rig file (``priors``), else 5 % of the value; so are
+    its bounds (``bounds``), else a factor of five either way.
+
+    Args:
+        rig: start values and priors.
+        free: names, or beginnings of names, to be freed as well.
+        frozen: names, or beginnings of names, to be kept at the start value.
+
+    Raises:
+        BadInput: a name that matches no parameter, or a freed parameter without a scale.
+    """
+    for name in (*free, *frozen):
+        if not any(_matches(known, name) for known in par.INDEX):
+            close = difflib.get_close_matches(name, par.INDEX, 1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise BadInput(f"no parameter is called {name!r}: expected a dotted path such as friction.shaft{hint}")
+    usual = _by_default(rig)
+    chosen = []
+    for name in par.INDEX:
+        wanted = name in usual or any(_matches(name, word) for word in free)
+        if not wanted or name == "friction.time_step" or any(_matches(name, word) for word in frozen):
+            continue
+        start = rig.value(name)
+        std = rig.priors.get(name, _prior(name, start))
+        if not (math.isfinite(start) and std > 0.0):
+            raise BadInput(
+                f"{name} is {start:g} in rig {rig.name}: to free it, give its prior in the rig file (priors)"
+            )
+        low, high = rig.bounds.get(name, _bounds(name, start, std))
+        chosen.append(FreeParameter(name, start, std, low, high))
+    if not chosen:
+        raise BadInput("every parameter is frozen: nothing is left to identify")
+    return chosen
+
+
+def _by_default(rig: Rig) -> set[str]:
+    coefficients = _FORCE.get(rig.model.force, tuple(f"c{k}" for k in range(1, par.COEFFICIENTS + 1)))
+    names = {f"muscle_{i}.force.{c}" for i in (1, 2) for c in coefficients if rig.value(f"muscle_{i}.force.{c}")}
+    names |= {f"friction.{name}" for name in _FRICTION[rig.model.friction]}
+    names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
+    present = {name for name, item in _EFFECTS.items() if item.is_size and rig.value(name)}
+    return {name for name in names if rig.value(name)} | present
+
+
+def _prior(name: str, start: float) -> float:
+    if start == 0.0 and name in _EFFECTS:
+        return _EFFECTS[name].scale
+    return _GAUGE_PRIOR.get(name, RELATIVE_PRIOR) * abs(start)
+
+
+def _matches(name: str, word: str) -> bool:
+    return name == word or name.startswith(word if word.endswith(".") else word + ".")
+
+
+def _bounds(name: str, start: float, std: float) -> tuple[float, float]:
+    if name in _EFFECTS:
+        return min(_EFFECTS[name].low, start - std), max(_EFFECTS[name].high, start + std)
+    if is_positive(name):
+        return (start / 5.0, start * 5.0) if start > 0.0 else (0.0, 10.0 * std)
+    width = 5.0 * abs(start) if start else np.inf
+    return start - width, start + width
+
+
+@dataclass(frozen=True)
+class FreeDirection:
+    """One direction in which the base model may differ from its file.
+
+    Attributes:
+        name: what it is.
+        changes: change of each parameter for a relative change of 1 of the quantity.
+        prior: standard deviation of the relative change.
+        free_only: a locked joint does not depend on it.
+    """
+
+    name: str
+    changes: Mapping[str, float]
+    prior: float = RELATIVE_PRIOR
+    free_only: bool = False
+
+
+def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
+    """The directions of a rig.
+
+    What cannot be measured directly (Proposition 1 of Shin et al. 2022) is free. The linear force map
+    F = v(l) P + w(l) is moved by its values at the middle length and its slopes, since its coefficients nearly
+    cancel: one per cent of ``v2`` alone is seven of the force. Volume and polytropic index k_1 only scale the flows
+    and are represented by the orifice areas.
+
+    Args:
+        rig: start values; its ``priors`` replace the 5 % of a direction that is a single parameter.
+    """
+    found = [_single(rig, f"valve_{i}.{name}") for i in (1, 2) for name in ("inflow_area", "outflow_area")]
+    for i in (1, 2):
+        found += _force_map(rig, f"muscle_{i}.force.")
+    found.append(_single(rig, "gas.polytropic_volume", free_only=True))
+    found.append(
+        FreeDirection("supply.pressure", {"supply.pressure": rig.supply.pressure}, _GAUGE_PRIOR["supply.pressure"])
+    )
+    for path in ("joint.inertia", "joint.viscous_friction", *_friction(rig)):
+        found.append(_single(rig, path, free_only=True))
+    return tuple(direction for direction in found if any(direction.changes.values()))
+
+
+def _single(rig: Rig, path: str, free_only: bool = False) -> FreeDirection:
+    value = rig.value(path)
+    prior = rig.priors.get(path)
+    return FreeDirection(path, {path: value}, prior / abs(value) if prior and value else RELATIVE_PRIOR, free_only)
+
+
+def _friction(rig: Rig) -> tuple[str, ...]:
+    return {
+        "kikuuwe": ("friction.shaft", "friction.muscle"),
+        "simple": ("friction.lever_force",),
+        "tondu": ("friction.static", "friction.kinetic"),
+        "none": (),
+    }[rig.model.friction]
+
+
+def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
+    if rig.model.force != "linear":
+        return [_single(rig, f"{path}c{k}") for k in range(1, 8)]
+    middle = rig.geometry.length
+    directions = []
+    for slope, intercept in (("v1", "v2"), ("w1", "w2")):
+        steep = rig.value(path + slope)
+        value = steep * middle + rig.value(path + intercept)
+        directions.append(FreeDirection(f"{path}{slope[0]}, value at the middle length", {path + intercept: value}))
+        # About the middle length, so that the slope turns the line and does not lift it.
+        turned = {path + slope: steep, path + intercept: -steep * middle}
+        directions.append(FreeDirection(f"{path}{slope[0]}, slope", turned, free_only=True))
+    return directions
+
+
+@dataclass(frozen=True)
+class FreeEffectParameter:
+    """A number of an effect that a fit may move.
+
+    Attributes:
+        paths: dotted paths of the parameters that have this value: several where only their sum shows.
+        item: entry in the catalogue of the first.
+    """
+
+    paths: tuple[str, ...]
+    item: EffectParameter
+
+    @property
+    def path(self) -> str:
+        """Dotted path of the first."""
+        return self.paths[0]
+
+    @property
+    def muscle(self) -> int | None:
+        """The muscle whose number it is, None where it is no muscle's own."""
+        return self.item.muscle if len(self.paths) == 1 else None
+
+    def value(self, coordinate: float) -> float:
+        """Value at a coordinate: sizes in units of their scale, shapes by their logarithm."""
+        if self.item.is_size:
+            return coordinate * self.item.scale
+        return math.exp(coordinate)
+
+    def coordinate(self, value: float) -> float:
+        """Coordinate of a value."""
+        return value / self.item.scale if self.item.is_size else math.log(value)
+
+    def slope(self, value: float) -> float:
+        """Derivative of the value by its coordinate."""
+        return self.item.scale if self.item.is_size else value
+
+    def bounded(self, value: float) -> float:
+        """The nearest value that makes sense."""
+        return min(max(value, self.item.low), self.item.high)
+
+    def step(self, value: float) -> float:
+        """Step of a difference quotient at a value, in coordinates; sizes that cannot shrink step upwards."""
+        if not self.item.is_size:
+            return -0.1 if value * 1.1 > self.item.high else 0.1
+        return 0.1 * max(1.0, abs(value / self.item.scale))
+
+
+def moved(rig: Rig, values: Mapping[str, float]) -> Rig:
+    """A rig with other values.
+
+    Args:
+        rig: the rig.
+        values: by dotted path.
+    """
+    result = rig
+    for name, value in values.items():
+        result = _put(result, name.split("."), float(value))
+    return result
+
+
+def _put(model: Any, path: list[str], value: float) -> Any:
+    if isinstance(model, Mapping):
+        key, *rest = path
+        inner = _put(model.get(key, {}), rest, value) if rest else value
+        return {**model, key: inner}
+    if len(path) == 1:
+        return model.replaced(**{path[0]: value})
+    return model.replaced(**{path[0]: _put(getattr(model, path[0]), path[1:], value)})

@@ -1,0 +1,236 @@
+"""A joint that its valves drive, as an experiment: the recorded voltages are the input.
+
+The model runs by itself from the first sample on, effects and sensors included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.candidates import Candidate, candidates
+from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.free_parameters import FreeDirection, base_directions
+from pam_antagonist.inference.noise import block_noise
+from pam_antagonist.inference.trial import ANGLE, BLOCK, CHANNELS, PRESSURE_1, Trial, blocks
+from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.flow import quickest_lag, small_signal_lags
+
+Floats = NDArray[np.float64]
+
+_START_SAMPLES = 20
+_START_ANGLE = 1.7e-3
+"""[rad] How well a measured start angle is known, stiction and encoder step together."""
+_STARTS = 3
+"""Start values: the angle and both pressures."""
+_STRIDES = (4, 2)
+"""[samples] Steps in which derivatives are simulated, the longest first that goes the model's way."""
+_ASTRAY = 0.5
+"""A simulation in longer steps goes the model's way if no channel is off by more than so many noises (RMS)."""
+_TITLES = (
+    Channel("Angle", "°", 180.0 / np.pi),
+    Channel("Torque", "N m", 1.0),
+    Channel("Pressure 1", "kPa", 1e-3),
+    Channel("Pressure 2", "kPa", 1e-3),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ValveDriven(Experiment):
+    """A recording of a joint that its valves drive."""
+
+    @cached_property
+    def directions(self) -> tuple[FreeDirection, ...]:
+        """Free base directions."""
+        return base_directions(self.rig)
+
+    @cached_property
+    def channels(self) -> tuple[int, ...]:
+        """What was measured and can tell something, indices of ``CHANNELS``."""
+        return tuple(c for c in range(len(CHANNELS)) if self.trial.has(c))
+
+    @property
+    def titles(self) -> tuple[Channel, ...]:
+        """The channels' names and units."""
+        return tuple(_TITLES[c] for c in self.channels)
+
+    @cached_property
+    def measured(self) -> Floats:
+        """Block means of the measurements (B, C) of these channels."""
+        return blocks(self.trial.measured[:, list(self.channels)])
+
+    @cached_property
+    def noise(self) -> Floats:
+        """Standard deviation of a block mean by the sensor alone (C,)."""
+        return np.array([block_noise(self.trial.measured[:, c]) for c in self.channels])
+
+    @cached_property
+    def first(self) -> Start:
+        """What the recording starts from."""
+        return start_of(self.trial)
+
+    @cached_property
+    def start_std(self) -> Floats:
+        """How well the start is known (3,) [rad, Pa, Pa]."""
+        sensors = self.rig.sensors
+        pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))) / np.sqrt(BLOCK)
+        return np.array([0.0 if self.trial.joint == "locked" else _START_ANGLE, pressure, pressure])
+
+    def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+        """What could be wrong beside the effects that a model has already.
+
+        Args:
+            taken: values of the model's effects' parameters, by dotted path.
+        """
+        return candidates(taken)
+
+    def depends_on(self, k: int) -> bool:
+        """Whether anything that is compared depends on a base unknown."""
+        if self.trial.joint != "locked":
+            return True
+        if k < len(self.directions):
+            return not (self.directions[k].free_only and self.trial.lock_angle == 0.0)
+        return k != len(self.directions) + ANGLE
+
+    def simulated(self, point: Point, whole: bool = False) -> Floats:
+        """What the sensors would show (N, 4): in the part that is fitted, or in all of the recording."""
+        trial = self.trial if whole else self._part
+        return predict(trial, self.parameters(point), self.first, self.start_shift(point))
+
+    def states(self, point: Point) -> tuple[Floats, Floats]:
+        """States (N, n) and torques (N,) [N m] of the model over all of the recording."""
+        return run(self.trial, self.parameters(point), self.first, self.start_shift(point))
+
+    @cached_property
+    def _part(self) -> Trial:
+        return self.trial.part(0.0, self.fitted * self.trial.dt)
+
+    def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
+        """How the residual (B, C) changes from a point to others nearby.
+
+        Derivatives are most of what a fit works out, and need no steps as fine as the residual itself: theirs are
+        longer wherever the model in longer steps goes the same way.
+
+        Args:
+            point: where the residual is known.
+            residual: there (B, C).
+            moved: the others.
+        """
+        stride, here = self._longest_stride(point, residual)
+        lags, shortest = small_signal_lags(self.parameters(point)), stride * quickest_lag(self.vector)
+
+        def difference(there: Point) -> Floats:
+            # Longer steps follow no shorter lags than themselves: there, a lag that moves would seem to stay.
+            moved_lags = small_signal_lags(self.parameters(there))
+            unseen = (lags != moved_lags) & (np.minimum(lags, moved_lags) < shortest)
+            fine = stride == 1 or np.any(unseen)
+            return self.residual(there) - residual if fine else self._strided(there, stride) - here
+
+        return self.side_by_side(difference, moved)
+
+    def _longest_stride(self, point: Point, residual: Floats) -> tuple[int, Floats]:
+        """The longest steps [samples] in which the model goes its way at a point, and the residual in those."""
+        for stride in _STRIDES:
+            here = self._strided(point, stride)
+            if np.all(np.sqrt(np.mean((here - residual) ** 2, axis=0)) <= _ASTRAY * self.noise):
+                return stride, here
+        return 1, residual
+
+    @cached_property
+    def _in_strides(self) -> dict[int, Trial]:
+        return {stride: strides(self._part, stride) for stride in _STRIDES}
+
+    def _strided(self, point: Point, stride: int) -> Floats:
+        """The residual (B, C) simulated in longer steps [samples]."""
+        p = self.parameters(point)
+        # A joint must be able to stick within a step.
+        p[par.FRICTION_STEP] *= stride
+        simulated = predict(self._in_strides[stride], p, self.first, self.start_shift(point))[:, list(self.channels)]
+        return self.residual_of(stride_blocks(simulated, stride, self.fitted // BLOCK))
+
+
+@dataclass(frozen=True)
+class Start:
+    """What the sensors showed at the start of a recording: angle [rad], None where it was not measured, and
+    pressures (2,) [Pa]."""
+
+    angle: float | None
+    pressure: Floats
+
+
+def start_of(trial: Trial) -> Start:
+    """Means over the first samples of a recording."""
+    first = trial.measured[:_START_SAMPLES]
+    pressure = np.nanmean(first[:, PRESSURE_1:], axis=0)
+    if trial.joint == "locked":
+        return Start(trial.lock_angle, pressure)
+    known = first[np.isfinite(first[:, ANGLE]), ANGLE]
+    return Start(float(known.mean()) if known.size else None, pressure)
+
+
+def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> Floats:
+    """The model alone, from the start of a recording on.
+
+    Args:
+        trial: its voltages are used.
+        p: parameter vector.
+        start: what the sensors showed first; the added states start settled.
+        shift: deviation of the true start from that (3,) [rad, Pa, Pa].
+
+    Returns:
+        What the sensors would show (N, 4), in the order of ``trial.CHANNELS``.
+    """
+    states, torque = run(trial, p, start, shift)
+    return np.column_stack([states[:, 0], torque, *(sensor.reading(i, states[:, 2 + i], p) for i in (0, 1))])
+
+
+def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> tuple[Floats, Floats]:
+    """States (N, n) and torques (N,) [N m] of the same."""
+    moved = np.zeros(3) if shift is None else shift
+    pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
+    angle = rest.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
+    given = trial.voltage if trial.external is None else trial.given
+    x0 = rest.initial_state(angle, pressures[0], pressures[1], given[0], p)
+    states, torque = dynamics.course(x0, given, p, trial.dt, 1)
+    return states, torque
+
+
+def strides(trial: Trial, stride: int) -> Trial:
+    """A recording as a model in longer steps sees it: every so many-th sample, and the means of the inputs between.
+
+    Args:
+        trial: the recording.
+        stride: samples a step.
+    """
+    steps = (len(trial) - 1) // stride
+
+    def means(values: Floats) -> Floats:
+        # Row k holds over the step that ends at sample k.
+        cut = values[1 : 1 + steps * stride]
+        return np.concatenate([values[:1], np.add.reduceat(cut, np.arange(0, len(cut), stride)) / stride])
+
+    external = None if trial.external is None else means(np.nan_to_num(trial.external))
+    measured = trial.measured[: 1 + steps * stride : stride]
+    return replace(trial, dt=stride * trial.dt, voltage=means(trial.voltage), measured=measured, external=external)
+
+
+def stride_blocks(values: Floats, stride: int, count: int) -> Floats:
+    """What :func:`blocks` gives of the samples between as well, (count, C).
+
+    Args:
+        values: every stride-th sample (N, C).
+        stride: samples from one to the next, a divisor of a block's.
+        count: how many blocks.
+    """
+    steps = BLOCK // stride
+    missing = max(count * steps + 1 - len(values), 0)
+    values = np.concatenate([values, np.repeat(values[-1:], missing, axis=0)])
+    means = np.add.reduceat(values[: count * steps], np.arange(0, count * steps, steps)) / steps
+    ends = values[: count * steps + 1 : steps]
+    # A block's samples lie half a sample before the middle of its ends, the means half a stride.
+    return np.asarray(means + (0.5 - 0.5 / stride) / steps * np.diff(ends, axis=0))
