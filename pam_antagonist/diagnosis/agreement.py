@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.rigs import farthest_apart
 from pam_antagonist.diagnosis.select import STRONG, Model, evidence
-from pam_antagonist.inference.candidates import UNKNOWN_INPUT
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.model.effects import DISTURBANCE
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def of_effects(
     tasks = [
         (effect, r)
         for effect in found
-        if effect.name != UNKNOWN_INPUT and names.count(effect.name) == 1
+        if effect.name != DISTURBANCE and names.count(effect.name) == 1
         for r, experiment in enumerate(experiments)
         if experiment.trial.name not in effect.recordings
     ]

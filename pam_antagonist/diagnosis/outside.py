@@ -13,15 +13,15 @@ from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import STRONG, Model, evidence, price, recalibrated, select
 from pam_antagonist.diagnosis.shares import left_by
 from pam_antagonist.diagnosis.store import Store
-from pam_antagonist.inference.candidates import UNKNOWN_INPUT
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, parameter_path
 
 NOTE = (
     "a push is known only afterwards: the model alone cannot foresee it, and its errors stay; the estimator has it as "
     "a state"
 )
-_NOISE = f"effects.{UNKNOWN_INPUT}.noise"
+_NOISE = parameter_path(DISTURBANCE, CATALOGUE[DISTURBANCE].parameters[0].name)
 _CLEAN = 2.0
 """A recording in which nothing can push is that clean, in multiples of the noise."""
 _UNKNOWNS = 3
@@ -135,7 +135,7 @@ def _explanation(pushed: _Pushed, quiet: Model, model: Model, jobs: int) -> Expl
         _restless(fitted, noise) if noise else fitted for fitted, noise in zip(model.fits, pushed.noises, strict=True)
     )
     return Explanation(
-        Model((*model.effects, UNKNOWN_INPUT), fits),
+        Model((*model.effects, DISTURBANCE), fits),
         tuple(sorted((*laws, pushed.effect), key=lambda effect: -effect.delta_bic)),
         {**values, _NOISE: pushed.effect.parameters["noise"][0]},
         pushed.effect.holdout_gain,
@@ -196,7 +196,7 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Pushed
     # A root of a mean square over so many pushes is known to its inverse root.
     std = max(spread, noise / np.sqrt(2.0 * sum(push.episodes for push in seen.values())))
     effect = FoundEffect(
-        UNKNOWN_INPUT,
+        DISTURBANCE,
         None,
         {"noise": (noise, std, "N m/s^0.5")},
         evidence,

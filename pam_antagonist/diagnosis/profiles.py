@@ -11,10 +11,10 @@ from joblib import Parallel, delayed
 from pam_antagonist.diagnosis.findings import unknowns_of
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.select import Model
-from pam_antagonist.inference.candidates import UNKNOWN_INPUT
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
+from pam_antagonist.model.effects import DISTURBANCE
 
 _SHARES = (0.0, 0.5)
 """Of the size: what it takes to be called found."""
@@ -47,7 +47,7 @@ def profile_sizes(
     names = [experiment.trial.name for experiment in experiments]
     result = []
     for effect in found:
-        if effect.name == UNKNOWN_INPUT:
+        if effect.name == DISTURBANCE:
             continue
         free = [unknown for unknown in unknowns_of(model, effect.name) if unknown.item.is_size]
         sizes = [unknown for unknown in free if unknown.path.split(".")[2] in effect.parameters]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pam_antagonist.diagnosis.select import Model
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial, check
+from pam_antagonist.model.effects import CATALOGUE, Effect
 
 _FAR = 5.0
 _WORSE = 1.5
@@ -58,10 +59,8 @@ def unseen(trials: Sequence[Trial], invisible: Sequence[str] = ()) -> tuple[str,
     conditions = {trial.joint for trial in trials}
     said = []
     if "free" not in conditions:
-        said.append(
-            "The joint was locked throughout: friction, load torque, external torque and hysteresis in the length of a "
-            "muscle do not show."
-        )
+        moving = _listed(effect for effect in CATALOGUE.values() if effect.needs_motion)
+        said.append(f"The joint was locked throughout: {moving} do not show.")
     if "locked" not in conditions:
         said.append(
             "The joint moved throughout: an error of the force is told from friction and load only by their different "
@@ -70,9 +69,9 @@ def unseen(trials: Sequence[Trial], invisible: Sequence[str] = ()) -> tuple[str,
     if not any(trial.has(TORQUE) for trial in trials):
         said.append("No torque was measured: an error of the force shows only where it moves the joint.")
     if "free" in conditions and not any(trial.has(ANGLE) for trial in trials if trial.joint == "free"):
+        hidden = _listed(effect for effect in CATALOGUE.values() if effect.needs_angle)
         said.append(
-            "No angle was measured: of the motion only what it does to the pressures shows; friction, load torque, "
-            "external torque, hysteresis and creep are hardly seen."
+            f"No angle was measured: of the motion only what it does to the pressures shows; {hidden} are hardly seen."
         )
     if not any(trial.has(TORQUE) or trial.has(ANGLE) for trial in trials):
         said.append(
@@ -85,6 +84,11 @@ def unseen(trials: Sequence[Trial], invisible: Sequence[str] = ()) -> tuple[str,
             "That they were not found says nothing about them."
         )
     return tuple(said)
+
+
+def _listed(effects: Iterable[Effect]) -> str:
+    *others, last = (effect.title for effect in effects)
+    return f"{', '.join(others)} and {last}"
 
 
 def in_part(effects: Sequence[str]) -> str:

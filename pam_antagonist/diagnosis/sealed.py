@@ -28,7 +28,7 @@ from pam_antagonist.diagnosis.shares import held_share, left_by
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_session import tuned
-from pam_antagonist.inference.angle_driven import AIR, BALANCE, UNSEEN, AngleDriven
+from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
 from pam_antagonist.inference.trial import TORQUE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -182,7 +182,7 @@ def diagnose_sealed(
         errors=totals,
         by_recording=tuple(entries),
         remaining=remaining,
-        unseen=sealed_words.unseen(UNSEEN, any(trial.has(TORQUE) for trial in trials)),
+        unseen=sealed_words.unseen(any(trial.has(TORQUE) for trial in trials)),
         warnings=tuple(warnings),
         profiles=tuple(profiled),
         rig_recalibrated=models["recalibrated"],

@@ -18,6 +18,7 @@ from pam_antagonist.identification.sealed_session import refuse_moving_valves
 from pam_antagonist.inference.angle_driven import SLIDING, motion_of
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial, make_trial
+from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
@@ -25,7 +26,7 @@ from pam_antagonist.rig import Rig
 DRIVEN = "driven"
 _SHORTEST = 10.0
 """[s] What is fitted and what is held out must both hold a stretch of sliding and one of sticking."""
-_KEPT_EFFECTS = ("external_torque",)
+_KEPT_EFFECTS = (DISTURBANCE,)
 """Of a rig that declares effects: this one is how the estimator finds the torque; the others are to be found."""
 
 

@@ -7,35 +7,14 @@ from typing import Any
 
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.sealed_base import sweeps
+from pam_antagonist.diagnosis.sentence import in_words
 from pam_antagonist.inference.trial import Trial
-
-_FOUND = {
-    "friction": "something holds the joint back with the same torque at any speed ({size} N m, Coulomb friction)",
-    "hysteresis": "the force of the muscles depends on which way their length came (hysteresis)",
-    "creep": "the muscles give way slowly (creep)",
-    "leak": "{muscles} slowly lose air (leak)",
-    "thermal": "the gas warms and cools (thermal)",
-}
-_OR = {
-    "friction": "Coulomb friction of drive or joint would do as well as hysteresis",
-    "hysteresis": "hysteresis of the muscles that turns round within an encoder's step would do as well as friction",
-    "thermal": "gas that still cools from having been charged would do as well as a leak",
-    "leak": "a leak would do as well",
-    "creep": "creep of the muscles would do as well",
-}
-_TELLS = {
-    "friction": "drive the joint with half the torque, and again with another charge: friction of the drive keeps its "
-    "torque, hysteresis makes a smaller loop and grows with the pressure; or uncouple the drive and turn by hand",
-    "thermal": "leave the joint closed for ten minutes and record again: what is due to charging has died out then, a "
-    "leak goes on",
-    "creep": "hold the joint at one angle for a minute after a step: creep goes on, friction does not",
-}
-_TELLS_BY = {**_TELLS, "hysteresis": _TELLS["friction"], "leak": _TELLS["thermal"]}
+from pam_antagonist.model.effects import CATALOGUE, Effect
 
 
 def experiments(ambiguous: Sequence[str]) -> dict[str, str]:
     """For each effect that would do as well as a found one, what to record."""
-    return {name: _TELLS_BY[name] for name in ambiguous}
+    return {name: CATALOGUE[name].sealed.experiment or CATALOGUE[name].experiment for name in ambiguous}
 
 
 def few_sweeps(trials: Sequence[Trial], cuts: Sequence[int], least: int) -> list[str]:
@@ -55,8 +34,14 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def unseen(why: Mapping[str, str], with_torque: bool) -> tuple[str, ...]:
+def _instead(effect: Effect) -> str:
+    return effect.sealed.instead or f"{effect.title} would do as well"
+
+
+def unseen(with_torque: bool) -> tuple[str, ...]:
     """What no analysis of these recordings can show."""
+    why = {name: effect.sealed.reason for name, effect in CATALOGUE.items() if effect.sealed.part is None}
+    *others, last = (effect.title for effect in CATALOGUE.values() if effect.sealed.part == "balance")
     said = [
         "Of a sealed joint cannot be seen: " + "; ".join(f"{name} ({reason})" for name, reason in why.items()) + "."
     ]
@@ -64,7 +49,7 @@ def unseen(why: Mapping[str, str], with_torque: bool) -> tuple[str, ...]:
         "The torque from outside is what the drive was told to apply, not what a sensor measured: friction of the "
         "drive is in it."
         if with_torque
-        else "No torque from outside was recorded: friction, hysteresis and creep cannot be seen."
+        else f"No torque from outside was recorded: {', '.join(others)} and {last} cannot be seen."
     )
     return tuple(said)
 
@@ -87,7 +72,7 @@ def sentence(
             "Something is wrong that no effect of the catalogue explains: recalibrated, the model leaves "
             f"{_errors(errors, 'recalibrated')} on held-out data, well beyond the sensors' noise."
         )
-    what = "; and ".join(_in_words(effect) for effect in found)
+    what = "; and ".join(in_words(effect, sealed=True) for effect in found)
     before, after = errors["recalibrated"], errors["extended"]
     changes = []
     if after["torque"] is not None:
@@ -97,16 +82,9 @@ def sentence(
             changes[0] += f" (a straight-line map of angle and pressures: {reference['angle_and_pressures']:.2g})"
     means = [item["pressure"]["mean_rmse_pa"] / 1e3 for item in (before, after)]
     changes.append("that of the mean pressure from {:.2g} to {:.2g} kPa".format(*means))
-    doubts = "; ".join(_OR[name] for name in ambiguous)
+    doubts = "; ".join(_instead(CATALOGUE[name]) for name in ambiguous)
     text = f"{what[0].upper()}{what[1:]}. On data that no fit has seen the error falls: {', '.join(changes)}."
     return text + (f" Not told apart: {doubts}." if doubts else "")
-
-
-def _in_words(effect: FoundEffect) -> str:
-    muscles = "both muscles" if effect.muscle is None else f"muscle {effect.muscle}"
-    size = effect.parameters.get("coulomb", (0.0, 0.0, ""))[0]
-    text = _FOUND[effect.name].format(muscles=muscles, size=f"{size:.2g}")
-    return text if effect.muscle is None else text.replace("lose", "loses")
 
 
 def _errors(errors: Mapping[str, Mapping[str, Any]], model: str) -> str:

@@ -6,28 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pam_antagonist.diagnosis.result import FoundEffect, Ranked
-
-_WORDS = {
-    "hysteresis": "the force of the muscles depends on which way their length came (hysteresis)",
-    "leak": "air leaks from {muscle}",
-    "supply_droop": "the supply's pressure droops while air is drawn (supply_droop)",
-    "valve_lag": "{valve} follows its voltage late (valve_lag)",
-    "valve_offset": "the curve of {valve} is shifted (valve_offset)",
-    "line_resistance": "the line to {muscle} throttles the flow (line_resistance)",
-    "pressure_sensor": "the pressure sensor of {muscle} reads wrong (pressure_sensor)",
-    "load_torque": "something beside the muscles pulls at the joint (load_torque)",
-    "friction": "the joint's friction is of another kind (friction)",
-    "creep": "the muscles give way slowly (creep)",
-    "thermal": "the gas warms and cools (thermal)",
-    "external_torque": "something pushes the joint now and then (external_torque)",
-}
+from pam_antagonist.model.effects import CATALOGUE
 
 
-def in_words(effect: FoundEffect) -> str:
+def in_words(effect: FoundEffect, sealed: bool = False) -> str:
     """What an effect means."""
-    which = "both muscles" if effect.muscle is None else f"muscle {effect.muscle}"
-    valve = "both valves" if effect.muscle is None else f"valve {effect.muscle}"
-    return _WORDS[effect.name].format(muscle=which, valve=valve)
+    values = {name: value for name, (value, _, _) in effect.parameters.items()}
+    return CATALOGUE[effect.name].in_words(effect.muscle, values, sealed)
 
 
 def sentence(

@@ -9,11 +9,12 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.select import STRONG, Model
-from pam_antagonist.inference.candidates import UNKNOWN_INPUT, Candidate
+from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, solve
 from pam_antagonist.inference.trial import ANGLE
+from pam_antagonist.model.effects import DISTURBANCE
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ def invisible(experiments: Sequence[Experiment], base: Model, jobs: int) -> tupl
     count = len(pairs)
     out = [name for k, name in enumerate(names) if not any(shown[k * count : (k + 1) * count])]
     if not any(ANGLE in experiment.channels for experiment in experiments):
-        out.append(UNKNOWN_INPUT)
+        out.append(DISTURBANCE)
     return tuple(out)
 
 

@@ -113,7 +113,8 @@ def _of_states(p: np.ndarray, tuning: Tuning, period: float, locked: bool) -> tu
     for effect, state in ADDED_STATES:
         if state.name not in present:
             continue
-        noise = p[par.INDEX[parameter_path(effect, state.switch)]] if effect == "external_torque" else state.noise
+        named = isinstance(state.noise, str)
+        noise = float(p[par.INDEX[parameter_path(effect, str(state.noise))]] if named else state.noise)
         own = tuning.states.get(state.name, (state.initial_std**2, noise**2 * period))
         initial.append(own[0])
         process.append(own[1])

@@ -11,7 +11,7 @@ encoder moves the latter alone.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,28 +22,17 @@ from pam_antagonist._jit import kernel
 from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.excess import in_mean_squares
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
-from pam_antagonist.inference.free_parameters import FreeDirection, FreeEffectParameter
+from pam_antagonist.inference.free_parameters import FreeDirection
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, blocks
 from pam_antagonist.model import dynamics, joint, rest
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
+from pam_antagonist.model.effects import CATALOGUE
 
 Floats = NDArray[np.float64]
 
 AIR, BALANCE = "air", "balance"
-SEEN: Mapping[str, tuple[str, ...]] = {AIR: ("leak", "thermal"), BALANCE: ("friction", "hysteresis", "creep")}
-"""Effects that a part of a driven joint can show."""
-UNSEEN: Mapping[str, str] = {
-    "supply_droop": "no air is drawn",
-    "valve_lag": "no valve moves",
-    "valve_offset": "no valve moves",
-    "line_resistance": "no air passes the line",
-    "pressure_sensor": "an offset or gain looks like another charge or another slope of the volume",
-    "load_torque": "a constant torque or a spring looks like another force map or another stiffness",
-    "external_torque": "the torque from outside is what was applied",
-}
-"""The others, and why not."""
+"""Parts of a driven joint; each effect of the catalogue says which of them shows it."""
 
 _CORNER_HZ = 3.0
 _STRIDE = 4
@@ -52,9 +41,6 @@ _SMOOTH = 1e-6
 """[rad] White noise below which an angle needs no smoothing: its direction of motion shows as it is."""
 SLIDING = 0.02
 """[rad/s] Above it a joint slides (:mod:`pam_antagonist.identification.sealed`)."""
-_SLOW_LEAK = 1e-11
-"""[m²] A closed muscle loses a hundredth of its air in a minute by it; the catalogue's scale is for muscles with
-valves."""
 _STICKING_LEAST = 1e-9
 _CLEAR = 3.0
 """Standard deviations of its noise that a velocity must reach before it tells a direction."""
@@ -133,56 +119,6 @@ def motion_of(measured: Floats, dt: float) -> Motion:
     velocity = np.gradient(angle, dt)
     direction = velocity / np.hypot(velocity, max(_CLEAR * fuzzy, _STICKING_LEAST))
     return Motion(angle, velocity, np.gradient(velocity, dt), direction)
-
-
-@dataclass(frozen=True)
-class _Own(Candidate):
-    """A candidate with unknowns of its own choice."""
-
-    chosen: tuple[FreeEffectParameter, ...] = ()
-    start: tuple[dict[str, float], ...] = ()
-
-    @property
-    def free(self) -> tuple[FreeEffectParameter, ...]:
-        """Its numbers, sizes first."""
-        return self.chosen or super().free
-
-    def grid(self) -> list[dict[str, float]]:
-        """Shapes to try."""
-        return list(self.start) or super().grid()
-
-
-def _closed(item: EffectParameter) -> EffectParameter:
-    """A number of an effect as it may be for a closed joint whose base model does not hold it back."""
-    if item.unit == "m2":
-        return replace(item, scale=_SLOW_LEAK)
-    # Less than no friction at rest would take the joint's sticking away.
-    return replace(item, low=0.0) if item.name in ("coulomb", "stribeck") else item
-
-
-def _unknowns(effect: str, tied: bool, without: tuple[str, ...] = ()) -> _Own:
-    """A candidate whose sizes are the same for both muscles, or each muscle's own."""
-    groups: dict[str, list[str]] = {}
-    items = {item.name: _closed(item) for item in CATALOGUE[effect].parameters if item.name not in without}
-    for item in sorted(items.values(), key=lambda item: not item.is_size):
-        groups.setdefault(item.name[:-2] if tied and item.muscle else item.name, []).append(item.name)
-    return _Own(
-        effect,
-        tuple(
-            FreeEffectParameter(tuple(parameter_path(effect, name) for name in group), items[group[0]])
-            for group in groups.values()
-        ),
-    )
-
-
-_VARIANTS: Mapping[str, tuple[Candidate, ...]] = {
-    # Of a pressure that hardly falls, the law by which a leak depends on it does not show.
-    "leak": (_unknowns("leak", True, ("exponent",)), _unknowns("leak", False, ("exponent",))),
-    "thermal": (_unknowns("thermal", True), _unknowns("thermal", False)),
-    "friction": (_unknowns("friction", True, ("stribeck", "velocity")), _unknowns("friction", True)),
-    "hysteresis": (_Own("hysteresis", start=tuple({"effects.hysteresis.width": w} for w in (2e-4, 5e-4, 2e-3, 8e-3))),),
-    "creep": (_unknowns("creep", True),),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +216,12 @@ class AngleDriven(Experiment):
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """Effects that this part can show, beside those that a model has already; the simpler form of each first."""
         present = {path.split(".")[1] for path in taken}
-        return tuple(variant for name in SEEN[self.part] if name not in present for variant in _VARIANTS[name])
+        return tuple(
+            Candidate(name, form)
+            for name, effect in CATALOGUE.items()
+            if effect.sealed.part == self.part and name not in present
+            for form in effect.sealed.forms
+        )
 
     def driven(self, point: Point, whole: bool = False) -> tuple[Floats, Floats]:
         """Pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that the measured motion needs."""

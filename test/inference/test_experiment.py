@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.inference.candidates import UNKNOWN_INPUT, Candidate, candidates
+from pam_antagonist.inference.candidates import Candidate, candidates
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import base_directions
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.trial import BLOCK, blocks
 from pam_antagonist.inference.valve_driven import stride_blocks
-from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
 
 def test_noise_is_told_from_what_changes_between_samples() -> None:
@@ -139,11 +139,11 @@ def test_what_acts_from_the_first_sample_on_is_fitted(recorded, experiment_of, e
 
 
 def test_every_effect_but_the_unknown_input_is_a_candidate() -> None:
-    assert {c.effect for c in candidates({})} == set(CATALOGUE) - {UNKNOWN_INPUT}
+    assert {c.effect for c in candidates({})} == set(CATALOGUE) - {DISTURBANCE}
     assert "leak" not in {c.effect for c in candidates({"effects.leak.area_1": 1e-9})}
 
 
-@pytest.mark.parametrize("effect", sorted(set(CATALOGUE) - {UNKNOWN_INPUT}))
+@pytest.mark.parametrize("effect", sorted(set(CATALOGUE) - {DISTURBANCE}))
 def test_coordinates_go_there_and_back(effect: str) -> None:
     for unknown in Candidate(effect).free:
         value = unknown.item.scale

@@ -57,7 +57,7 @@ def test_parameters(name):
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_states(name):
     def row(state: AddedState) -> list[str]:
-        noise = "`noise`" if name == "external_torque" else f"{state.noise:g}"
+        noise = f"`{state.noise}`" if isinstance(state.noise, str) else f"{state.noise:g}"
         switches = " or ".join(f"`{name}`" for name in (state.switch, *state.further))
         return [f"`{state.name}`", state.unit, switches, f"{state.initial_std:g}", noise]
 
@@ -83,9 +83,11 @@ def applied(folder: Path) -> int:
         before = "".join(f"{line[1:]}\n" for line in lines if not line.startswith("+"))
         after = "".join(f"{line[1:]}\n" for line in lines if not line.startswith("-"))
         file = folder / path
-        source = file.read_text(encoding="utf-8")
-        assert source.count(before) == 1, f"{path}: these lines stand there {source.count(before)} times:\n{before}"
-        file.write_text(source.replace(before, after), encoding="utf-8")
+        source = file.read_text(encoding="utf-8") if before else ""
+        assert not before or source.count(before) == 1, (
+            f"{path}: these lines stand there {source.count(before)} times:\n{before}"
+        )
+        file.write_text(source.replace(before, after) if before else after, encoding="utf-8")
     return len(blocks)
 
 

@@ -1,0 +1,193 @@
+"""What an effect is made of.
+
+An effect is what a real rig may have beside equations (1) to (11). One file holds all that the package knows of it: its
+numbers, its states, its law, and what a report says of it. ``docs/effects.md`` shows a complete file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """A number of an effect.
+
+    Attributes:
+        name: as in a rig file; ends in ``_1`` or ``_2`` where each muscle has its own.
+        unit: of the value.
+        neutral: value of a rig that does not mention it; a *size* is 0 there, a *shape* (a time, a width) has a start.
+        low: least value that makes sense.
+        high: largest value.
+        scale: a value that is neither small nor large, for searches.
+        meaning: in words.
+        symbol: as in the documentation's equation, in LaTeX.
+    """
+
+    name: str
+    unit: str
+    neutral: float
+    low: float
+    high: float
+    scale: float
+    meaning: str
+    symbol: str = ""
+
+    @property
+    def is_size(self) -> bool:
+        """Whether the effect vanishes with this parameter: sizes are neutral at zero, shapes are not."""
+        return self.neutral == 0.0
+
+    @property
+    def muscle(self) -> int | None:
+        """1 or 2 where the parameter belongs to one muscle."""
+        return int(self.name[-1]) if self.name.endswith(("_1", "_2")) else None
+
+    @property
+    def family(self) -> str:
+        """Name without the muscle's number."""
+        return self.name[:-2] if self.muscle else self.name
+
+
+@dataclass(frozen=True)
+class AddedState:
+    """A state that an effect adds to [ψ, ψ̇, P_1, P_2].
+
+    Attributes:
+        name: of the state.
+        unit: of the state.
+        switch: the parameter (of this effect) whose value other than zero brings the state.
+        initial_std: how well it is known when a filter starts.
+        noise: process noise of a filter, standard deviation a square root of a second; or the name of the parameter
+            (of this effect) that says it.
+        further: other parameters (of this effect) that bring the state likewise.
+        symbol: as in the documentation's equation, in LaTeX.
+    """
+
+    name: str
+    unit: str
+    switch: str
+    initial_std: float
+    noise: float | str
+    further: tuple[str, ...] = ()
+    symbol: str = ""
+
+
+@dataclass(frozen=True)
+class Form:
+    """The numbers of an effect that a fit frees.
+
+    Attributes:
+        tied: whether both muscles have the same sizes.
+        without: parameters that stay at their neutral values, by name.
+        scale: other scales than the parameters' own, by name without the muscle's number.
+        low: other least values, likewise.
+        shapes: values of the shapes that a search starts from; empty for the usual grid about their scales.
+    """
+
+    tied: bool = False
+    without: tuple[str, ...] = ()
+    scale: Mapping[str, float] = field(default_factory=dict)
+    low: Mapping[str, float] = field(default_factory=dict)
+    shapes: tuple[Mapping[str, float], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SealedJoint:
+    """What a sealed joint that is moved by a drive can show of an effect.
+
+    Attributes:
+        part: what shows it: ``air`` (the pressures), ``balance`` (the torque that the motion needs), None for neither.
+        reason: why it does not show, where ``part`` is None.
+        forms: in which it is tried, the simplest first.
+        sentence: what a report says where it was found; default: the effect's own sentence.
+        instead: what a report says where it would explain as much as the one that was found.
+        experiment: which recording tells it from the others; default: the effect's own experiment.
+    """
+
+    part: Literal["air", "balance"] | None
+    reason: str = ""
+    forms: tuple[Form, ...] = (Form(),)
+    sentence: str = ""
+    instead: str = ""
+    experiment: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """An effect of the catalogue.
+
+    Attributes:
+        name: as in a rig file and in reports.
+        meaning: what happens, in a sentence.
+        law: its equation in words and symbols.
+        source: where the law comes from.
+        signature: which residual it moves, and how.
+        parameters: its numbers.
+        sentence: what a report says where it was found. ``{muscle}`` and ``{valve}`` become "muscle 1" or "both
+            muscles", ``{s}`` the ending of a verb, the name of a parameter its value.
+        experiment: which recording shows it best.
+        told_from: which recording tells it from another effect, by that one's name.
+        sealed: what a sealed joint can show of it.
+        states: the states that it adds.
+        form: in which a joint with valves is tried for it.
+        needs_motion: whether a locked joint does not show it.
+        needs_angle: whether it hardly shows without a measured angle.
+        deterministic: False for a disturbance that no law gives. A filter estimates it, and a diagnosis judges it by
+            its course.
+    """
+
+    name: str
+    meaning: str
+    law: str
+    source: str
+    signature: str
+    parameters: tuple[EffectParameter, ...]
+    sentence: str
+    experiment: str
+    sealed: SealedJoint
+    told_from: Mapping[str, str] = field(default_factory=dict)
+    states: tuple[AddedState, ...] = ()
+    form: Form = Form()
+    needs_motion: bool = False
+    needs_angle: bool = False
+    deterministic: bool = True
+
+    @property
+    def title(self) -> str:
+        """Name as words."""
+        return self.name.replace("_", " ")
+
+    def in_words(self, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
+        """What a report says where the effect was found.
+
+        Args:
+            muscle: 1 or 2, or None for both.
+            values: of its parameters, by name; those that are not there count as 0.
+            sealed: whether the joint is sealed.
+        """
+        which, valve = ("both muscles", "both valves") if muscle is None else (f"muscle {muscle}", f"valve {muscle}")
+        text = (self.sealed.sentence if sealed else "") or self.sentence
+        numbers = {item.name: f"{values.get(item.name, 0.0):.2g}" for item in self.parameters}
+        return text.format(**numbers, muscle=which, valve=valve, s="" if muscle is None else "s")
+
+
+def per_muscle(
+    name: str, unit: str, low: float, high: float, scale: float, meaning: str, symbol: str = ""
+) -> tuple[EffectParameter, ...]:
+    """A size that each muscle has; arguments as of :class:`EffectParameter`."""
+    return tuple(
+        EffectParameter(f"{name}_{i}", unit, 0.0, low, high, scale, f"{meaning} of muscle {i}", f"{symbol}_{i}")
+        for i in (1, 2)
+    )
+
+
+def state_per_muscle(
+    name: str, unit: str, switch: str, initial_std: float, noise: float, *further: str, symbol: str = ""
+) -> tuple[AddedState, ...]:
+    """A state that each muscle has; arguments as of :class:`AddedState`, ``switch`` without the muscle's number."""
+    return tuple(
+        AddedState(f"{name}_{i}", unit, f"{switch}_{i}", initial_std, noise, further, f"{symbol}_{i}") for i in (1, 2)
+    )

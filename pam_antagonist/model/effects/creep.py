@@ -1,0 +1,52 @@
+r"""Creep of a muscle.
+
+```math
+F_i = F + c_i - y_i,\qquad \dot c_i = (y_i - c_i)/T,\qquad y_i = \varphi_i F - \kappa\, l_i,\qquad F = F(l_i, P_i).
+```
+
+$y_i$ is what of the force is borne by parts that give way: a share of the whole, and a spring of the tube's own that
+does not depend on the pressure. Of a step of $F$ the share $1 - \varphi$ comes at once, the rest with the time
+constant $T$; a step of the length is opposed by $\kappa\,\Delta l$ at first. Where `hysteresis` is there too, its
+part does not creep.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import (
+    Effect,
+    EffectParameter,
+    Form,
+    SealedJoint,
+    per_muscle,
+    state_per_muscle,
+)
+
+EFFECT = Effect(
+    name="creep",
+    meaning="The muscle gives way slowly after its load or its length has changed: rubber relaxes.",
+    law="F_i gains c_i − y_i, dc_i/dt = (y_i − c_i)/T, with y_i = φ_i F_i − κ l_i",
+    source="standard linear solid (Zener): a share φ of the whole force, and the stiffness κ of the tube, which does "
+    "not depend on the pressure; for muscles: Vo-Minh et al. (2011)",
+    signature="Torque and rest angle drift for seconds after a step while the pressures stand; with κ alone, of a "
+    "moving joint only.",
+    parameters=(
+        *per_muscle("share", "-", -0.5, 0.5, 0.02, "share of a change of force that comes late", symbol=r"\varphi"),
+        EffectParameter(
+            "stiffness", "N/m", 0.0, -2000.0, 2000.0, 50.0, "stiffness of a muscle that relaxes", r"\kappa"
+        ),
+        EffectParameter("time", "s", 4.0, 0.2, 60.0, 4.0, "time constant", "T"),
+    ),
+    states=state_per_muscle("creep", "N", "share", 3.0, 1e-2, "stiffness", symbol="c"),
+    sentence="the muscles give way slowly (creep)",
+    experiment="step the angle and hold for 60 s",
+    told_from={
+        "thermal": "lock the joint, step the pressure and wait: warmth moves the pressures, creep only the torque",
+    },
+    sealed=SealedJoint(
+        part="balance",
+        forms=(Form(tied=True),),
+        instead="creep of the muscles would do as well",
+        experiment="hold the joint at one angle for a minute after a step: creep goes on, friction does not",
+    ),
+    needs_angle=True,
+)

@@ -1,0 +1,41 @@
+r"""Friction beside that of equation (10).
+
+```math
+T_c = T_s + T_p + c + d\,e^{-|\dot\psi|/v}\ \ge 0
+```
+
+in the place of $T_s + T_p$ in (10). At rest the joint sticks within $\pm(T_s + T_p + c + d)$.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, SealedJoint
+
+# Less than no friction at rest would take the joint's sticking away.
+_LEAST = {"coulomb": 0.0, "stribeck": 0.0}
+
+EFFECT = Effect(
+    name="friction",
+    meaning="Friction of another kind than (10): constant, or larger at rest than in motion.",
+    law="T_s + T_p gains c + d exp(−|ψ̇|/v)",
+    source="Coulomb and Stribeck; Tondu and Lopez (2000)",
+    signature="Joint sticks longer or shorter than it should; flow and locked torque as they should be.",
+    parameters=(
+        EffectParameter("coulomb", "N m", 0.0, -0.5, 2.0, 0.02, "constant Coulomb torque", "c"),
+        EffectParameter("stribeck", "N m", 0.0, -0.5, 2.0, 0.02, "further torque at rest", "d"),
+        EffectParameter("velocity", "rad/s", 0.3, 0.01, 10.0, 0.3, "velocity over which that fades", "v"),
+    ),
+    sentence="the joint's friction is of another kind (friction)",
+    experiment="move the joint slowly and fast through the same angles at constant pressures",
+    sealed=SealedJoint(
+        part="balance",
+        forms=(Form(without=("stribeck", "velocity"), low=_LEAST), Form(low=_LEAST)),
+        sentence="something holds the joint back with the same torque at any speed ({coulomb} N m, Coulomb friction)",
+        instead="Coulomb friction of drive or joint would do as well as hysteresis",
+        experiment="drive the joint with half the torque, and again with another charge: friction of the drive keeps "
+        "its torque, hysteresis makes a smaller loop and grows with the pressure; or uncouple the drive and turn by "
+        "hand",
+    ),
+    needs_motion=True,
+    needs_angle=True,
+)

@@ -1,0 +1,54 @@
+r"""Hysteresis of the contraction force.
+
+```math
+F_i = F(l_i, P_i) + a_i z_i,\qquad
+\dot z_i = \frac{1}{s}\left[\dot l_i - \tfrac12\left(|\dot l_i|\, z_i + \dot l_i\, |z_i|\right)\right].
+```
+
+$z_i$ stays within ±1 and goes to +1 while the muscle gets longer: it then pulls harder by $a_i$, and less by $a_i$
+while it gets shorter. The width of the loop in force is $2 a_i$. Only $dz/dl$ enters, so the speed does not matter; a
+cycle costs the work $\oint F\,dl > 0$ for $a_i > 0$.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import (
+    Effect,
+    EffectParameter,
+    Form,
+    SealedJoint,
+    per_muscle,
+    state_per_muscle,
+)
+
+EFFECT = Effect(
+    name="hysteresis",
+    meaning="The contraction force depends on which way the length came: braid and tube rub while they move.",
+    law="F_i gains a_i z_i, dz_i/dt = (dl_i/dt − (|dl_i/dt| z_i + dl_i/dt |z_i|)/2)/s",
+    source="Bouc (1967), Wen (1976), with A = 1, β = γ = 1/2, n = 1; for muscles: Vo-Minh et al. (2011)",
+    signature="Torque and rest angle differ between shortening and lengthening, at any speed.",
+    parameters=(
+        *per_muscle("amplitude", "N", -60.0, 60.0, 4.0, "half the width of the force's loop", symbol="a"),
+        EffectParameter("width", "m", 2e-3, 2e-4, 2e-2, 2e-3, "length over which the force turns round", "s"),
+    ),
+    states=state_per_muscle("hysteresis", "-", "amplitude", 0.5, 1e-4, symbol="z"),
+    sentence="the force of the muscles depends on which way their length came (hysteresis)",
+    experiment="turn the joint slowly to and fro at constant pressures and plot torque over angle",
+    told_from={
+        "friction": "turn the joint by hand with both muscles vented: friction of the shaft stays, hysteresis of the "
+        "muscles goes with the pressure",
+        "creep": "turn the joint by the same way slowly and fast: hysteresis gives the same loop, creep does not",
+    },
+    # Both lengths move as one, and so do their loops: the share of each muscle does not show.
+    form=Form(tied=True),
+    sealed=SealedJoint(
+        part="balance",
+        forms=(Form(tied=True, shapes=tuple({"width": width} for width in (2e-4, 5e-4, 2e-3, 8e-3))),),
+        instead="hysteresis of the muscles that turns round within an encoder's step would do as well as friction",
+        experiment="drive the joint with half the torque, and again with another charge: friction of the drive keeps "
+        "its torque, hysteresis makes a smaller loop and grows with the pressure; or uncouple the drive and turn by "
+        "hand",
+    ),
+    needs_motion=True,
+    needs_angle=True,
+)

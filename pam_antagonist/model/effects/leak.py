@@ -1,0 +1,48 @@
+r"""A leak from a muscle to the atmosphere.
+
+```math
+m_i = m_i^{(5)} - A_i \left(\frac{P_i - P_{out}}{350\,\mathrm{kPa}}\right)^{n-1} q(P_i, P_{out}),
+```
+
+with the orifice flow $q$ of (5). With $n = 1$ the leak is an orifice. A fine crack or capillary resists by viscosity,
+and its flow grows with nearly the square of the pressure: $n$ up to 2. The leak is in the muscle: what escapes does
+not pass the line of `line_resistance`.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, SealedJoint, per_muscle
+
+_SLOW = 1e-11
+"""[m²] A closed muscle loses a hundredth of its air in a minute by it; the usual scale is for muscles with valves."""
+
+EFFECT = Effect(
+    name="leak",
+    meaning="Air escapes from a muscle to the atmosphere past the valve.",
+    law="m_i loses A_i ((P_i − P_out)/350 kPa)^(n − 1) times the orifice flow (5) from P_i to P_out",
+    source="ideal orifice, as equation (5), for n = 1; a fine crack or capillary, whose flow is viscous, up to n = 2",
+    signature="Mass flow of one muscle too low, the more the higher its pressure; steady pressures below the curve's.",
+    parameters=(
+        *per_muscle("area", "m2", 0.0, 5e-8, 1e-9, "area of the leak", symbol="A"),
+        EffectParameter("exponent", "-", 1.0, 0.6, 3.0, 1.0, "power of the gauge pressure beside an orifice's", "n"),
+    ),
+    sentence="air leaks from {muscle}",
+    experiment="close the valves under pressure and watch the pressures for a minute",
+    told_from={
+        "valve_offset": "close the valves (or plug the muscle) under pressure: only a leak goes on",
+        "pressure_sensor": "close the valves under pressure: a leak falls to the atmosphere, a wrong sensor stands "
+        "still",
+    },
+    sealed=SealedJoint(
+        part="air",
+        # Of a pressure that hardly falls, the law by which a leak depends on it does not show.
+        forms=(
+            Form(tied=True, without=("exponent",), scale={"area": _SLOW}),
+            Form(without=("exponent",), scale={"area": _SLOW}),
+        ),
+        sentence="{muscle} slowly lose{s} air (leak)",
+        instead="a leak would do as well",
+        experiment="leave the joint closed for ten minutes and record again: what is due to charging has died out "
+        "then, a leak goes on",
+    ),
+)

@@ -1,0 +1,35 @@
+r"""A torque on the joint beside the muscles'.
+
+```math
+J\ddot\psi = \tau + b + a\,\sin\psi - T_f - k_s\psi .
+```
+
+(For a pulley $\psi$ takes the place of $\sin\psi$, as in (2).) A spring about the joint is $a < 0$; a limb that hangs
+down, $a < 0$; one that stands up, $a > 0$. $\tau$, which is measured and estimated, remains the muscles' torque (9).
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoint
+
+EFFECT = Effect(
+    name="load_torque",
+    meaning="Something beside the muscles pulls at the joint always: a limb's weight, a spring.",
+    law="τ gains b + a sin ψ on the joint's side; a torque meter on the muscles does not see it",
+    source="rigid body under gravity",
+    signature="Joint motion and rest angle off; torque of a locked joint and pressures as they should be.",
+    parameters=(
+        EffectParameter("constant", "N m", 0.0, -3.0, 3.0, 0.05, "torque at angle 0", "b"),
+        EffectParameter("sine", "N m", 0.0, -10.0, 10.0, 0.1, "torque that grows with the sine of the angle", "a"),
+    ),
+    sentence="something beside the muscles pulls at the joint (load_torque)",
+    experiment="move the joint slowly through its range with the load taken off",
+    told_from={
+        "friction": "approach the same pressures from both sides: a load shifts both rest angles alike, friction apart",
+    },
+    sealed=SealedJoint(
+        part=None, reason="a constant torque or a spring looks like another force map or another stiffness"
+    ),
+    needs_motion=True,
+    needs_angle=True,
+)

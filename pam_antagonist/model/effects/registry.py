@@ -1,0 +1,141 @@
+"""The catalogue of effects: the built-in ones, and those that installed packages add.
+
+A package adds an effect by an entry point of the group ``pam_antagonist.effects``, whose value names the module or the
+:class:`~pam_antagonist.model.effects.base.Effect`. The order of the catalogue is the order in which states follow
+P_2 and in which what effects add is summed: the built-in ones first, then those of packages by their names.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from importlib.metadata import entry_points
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects.base import AddedState, Effect
+
+GROUP = "pam_antagonist.effects"
+"""Group of the entry points by which packages add effects."""
+BUILT_IN = (
+    "hysteresis",
+    "leak",
+    "supply_droop",
+    "valve_lag",
+    "valve_offset",
+    "line_resistance",
+    "pressure_sensor",
+    "load_torque",
+    "friction",
+    "creep",
+    "thermal",
+    "external_torque",
+)
+"""Files of this folder, in the catalogue's order."""
+
+
+def parameter_path(effect: str, name: str) -> str:
+    """Dotted path of an effect's parameter, as in a rig file."""
+    return f"effects.{effect}.{name}"
+
+
+def effect_in(module: str, name: str = "EFFECT") -> Effect:
+    """The effect that a module holds.
+
+    Args:
+        module: its dotted name.
+        name: of the variable.
+
+    Raises:
+        BadInput: no such module or variable, or none that is an :class:`Effect`.
+    """
+    try:
+        found = getattr(import_module(module), name)
+    except Exception as error:
+        raise BadInput(f"effect {module}:{name}: {type(error).__name__}: {error}") from error
+    if not isinstance(found, Effect):
+        raise BadInput(f"effect {module}:{name}: {type(found).__name__}, expected an Effect")
+    return found
+
+
+def catalogue(effects: Iterable[Effect]) -> dict[str, Effect]:
+    """Effects by name.
+
+    Raises:
+        BadInput: an effect that is not complete, or a name that is taken.
+    """
+    result: dict[str, Effect] = {}
+    states: dict[str, str] = {}
+    for effect in effects:
+        complaint = _incomplete(effect)
+        if effect.name in result:
+            complaint = "this name is taken by another effect"
+        for state in effect.states:
+            if state.name in states:
+                complaint = f"the state {state.name!r} is taken by effect {states[state.name]!r}"
+            states[state.name] = effect.name
+        if not effect.deterministic and any(not other.deterministic for other in result.values()):
+            complaint = "a second effect that is not deterministic: a diagnosis could not tell it from the first"
+        if complaint:
+            raise BadInput(f"effect {effect.name!r}: {complaint}")
+        result[effect.name] = effect
+    return result
+
+
+def _incomplete(effect: Effect) -> str:
+    """What an effect lacks, in one line; empty where nothing is wrong."""
+    if not effect.name.isidentifier():
+        return "expected a name of letters, digits and underscores"
+    for what in ("meaning", "law", "source", "signature", "sentence", "experiment"):
+        if not getattr(effect, what).strip():
+            return f"{what} is empty: expected what Effect's documentation says of it"
+    names = [item.name for item in effect.parameters]
+    if len(set(names)) != len(names):
+        return f"parameters {', '.join(names)}: expected different names"
+    if not any(item.is_size for item in effect.parameters):
+        return "no parameter is neutral at 0: expected a size with which the effect vanishes"
+    for item in effect.parameters:
+        if not item.low <= item.neutral <= item.high or not item.low <= item.scale <= item.high or item.scale <= 0.0:
+            return (
+                f"{item.name}: bounds {item.low:g} to {item.high:g}, expected ones that hold the neutral value, "
+                f"{item.neutral:g}, and the scale, {item.scale:g}, which is above 0"
+            )
+        if not item.meaning or not item.unit:
+            return f"{item.name}: expected a meaning and a unit ('-' for none)"
+    for state in effect.states:
+        for name in (state.switch, *state.further, *([state.noise] if isinstance(state.noise, str) else [])):
+            if name not in names:
+                close = difflib.get_close_matches(name, names, 1)
+                return f"state {state.name}: unknown parameter {name!r}" + (f", {close[0]!r}?" if close else "")
+    if effect.sealed.part is None and not effect.sealed.reason:
+        return "sealed: expected the part of a sealed joint that shows it, or the reason why none does"
+    try:
+        effect.in_words(None, {})
+        effect.in_words(1, {}, sealed=True)
+    except (KeyError, ValueError, IndexError) as error:
+        return f"sentence: {error} is no parameter of it, nor muscle, valve or s"
+    return ""
+
+
+def _all() -> Iterable[Effect]:
+    for name in BUILT_IN:
+        yield effect_in(f"{__package__}.{name}")
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        yield effect_in(point.module, point.attr or "EFFECT")
+
+
+CATALOGUE: Mapping[str, Effect] = catalogue(_all())
+"""All effects by name."""
+
+ADDED_STATES: tuple[tuple[str, AddedState], ...] = tuple(
+    (effect.name, state) for effect in CATALOGUE.values() for state in effect.states
+)
+"""Every state that effects can add, with the effect's name, in the order in which they follow P_2."""
+
+DISTURBANCE = next(effect.name for effect in CATALOGUE.values() if not effect.deterministic)
+"""The effect that no law gives: the disturbance torque, which a filter estimates."""
+
+
+def experiment_between(effect: str, other: str) -> str | None:
+    """Which recording tells two effects apart, by their names; None where neither entry knows one."""
+    return CATALOGUE[effect].told_from.get(other) or CATALOGUE[other].told_from.get(effect)

@@ -1,0 +1,36 @@
+r"""A supply whose pressure falls while air is drawn.
+
+```math
+P_{tank} \to P_{tank} + s,\qquad
+\dot s = -c\,(m_{in,1} + m_{in,2}) - s/T,\qquad
+m_{in,i} = A_0\,\alpha_i\, q(P_{tank}+s, P_i).
+```
+
+A valve of this kind goes on drawing $m_{in}$ in the steady state, where as much flows out. So the supply does not
+come back wholly: it stays low by $cT$ times that flow.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter, SealedJoint
+
+EFFECT = Effect(
+    name="supply_droop",
+    meaning="The tank's pressure falls while air is drawn from it and recovers with time.",
+    law="P_tank gains s, ds/dt = −c (m_in,1 + m_in,2) − s/T",
+    source="isothermal tank behind a regulator, first order",
+    signature="Inflow of both muscles too low while either fills; steady pressures low by what the valves go on "
+    "drawing.",
+    parameters=(
+        EffectParameter("stiffness", "Pa/kg", 0.0, 0.0, 5e10, 2e8, "fall of the supply a kilogram drawn from it", "c"),
+        EffectParameter("time", "s", 0.5, 0.02, 20.0, 0.5, "time constant of its recovery", "T"),
+    ),
+    states=(AddedState("supply", "Pa", "stiffness", 1e3, 10.0, symbol="s"),),
+    sentence="the supply's pressure droops while air is drawn (supply_droop)",
+    experiment="record the pressure of the tank as well",
+    told_from={
+        "line_resistance": "fill one muscle while the other is held: a drooping supply shows in both pressures, a line "
+        "in one",
+    },
+    sealed=SealedJoint(part=None, reason="no air is drawn"),
+)

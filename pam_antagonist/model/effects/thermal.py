@@ -1,0 +1,42 @@
+r"""Warmth of the gas.
+
+```math
+\dot P_i = \dot P_i^{(4)} - q_i/T,\qquad \dot q_i = \chi_i\,\dot P_i^{(4)} - q_i/T .
+```
+
+$q_i$ is the part of the pressure that the gas holds because it is warmer than its surroundings. A closed muscle ends
+$q_i$ lower; at rest $q_i = 0$ and nothing is changed.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import (
+    Effect,
+    EffectParameter,
+    Form,
+    SealedJoint,
+    per_muscle,
+    state_per_muscle,
+)
+
+EFFECT = Effect(
+    name="thermal",
+    meaning="The gas warms when it is compressed and cools with time, so the pressure goes on moving.",
+    law="dP_i/dt loses q_i/T, dq_i/dt = χ_i dP_i/dt|(4) − q_i/T",
+    source="first-order heat exchange with the wall about the polytropic law (4)",
+    signature="Pressure relaxes for seconds after each filling and emptying, against its change.",
+    parameters=(
+        *per_muscle("share", "-", -0.5, 0.9, 0.05, "share of a change of pressure that is warmth", symbol=r"\chi"),
+        EffectParameter("time", "s", 1.0, 0.05, 30.0, 1.0, "time constant of the heat exchange", "T"),
+    ),
+    states=state_per_muscle("warmth", "Pa", "share", 500.0, 20.0, symbol="q"),
+    sentence="the gas warms and cools (thermal)",
+    experiment="lock the joint, step the pressure and hold for 30 s",
+    sealed=SealedJoint(
+        part="air",
+        forms=(Form(tied=True), Form()),
+        instead="gas that still cools from having been charged would do as well as a leak",
+        experiment="leave the joint closed for ten minutes and record again: what is due to charging has died out "
+        "then, a leak goes on",
+    ),
+)

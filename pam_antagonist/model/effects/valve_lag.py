@@ -1,0 +1,36 @@
+r"""A valve that follows its voltage late.
+
+```math
+\dot\alpha_i = \frac{\mathrm{sat}_w\big(\alpha_i^* - \alpha_i\big)}{w\,T_i},\qquad
+\mathrm{sat}_w(e) = \min(\max(e, -w), w).
+```
+
+$\alpha_i^*$ is the open rate that the voltage asks for: $\kappa(u_i)$, or what `valve_offset` makes of it. With $w =
+1$ nothing is ever limited, and $T_i$ is the time constant. Otherwise the valve's full speed is $1/T_i$, so that a
+full stroke takes $T_i$, and its last part $w$ is a lag with the time constant $w\,T_i$ (or half a step of the
+integration, where that is longer).
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoint, per_muscle, state_per_muscle
+
+EFFECT = Effect(
+    name="valve_lag",
+    meaning="The valve follows its voltage late: with a delay of first order, and no quicker than it can.",
+    law="dα_i/dt = (κ(u_i) − α_i)/(w T_i), at most 1/T_i either way",
+    source="first-order spool whose drive saturates: the small-signal and the full-stroke time of data sheets",
+    signature="Mass flow wrong for milliseconds after each change of voltage, nothing in the steady state.",
+    parameters=(
+        *per_muscle("time", "s", 0.0, 2.0, 0.01, "time constant, or of a full stroke, of the valve", symbol="T"),
+        EffectParameter("reach", "-", 1.0, 1e-2, 1.0, 0.05, "lag of the open rate from which on speed is full", "w"),
+    ),
+    states=state_per_muscle("open_rate", "-", "time", 0.02, 1e-4, symbol=r"\alpha"),
+    sentence="{valve} follows its voltage late (valve_lag)",
+    experiment="step one valve by 1 V every 0.2 s",
+    told_from={
+        "line_resistance": "step the valve at different pressures: a lag is the same, what a line adds grows with the "
+        "flow",
+    },
+    sealed=SealedJoint(part=None, reason="no valve moves"),
+)

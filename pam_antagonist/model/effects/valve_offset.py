@@ -1,0 +1,35 @@
+r"""A valve whose curve is shifted.
+
+```math
+\alpha_i = \min\big(\max(\kappa(u_i - \delta_i) + \rho_i,\, 0),\, 1\big).
+```
+
+With $\delta_i > 0$ the valve needs so much more voltage; an offset of its electronics of $-0.2$ V is $\delta = 0.2$
+V. It is the curve of the rig file shifted to the right by $\delta_i$ (`test_effects_air.py`). A spool or seat whose
+zero stands elsewhere opens by $\rho_i$ more at every voltage: the same curve shifted upwards, but that no valve opens
+further than wholly. Where the curve is straight the two are one, $\rho = -\kappa'\,\delta$; what tells them apart is
+how its slope changes. A valve with a lag (`valve_lag`) follows the shifted curve.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import Effect, SealedJoint, per_muscle
+
+EFFECT = Effect(
+    name="valve_offset",
+    meaning="The valve's curve is shifted: along the voltage, along the open rate, or both.",
+    law="α_i = κ(u_i − δ_i) + ρ_i, within 0 and 1",
+    source="null shift of a proportional valve: of its electronics δ, of its spool or seat ρ",
+    signature="Steady pressure of one muscle off as by another voltage: by δ most where the curve is steep, by ρ "
+    "everywhere.",
+    parameters=(
+        *per_muscle("voltage", "V", -2.0, 2.0, 0.1, "shift of the curve along the voltage", symbol=r"\delta"),
+        *per_muscle("open_rate", "-", -0.1, 0.1, 0.01, "shift of the curve along the open rate", symbol=r"\rho"),
+    ),
+    sentence="the curve of {valve} is shifted (valve_offset)",
+    experiment="hold each of six voltages for 10 s: the steady pressures tell it",
+    told_from={
+        "pressure_sensor": "vent the muscle and read the sensor at the atmosphere's pressure",
+    },
+    sealed=SealedJoint(part=None, reason="no valve moves"),
+)
