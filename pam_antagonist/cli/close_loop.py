@@ -91,7 +91,7 @@ def _main(argv: Sequence[str] | None) -> int:
     if kept.exists() and not arguments.resume:
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
     share, bags = _split(arguments.holdout)
-    recordings = given.read(arguments, bags)
+    recordings = given.read(arguments, rig, bags)
     fitted, held_out = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
     hashes = [bag_hash(recording.path) for recording in recordings]
     holdout = [bag_name(recording.path) for recording in held_out] or share

@@ -78,7 +78,7 @@ def _main(argv: Sequence[str] | None) -> int:
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig)
     common.lock_angle(arguments)
-    recordings = _read(arguments)
+    recordings = _read(arguments, rig)
     if rig.valves.sealed:
         return _sealed(arguments, rig, recordings)
     for recording, _, name in recordings:
@@ -158,8 +158,8 @@ def _fitted(recordings: Sequence[_Given], held_from: Sequence[float]) -> list[st
     ]
 
 
-def _read(arguments: argparse.Namespace) -> list[_Given]:
-    recordings = given.read(arguments)
+def _read(arguments: argparse.Namespace, rig: Rig) -> list[_Given]:
+    recordings = given.read(arguments, rig)
     for text in given.damage(arguments, recordings):
         print(textwrap.fill(f"! {text}", 100, subsequent_indent="  "))
     return [

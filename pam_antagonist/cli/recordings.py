@@ -7,9 +7,11 @@ import webbrowser
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from pam_antagonist.checks import SHORTEST, check_recording
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import Recording, bag_hash, read_bag
+from pam_antagonist.recording import Recording, bag_hash, corrections, read_bag
+from pam_antagonist.rig import Rig
 
 
 def add_bags(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +35,7 @@ def add_names_and_report(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
     parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
     common.add_recover(parser)
+    add_corrections(parser)
     parser.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
     parser.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
 
@@ -66,11 +69,42 @@ def seed(text: str) -> int:
     return int(text)
 
 
-def read(arguments: argparse.Namespace, further: Sequence[Path] = ()) -> list[Recording]:
-    """The bags of :func:`add_bags`, and others behind them.
+def add_corrections(parser: argparse.ArgumentParser) -> None:
+    """The options that correct a recording, and ``--no-check``."""
+    corrections.add_options(parser)
+    parser.add_argument("--no-check", action="store_true", help="go on with a recording that seems to be wrong")
+
+
+def refuse_wrong(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> None:
+    """Refuse a recording that is certainly not what it is taken for; ``--no-check`` goes on all the same.
+
+    Args:
+        recording: read with the corrections that were asked for.
+        rig: the rig.
+        arguments: of a command with :func:`add_corrections`.
 
     Raises:
-        BadInput: a bag that cannot be read, or the same one twice.
+        BadInput: what is wrong, and what to type.
+    """
+    if arguments.no_check or recording.duration_s < SHORTEST:
+        return
+    checked = check_recording(recording, rig, arguments.joint, arguments.lock_angle)
+    if checked.wrong:
+        first = checked.wrong[0]
+        todo = f"type {' '.join(first.options)}" if first.options else "correct that"
+        raise BadInput(f"{recording.path}: {first.text}; {todo}, or --no-check to go on as it is (see check --help)")
+
+
+def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) -> list[Recording]:
+    """The bags of :func:`add_bags`, and others behind them, corrected as asked and checked against the rig.
+
+    Args:
+        arguments: of the command.
+        rig: the rig that they are said to be of.
+        further: other bags.
+
+    Raises:
+        BadInput: a bag that cannot be read, or the same one twice, or a recording that is certainly wrong.
     """
     names = common.topics(arguments)
     bags = [*arguments.bags, *further]
@@ -81,6 +115,7 @@ def read(arguments: argparse.Namespace, further: Sequence[Path] = ()) -> list[Re
             namespace=arguments.namespace,
             joint_name=arguments.joint_name,
             recover=arguments.recover,
+            corrections=corrections.from_options(arguments),
         )
         for bag in bags
     ]
@@ -88,6 +123,8 @@ def read(arguments: argparse.Namespace, further: Sequence[Path] = ()) -> list[Re
     for k, value in enumerate(hashes):
         if value in hashes[:k]:
             raise BadInput(f"{bags[k]}: the same recording as {bags[hashes.index(value)]}")
+    for recording in recordings:
+        refuse_wrong(recording, rig, arguments)
     return recordings
 
 

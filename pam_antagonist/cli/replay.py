@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.cli import common
-from pam_antagonist.recording import read_bag
+from pam_antagonist.cli import recordings as given
+from pam_antagonist.recording import corrections, read_bag
 from pam_antagonist.report import replay as replaying
 from pam_antagonist.report import replay_tables, terminal, words
 from pam_antagonist.report.replay_page import write_report
@@ -52,6 +53,7 @@ def parser() -> common.Parser:
         help="of a bag whose clock was set back: refuse it, or read what came after the last time (default: refuse)",
     )  # fmt: skip
     common.add_recover(out)
+    given.add_corrections(out)
     out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
     out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
     return out
@@ -90,7 +92,9 @@ def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Name
         joint_name=arguments.joint_name,
         restarts=arguments.restarts,
         recover=arguments.recover,
+        corrections=corrections.from_options(arguments),
     )
+    given.refuse_wrong(recording, rig, arguments)
     read_seconds = time.perf_counter() - begin
     with common.progress(len(recording.stamp_ns), f"replay {bag.name}") as bar:
         return replaying.replay(

@@ -14,6 +14,7 @@ from ..errors import BadInput
 from . import plausible, stamps
 from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
+from .corrections import Corrections
 from .naming import READ_TOPICS, choose_topics
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
@@ -53,6 +54,8 @@ def read_bag(
     joint_name: str | None = None,
     restarts: Restarts = "refuse",
     recover: bool = False,
+    corrections: Corrections | None = None,
+    judge: bool = True,
 ) -> Recording:
     """Read a rosbag2 recording of a rig.
 
@@ -67,13 +70,18 @@ def read_bag(
         restarts: What to do where stamps jump backwards by more than 0.5 s: "refuse" the bag, or read what follows
             the "last" restart.
         recover: Read what stands before a damaged or cut off place instead of refusing the bag.
+        corrections: What is to be changed in the recorded values; None for nothing.
+        judge: False reads values in any unit, for :mod:`pam_antagonist.checks`.
 
     Raises:
         BadInput: Not a bag, damaged, a topic missing or of another type, no samples, time running backwards, or values
             that cannot be what they should be (gauge pressure, other units).
     """
     try:
-        return _read(Path(path), topics, namespace, joint_name, restarts, recover)
+        recording = _read(
+            Path(path), topics, namespace, joint_name, restarts, recover, corrections or Corrections(), judge
+        )
+        return recording if corrections is None else corrections.arranged(recording)
     except MemoryError:
         what = "needs more memory than there is; split the recording, or use a larger machine"
         raise BadInput(f"{path}: {what}") from None
@@ -86,6 +94,8 @@ def _read(
     joint_name: str | None,
     restarts: Restarts,
     recover: bool,
+    corrections: Corrections,
+    judge: bool,
 ) -> Recording:
     if restarts not in ("refuse", "last"):
         raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
@@ -96,9 +106,10 @@ def _read(
     for topic in chosen.values():
         _sort(path, topic, bag.issues)
     samples = stamps.union([chosen[name].arrival.stamp_ns for name in SAMPLE_TOPICS])
-    pressure, voltage = _samples(bag, chosen, samples)
+    convert = _Values(str(path), bag.issues, corrections, judge)
+    pressure, voltage = _samples(bag, chosen, samples, convert)
     measured = chosen.get("measured_joint_states")
-    angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, joint_name)
+    angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, joint_name, convert)
     external = chosen.get("measured_external_torque")
     estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
     return Recording(
@@ -108,7 +119,7 @@ def _read(
         voltage=voltage,
         angle=angle,
         torque=torque,
-        external_torque=None if external is None else _external(bag, external, samples),
+        external_torque=None if external is None else _external(bag, external, samples, convert),
         estimate=None if estimate is None else _estimate(estimate),
         reference=None if reference is None else _reference(reference),
         received_ns={name: topic.arrival for name, topic in chosen.items()},
@@ -155,7 +166,39 @@ def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
         topic.keep = topic.keep[stamps.order(str(path), topic.actual, stamp_ns, issues)]
 
 
-def _samples(bag: RawBag, chosen: Mapping[str, _Topic], samples: NDArray[np.int64]) -> tuple[Floats, Floats]:
+@dataclass(frozen=True)
+class _Values:
+    """How recorded values become those of a recording: corrected, finite, and judged."""
+
+    where: str
+    issues: list[str]
+    corrections: Corrections
+    judge: bool
+
+    def of(self, topic: str, what: str, values: Floats) -> Floats:
+        """Values of one quantity in SI units, NaN for what is not finite."""
+        values = plausible.finite_only(topic, what, values, self.issues)
+        convert = {
+            "pressure": self.corrections.pressure, "position": self.corrections.angle, "effort": self.corrections.torque
+        }.get(what)  # fmt: skip
+        values = values if convert is None else convert(values)
+        if self.judge:
+            _JUDGES[what](self.where, topic, values, self.issues)
+        return values
+
+
+_JUDGES = {
+    "pressure": plausible.check_pressure,
+    "voltage": plausible.check_voltage,
+    "position": plausible.check_angle,
+    "effort": plausible.check_torque,
+    "torque about z": plausible.check_torque,
+}
+
+
+def _samples(
+    bag: RawBag, chosen: Mapping[str, _Topic], samples: NDArray[np.int64], convert: _Values
+) -> tuple[Floats, Floats]:
     """Pressures and voltages at the sample stamps (N, 2) each."""
     where = str(bag.path)
     columns: dict[str, Floats] = {}
@@ -165,9 +208,7 @@ def _samples(bag: RawBag, chosen: Mapping[str, _Topic], samples: NDArray[np.int6
         if len(topic.keep) == 0:
             raise BadInput(f"{where}: {topic.actual} has no samples after the last restart")
         field, what = ("voltage", "voltage") if name == "valve_state" else ("fluid_pressure", "pressure")
-        values = plausible.finite_only(topic.actual, what, topic.values(field), bag.issues)
-        check = plausible.check_voltage if name == "valve_state" else plausible.check_pressure
-        check(where, topic.actual, values, bag.issues)
+        values = convert.of(topic.actual, what, topic.values(field))
         stamp_ns = topic.arrival.stamp_ns
         columns[name] = np.column_stack(
             [stamps.spread(samples, stamp_ns, column) for column in values.reshape(len(values), -1).T]
@@ -178,12 +219,12 @@ def _samples(bag: RawBag, chosen: Mapping[str, _Topic], samples: NDArray[np.int6
 
 
 def _measured(
-    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], joint: str | None
+    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], joint: str | None, convert: _Values
 ) -> tuple[Floats | None, Floats | None]:
     """Measured angle and torque at the sample stamps (N,), None where the topic has no such field."""
     position, effort = _joint(bag, topic, joint)
-    angle = _validation(bag, topic, samples, "position", position)
-    return angle, _validation(bag, topic, samples, "effort", effort)
+    angle = _validation(bag, topic, samples, "position", position, convert)
+    return angle, _validation(bag, topic, samples, "effort", effort, convert)
 
 
 def _joint(bag: RawBag, topic: _Topic, joint: str | None) -> tuple[Floats, Floats]:
@@ -221,13 +262,15 @@ def _joint_names(decoded: Decoded) -> list[str]:
     return [name.decode(errors="replace") for name in sorted(names, key=lambda name: names[name])]
 
 
-def _external(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Floats | None:
+def _external(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Values) -> Floats | None:
     """Torque from outside at the sample stamps (N,) [N m]."""
     torque = np.asarray(topic.values("wrench.torque.z"), np.float64)
-    return _validation(bag, topic, samples, "torque about z", torque)
+    return _validation(bag, topic, samples, "torque about z", torque, convert)
 
 
-def _validation(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], what: str, values: Floats) -> Floats | None:
+def _validation(
+    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], what: str, values: Floats, convert: _Values
+) -> Floats | None:
     """A validation signal at the sample stamps (N,), None where it holds nothing.
 
     Signals that carry the stamps of the samples are taken as they are. A signal with stamps of its own (another
@@ -236,9 +279,7 @@ def _validation(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], what: st
     if not np.any(np.isfinite(values)):
         bag.issues.append(f"{topic.actual} holds no {what}")
         return None
-    values = plausible.finite_only(topic.actual, what, values, bag.issues)
-    check = plausible.check_angle if what == "position" else plausible.check_torque
-    check(str(bag.path), topic.actual, values, bag.issues)
+    values = convert.of(topic.actual, what, values)
     stamp_ns = topic.arrival.stamp_ns
     alone = len(stamp_ns) - np.count_nonzero(np.isin(stamp_ns, samples, assume_unique=True))
     if 2 * alone <= len(stamp_ns):

@@ -1,0 +1,69 @@
+"""Voltages that are stamped earlier or later than what they cause."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pam_antagonist.checks.prediction import Prediction, predicted, remainder, with_other_areas
+from pam_antagonist.checks.wiring import Finding
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.rig import Rig
+
+_LATE = 0.010
+"""[s] Smaller delays than this are within what the model of the valves gets wrong."""
+_LATE_SHARE = 0.3
+"""A delay must take away this share of what the pressures differ from the model. A delay of 22 ms took away 0.42 to
+0.62 on rig A, effects of other kinds at most 0.20."""
+
+
+def delay_of_voltages(
+    corrected: Recording, rig: Rig, model: Prediction, joint: str, lock_angle: float, now: Corrections
+) -> tuple[list[Finding], Corrections]:
+    """By how much the pressures are late against the voltages, beside what wrong orifice areas would do.
+
+    The pressures' difference from the model is regressed on the rate of the model's pressures, on what each orifice
+    area does, on the pressure itself and on a constant. The coefficient of the rate is the delay.
+    """
+    moved = [
+        predicted(corrected, other, joint, lock_angle, known_start=True).pressure - model.pressure
+        for other in with_other_areas(rig)
+    ]
+    delays, weights, shares = [], [], []
+    for i in (0, 1):
+        residual = corrected.pressure[model.rows, i] - model.pressure[:, i]
+        other = np.column_stack([*(m[:, i] for m in moved[2 * i : 2 * i + 2]), model.pressure[:, i],
+                                 np.ones(len(residual))])  # fmt: skip
+        known = np.isfinite(residual)
+        rate = -model.pressure_rate[:, i]
+        base = remainder(other[known], residual[known])
+        alone = remainder(other[known], rate[known])
+        if not np.any(alone):
+            continue
+        delay = float(alone @ base / (alone @ alone))
+        left = base - delay * alone
+        delays.append(delay)
+        weights.append(float(alone @ alone) / max(float(left @ left), 1e-12))
+        shares.append(1.0 - float(left @ left) / max(float(base @ base), 1e-12))
+    if not delays:
+        return [Finding("untested", "delays: the pressures do not move")], now
+    delay = float(np.average(delays, weights=weights))
+    apart = float(np.ptp(delays)) / 2.0
+    if abs(delay) < max(_LATE, 2.0 * apart) or min(shares) < _LATE_SHARE:
+        return [Finding("good", f"voltages and pressures are stamped alike (within {1e3 * _LATE:.0f} ms)")], now
+    if delay > 0.0:
+        text = (
+            f"the pressures come {1e3 * delay:.0f} ± {1e3 * max(apart, 0.0005):.0f} ms late: the voltages are stamped "
+            "too early, or the valves are slow. If it is the stamps, type the correction; `close_loop` weighs both"
+        )
+    else:
+        text = (
+            f"the pressures come {-1e3 * delay:.0f} ms before the voltages that cause them: the voltages are stamped "
+            "too late"
+        )
+    found = replace(now, delay_voltage=round(delay, 3))
+    options = tuple(replace(Corrections(), delay_voltage=round(delay, 3)).options())
+    # A delay is not applied by itself: a slow valve looks the same here.
+    return [Finding("doubtful", text, options)], now if delay > 0.0 else found

@@ -1,0 +1,117 @@
+"""What a rig's model makes of the recorded voltages, at the samples of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.estimation import simulate_model
+from pam_antagonist.recording import Recording
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+SETTLE = 2.0
+"""[s] After this time the model has forgotten the pressures that it was started with."""
+_START_SAMPLES = 10
+_STEP = 0.02
+"""Relative step by which an orifice area is moved to see what it does to the pressures."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The model alone at the samples of a recording, without the time in which it settles.
+
+    Attributes:
+        time: of the samples (K,) [s].
+        pressure: of the muscles (K, 2) [Pa].
+        pressure_rate: their rates of change (K, 2) [Pa/s].
+        angle: (K,) [rad].
+        torque: (K,) [N m].
+        rows: which samples of the recording these are (K,).
+    """
+
+    time: Floats
+    pressure: Floats
+    pressure_rate: Floats
+    angle: Floats
+    torque: Floats
+    rows: NDArray[np.int64]
+
+
+def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, known_start: bool = False) -> Prediction:
+    """Run a rig's model on the voltages of a recording.
+
+    Voltages hold until the next sample. The model takes steps of the rig's sample period, whatever the rate of the
+    recording is.
+
+    Args:
+        recording: its stamps and voltages are used.
+        rig: the rig.
+        joint: ``free`` or ``locked``.
+        lock_angle: of a locked joint [rad].
+        known_start: whether the recorded pressures are absolute, in Pa and in place, so that the model starts from
+            them; otherwise it starts in the middle of the supply's range.
+    """
+    period = rig.sample_period
+    step = np.rint(recording.time_s / period).astype(np.int64)
+    voltage = np.full((int(step[-1]) + 1, 2), np.nan)
+    # The value of a sample was on the valves over the time that ends there.
+    voltage[step] = recording.voltage
+    known = np.isfinite(voltage).all(axis=1)
+    following = np.flatnonzero(known)[np.minimum(np.searchsorted(np.flatnonzero(known), np.arange(len(voltage))),
+                                                  int(known.sum()) - 1)]  # fmt: skip
+    start = np.full(2, 0.5 * (rig.supply.pressure + rig.atmosphere.pressure))
+    if known_start:
+        first = recording.pressure[np.isfinite(recording.pressure).all(axis=1)][:_START_SAMPLES]
+        start = np.clip(first.mean(axis=0), rig.atmosphere.pressure, rig.supply.pressure)
+    run = simulate_model(rig, voltage[following], start, joint, lock_angle)
+    rows = np.flatnonzero(recording.time_s >= min(SETTLE, 0.5 * recording.duration_s))
+    at = step[rows]
+    return Prediction(
+        time=recording.time_s[rows],
+        pressure=run.pressure[at],
+        pressure_rate=np.gradient(run.pressure, period, axis=0)[at],
+        angle=run.angle[at],
+        torque=run.torque[at],
+        rows=rows,
+    )
+
+
+def with_other_areas(rig: Rig) -> list[Rig]:
+    """The rig with each of its four orifice areas a little larger: what a wrong area would do to the pressures."""
+    out = []
+    for name in ("valve_1", "valve_2"):
+        valve = getattr(rig, name)
+        for area in ("inflow_area", "outflow_area"):
+            out.append(rig.replaced(**{name: valve.replaced(**{area: getattr(valve, area) * (1.0 + _STEP)})}))
+    return out
+
+
+def remainder(columns: Floats, values: Floats) -> Floats:
+    """What a linear combination of columns (K, C) leaves of values (K,)."""
+    scale = np.linalg.norm(columns, axis=0)
+    scaled = columns[:, scale > 0.0] / scale[scale > 0.0]
+    return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-9)[0])
+
+
+def correlation(values: Floats, expected: Floats) -> float:
+    """Correlation of two series (K,), 0 where either stands still."""
+    known = np.isfinite(values) & np.isfinite(expected)
+    if known.sum() < 10 or np.std(values[known]) == 0.0 or np.std(expected[known]) == 0.0:
+        return 0.0
+    return float(np.corrcoef(values[known], expected[known])[0, 1])
+
+
+def ratio_to(values: Floats, expected: Floats) -> float:
+    """Ratio of the standard deviations of two series (K,)."""
+    known = np.isfinite(values) & np.isfinite(expected)
+    return float(np.std(values[known])) / max(float(np.std(expected[known])), 1e-300)
+
+
+def range_of(values: Floats) -> float:
+    """Range of 99 % of the values; 0 for none."""
+    known = values[np.isfinite(values)]
+    return float(np.diff(np.quantile(known, [0.005, 0.995]))[0]) if len(known) else 0.0

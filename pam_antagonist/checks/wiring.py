@@ -1,0 +1,233 @@
+"""Units and wiring: the fewest corrections under which everything that was measured goes with the model.
+
+Each pressure goes with its own valve, or with the other one. The ratio to the model's pressures tells the unit, their
+difference tells gauge pressures. The signs of angle and torque then tell whether pressure lines, valves or a sensor's
+sign are exchanged.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.checks.prediction import Prediction, correlation, range_of, ratio_to
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.corrections import STANDARD_ATMOSPHERE, Corrections
+from pam_antagonist.recording.units import UNITS
+
+Floats = NDArray[np.float64]
+Status = Literal["wrong", "doubtful", "good", "untested"]
+
+# Thresholds. On the 30 recordings of rig A the model's pressures correlate with those measured by 0.996 or more, with
+# those of the other muscle by 0.65 or less, and their ratio is 0.91 to 1.02; all of these are far from the bounds.
+GOES_WITH = 0.9
+"""A channel goes with the model from this correlation on."""
+_TOLD_APART = 0.15
+"""By so much the correlation must be higher for one arrangement than for the other, to tell which it is."""
+_SAME_UNIT = 1.6
+"""A channel has the right unit if its ratio to the model lies within this factor of 1."""
+GAUGE_TOLERANCE = 25e3
+"""[Pa] How far from one atmosphere the offset of gauge pressures may seem to be, by what the rig file gets wrong."""
+FAR_OFF = 40e3
+"""[Pa] Pressures that differ more from the model's are not what the rig file describes."""
+STILL_ANGLE = math.radians(0.3)
+"""[rad] A joint that moves less is taken to stand still."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was tested.
+
+    Attributes:
+        status: ``wrong`` (and sure of it), ``doubtful``, ``good`` or ``untested``.
+        text: what was seen, and how sure it is.
+        options: what to type to correct it; empty where nothing can be typed.
+    """
+
+    status: Status
+    text: str
+    options: tuple[str, ...] = ()
+
+
+def arrangement(recording: Recording, model: Prediction) -> tuple[list[Finding], bool | None]:
+    """Whether each pressure goes with its own valve or with the other one; None where that cannot be told."""
+    straight, crossed = (
+        min(correlation(recording.pressure[model.rows, (i + shift) % 2], model.pressure[:, i]) for i in (0, 1))
+        for shift in (0, 1)
+    )
+    better, worse = max(straight, crossed), min(straight, crossed)
+    if better < GOES_WITH:
+        text = (
+            "the pressures do not follow the voltages as in this rig (correlation "
+            f"{better:.2f}, expected {GOES_WITH:g} or more): another rig's recording, or voltages of another time"
+        )
+        return [Finding("doubtful", text)], None
+    if better - worse < _TOLD_APART:
+        text = "both valves were driven alike: whether valves or pressure lines are exchanged cannot be told"
+        return [Finding("untested", text)], False
+    if straight >= crossed:
+        return [Finding("good", f"each pressure follows its own valve (correlation {straight:.3f})")], False
+    return [], True
+
+
+def pressure_unit_of(pressures: Floats, model: Prediction, now: Corrections) -> tuple[list[Finding], Corrections]:
+    """Unit and reference of the pressures, by their ratio to the model's and what is left then.
+
+    Args:
+        pressures: as recorded, each beside its valve (K, 2).
+        model: what the voltages make of them.
+        now: corrections so far.
+    """
+    ratio = float(np.sqrt(np.prod([ratio_to(pressures[:, i], model.pressure[:, i]) for i in (0, 1)])))
+    unit, factor = min(UNITS["pressure"].items(), key=lambda item: abs(math.log(item[1] * ratio)))
+    if max(factor * ratio, 1.0 / (factor * ratio)) > _SAME_UNIT:
+        text = f"the pressures change {ratio:.3g} times as much as the model's, which is no unit's factor"
+        return [Finding("doubtful", text)], now
+    found = replace(now, pressure_unit=unit)
+    offset = np.nanmean(pressures * factor - model.pressure, axis=0)
+    gauge = bool(np.all(np.abs(offset + STANDARD_ATMOSPHERE) < GAUGE_TOLERANCE))
+    out = []
+    if unit != "Pa":
+        options = tuple(replace(Corrections(), pressure_unit=unit).options())
+        out.append(Finding("wrong", f"the pressures are in {unit}, not in Pa (sure)", options))
+    if gauge:
+        found = replace(found, gauge=True)
+        left = float(np.sqrt(np.nanmean((pressures * factor + STANDARD_ATMOSPHERE - model.pressure) ** 2)))
+        text = (
+            f"both pressures are {-offset[0] / 1e3:.0f} and {-offset[1] / 1e3:.0f} kPa lower than the voltages make "
+            f"them: these are gauge pressures. With 101.325 kPa added they differ by {left / 1e3:.1f} kPa (sure)"
+        )
+        out.append(Finding("wrong", text, ("--gauge",)))
+    elif np.max(np.abs(offset)) > FAR_OFF:
+        text = (
+            f"pressures 1 and 2 differ by {offset[0] / 1e3:+.0f} and {offset[1] / 1e3:+.0f} kPa from what the voltages "
+            "make them: look at supply.pressure, the valve curves and the sensors' zeros"
+        )
+        out.append(Finding("doubtful", text))
+    if not out:
+        out.append(Finding("good", "the pressures are absolute, in Pa"))
+    return out, found
+
+
+@dataclass(frozen=True)
+class Direction:
+    """How a measured channel goes with the model that has the recorded voltages: sign and size."""
+
+    channel: str
+    sign: int
+    ratio: float
+
+
+def directions_of(recording: Recording, model: Prediction, now: Corrections, joint: str) -> list[Direction]:
+    """Sign and size of angle and torque against the model's, where they tell."""
+    out = []
+    if joint == "free" and recording.angle is not None and range_of(model.angle) > STILL_ANGLE:
+        out.append(("angle", now.angle(recording.angle[model.rows]), model.angle))
+    if recording.torque is not None:
+        out.append(("torque", now.torque(recording.torque[model.rows]), model.torque))
+    found = []
+    for channel, values, expected in out:
+        rho = correlation(values, expected)
+        if abs(rho) >= GOES_WITH:
+            found.append(Direction(channel, 1 if rho > 0.0 else -1, ratio_to(values, expected)))
+    return found
+
+
+def which_is_exchanged(
+    exchanged: bool, directions: Sequence[Direction], now: Corrections
+) -> tuple[list[Finding], Corrections]:
+    """The fewest corrections under which pressures, angle and torque all go with the model.
+
+    Exchanged pressure lines leave angle and torque as the voltages make them; exchanged valves turn both round.
+
+    Args:
+        exchanged: whether each pressure goes with the other valve.
+        directions: of the measured channels.
+        now: corrections so far.
+    """
+    fitting = []
+    for lines, valves, *flips in itertools.product((False, True), repeat=2 + len(directions)):
+        signs = [(-1 if valves else 1) * (-1 if flip else 1) for flip in flips]
+        if lines != valves if exchanged else lines == valves:
+            if all(direction.sign == sign for direction, sign in zip(directions, signs, strict=True)):
+                flipped: dict[str, Any] = {
+                    f"flip_{d.channel}": True for d, flip in zip(directions, flips, strict=True) if flip
+                }
+                fitting.append(replace(now, swap_pressures=lines, swap_valves=valves, **flipped))
+    fewest = min(len(option.options()) for option in fitting)
+    best = [option for option in fitting if len(option.options()) == fewest]
+    findings = []
+    for direction in directions:
+        findings += _unit_of(direction)
+    units: dict[str, Any] = {f"{d.channel}_unit": _nearest_unit(d)[0] for d in directions if _nearest_unit(d)[1]}
+    chosen = replace(best[0], **{name: unit for name, unit in units.items() if unit})
+    changed = [[o for o in option.options() if o not in now.options()] for option in best]
+    if not any(changed):
+        seen = " and ".join(d.channel for d in directions)
+        if seen:
+            findings.append(Finding("good", f"{seen} turn{'s' if len(directions) == 1 else ''} as the voltages say"))
+        return findings, chosen
+    what = "; or ".join(_in_words(options) for options in changed)
+    seen = "each pressure follows the other muscle's valve" if exchanged else "each pressure follows its own valve"
+    turns = ", ".join(f"{d.channel} {'as' if d.sign > 0 else 'against'} the voltages" for d in directions)
+    sure = " (sure)" if len(best) == 1 else " (these recordings cannot tell which)"
+    text = f"{what}: {seen}{f'; {turns}' if turns else ''}{sure}"
+    options = tuple(changed[0]) if len(best) == 1 else ()
+    if len(best) > 1:
+        text += f"; type {' or '.join(' '.join(options) for options in changed)}"
+        chosen = replace(now, **{name: unit for name, unit in units.items() if unit})
+    return [*findings, Finding("wrong", text, options)], chosen
+
+
+_WORDS = {
+    "--swap-pressures": "the pressure lines are exchanged",
+    "--swap-valves": "the valves are exchanged",
+    "--flip-angle": "the encoder counts the wrong way round",
+    "--flip-torque": "the torque meter counts the wrong way round",
+}
+
+
+def _in_words(options: Sequence[str]) -> str:
+    return " and ".join(_WORDS[option] for option in options if option in _WORDS)
+
+
+def _nearest_unit(direction: Direction) -> tuple[str, bool]:
+    """The unit that a channel seems to have, and whether it is one."""
+    unit, factor = min(UNITS[direction.channel].items(), key=lambda item: abs(math.log(item[1] * direction.ratio)))
+    off = factor * direction.ratio
+    base = "rad" if direction.channel == "angle" else "N m"
+    # A unit that is the usual one within a factor of 1.6 stays: a rig file may be that wrong.
+    if max(direction.ratio, 1.0 / direction.ratio) <= _SAME_UNIT:
+        return base, False
+    return unit, max(off, 1.0 / off) <= _SAME_UNIT
+
+
+def _unit_of(direction: Direction) -> list[Finding]:
+    unit, other = _nearest_unit(direction)
+    if other:
+        text = (
+            f"the measured {direction.channel} is in {unit} ({direction.ratio:.3g} times as large as the model's; sure)"
+        )
+        return [Finding("wrong", text, (f"--{direction.channel}-unit {unit!r}",))]
+    if max(direction.ratio, 1.0 / direction.ratio) > _SAME_UNIT:
+        text = (
+            f"the measured {direction.channel} is {direction.ratio:.3g} times as large as the model's, which is no "
+            "unit's factor: look at geometry.radius and the force map"
+        )
+        return [Finding("doubtful", text)]
+    return []
+
+
+def fits(corrected: Recording, model: Prediction) -> list[Finding]:
+    """How far the corrected pressures are from the model's: whether this is a recording of the rig at all."""
+    left = np.sqrt(np.nanmean((corrected.pressure[model.rows] - model.pressure) ** 2, axis=0))
+    text = f"the model, driven by the voltages, is {left[0] / 1e3:.1f} and {left[1] / 1e3:.1f} kPa off (RMS)"
+    if np.max(left) > FAR_OFF:
+        return [Finding("doubtful", f"{text}: is this a recording of this rig")]
+    return [Finding("good", text)]

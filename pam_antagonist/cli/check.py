@@ -1,0 +1,117 @@
+"""``check``: is this a recording of this rig, in the units and with the wiring that the package expects?"""
+
+from __future__ import annotations
+
+import json
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pam_antagonist.checks import Checked, check_recording
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.recording.corrections import add_options, from_options
+from pam_antagonist.rig import Rig, load_rig
+
+_DESCRIPTION = """\
+Check recordings before anything is computed from them (seconds).
+
+The model of the rig is driven by the recorded voltages and compared with what was measured. This finds gauge
+pressures and other units, exchanged pressure lines or valves, an encoder or a torque meter that counts the wrong way
+round, voltages that are stamped early, topics with different clocks, channels that never move, and recordings of
+another rig. For each finding it says how sure it is and what to type. replay, identify and close_loop make the same
+check and refuse a recording that is certainly wrong.
+
+Status: 0 nothing is certainly wrong, 2 something is, or bad input.
+"""
+_EXAMPLES = """\
+examples:
+  check my_bag --rig my_rig.yaml
+  check free_bag locked_bag --rig my_rig.yaml --json -
+  replay my_bag --rig my_rig.yaml --out result --gauge --swap-pressures
+"""
+_MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("check", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
+    common.add_rig(out)
+    common.add_joint(
+        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, told from the measured angle)"
+    )
+    common.add_topics(out)
+    out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
+    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    common.add_recover(out)
+    out.add_argument("--json", metavar="FILE", help="write the findings there as well; - for standard output alone")
+    add_options(out)
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    rig = load_rig(arguments.rig)
+    lock_angle = common.lock_angle(arguments)
+    results = {}
+    for bag in arguments.bags:
+        recording = read_bag(
+            bag, topics=common.topics(arguments), namespace=arguments.namespace, joint_name=arguments.joint_name,
+            recover=arguments.recover, corrections=from_options(arguments), judge=False,
+        )  # fmt: skip
+        results[str(bag)] = check_recording(recording, rig, arguments.joint, lock_angle)
+        if arguments.json != "-":
+            print(_text(bag, recording, rig, results[str(bag)]))
+    if arguments.json:
+        _write(arguments.json, results)
+    return common.BAD_INPUT if any(checked.wrong for checked in results.values()) else common.DONE
+
+
+def _text(bag: Path, recording: Recording, rig: Rig, checked: Checked) -> str:
+    lines = [f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}"]
+    for finding in checked.findings:
+        said = finding.text
+        if finding.options:
+            said += f". Type {' '.join(finding.options)}"
+        lines.append(
+            textwrap.fill(f"{said}.", 100, initial_indent=f"{_MARKS[finding.status]} ", subsequent_indent="  ")
+        )
+    options = checked.corrections.options()
+    if options:
+        lines.append(f"With these options every command reads it corrected: {' '.join(options)}")
+    return "\n".join(lines)
+
+
+def _write(where: str, results: dict[str, Checked]) -> None:
+    content: dict[str, Any] = {
+        bag: {
+            "joint": checked.joint,
+            "options": checked.corrections.options(),
+            "findings": [
+                {"status": finding.status, "text": finding.text, "options": list(finding.options)}
+                for finding in checked.findings
+            ],
+        }
+        for bag, checked in results.items()
+    }
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    if where == "-":
+        print(text)
+        return
+    try:
+        Path(where).write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{where}: cannot be written: {error.strerror}") from None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

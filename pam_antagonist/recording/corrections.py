@@ -1,0 +1,166 @@
+"""How a recording differs from what this package expects: units, gauge pressure, exchanged lines, signs, late stamps.
+
+A recording is corrected while it is read, so that every command sees the same corrected recording. The options that
+are typed for it are made from the same table.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording.recording import Recording
+from pam_antagonist.recording.units import UNITS, canonical
+
+Floats = NDArray[np.float64]
+
+STANDARD_ATMOSPHERE = 101_325.0
+"""[Pa]"""
+LARGEST_DELAY = 1.0
+"""[s] Stamps that are further off are not a delay: they are of another clock."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What is to be changed in a recording before anything else looks at it.
+
+    Attributes:
+        pressure_unit: unit of both pressures; they are read as Pa.
+        gauge: the pressures are gauge pressures; the standard atmosphere is added.
+        swap_pressures: ``pressure_1`` is that of muscle 2, and the other way round.
+        swap_valves: the first voltage is that of muscle 2's valve, and the other way round.
+        angle_unit: unit of the measured angle; it is read as rad.
+        flip_angle: the encoder counts in the other direction.
+        torque_unit: unit of the measured torque; it is read as N m.
+        flip_torque: the torque meter counts in the other direction.
+        delay_voltage: by how much the voltages are stamped too early against everything else [s].
+    """
+
+    pressure_unit: str = "Pa"
+    gauge: bool = False
+    swap_pressures: bool = False
+    swap_valves: bool = False
+    angle_unit: str = "rad"
+    flip_angle: bool = False
+    torque_unit: str = "N m"
+    flip_torque: bool = False
+    delay_voltage: float = 0.0
+
+    def __post_init__(self) -> None:
+        for quantity in ("pressure", "angle", "torque"):
+            name = f"{quantity}_unit"
+            object.__setattr__(self, name, canonical(_option(name), quantity, getattr(self, name)))
+        if not abs(self.delay_voltage) <= LARGEST_DELAY:
+            raise BadInput(f"--delay-voltage {1e3 * self.delay_voltage:g} ms: expected within ±{1e3 * LARGEST_DELAY:g}")
+
+    def pressure(self, values: Floats) -> Floats:
+        """Absolute pressure [Pa] of recorded values (N,)."""
+        offset = STANDARD_ATMOSPHERE if self.gauge else 0.0
+        return np.asarray(values * UNITS["pressure"][self.pressure_unit] + offset)
+
+    def angle(self, values: Floats) -> Floats:
+        """Angle [rad] of recorded values (N,)."""
+        return np.asarray(values * (UNITS["angle"][self.angle_unit] * (-1.0 if self.flip_angle else 1.0)))
+
+    def torque(self, values: Floats) -> Floats:
+        """Torque [N m] of recorded values (N,)."""
+        return np.asarray(values * (UNITS["torque"][self.torque_unit] * (-1.0 if self.flip_torque else 1.0)))
+
+    def arranged(self, recording: Recording) -> Recording:
+        """A recording with its columns exchanged and its voltages delayed as asked; values keep their units.
+
+        Args:
+            recording: as read.
+        """
+        pressure, voltage = recording.pressure, recording.voltage
+        if self.swap_pressures:
+            pressure = pressure[:, ::-1]
+        if self.swap_valves:
+            voltage = voltage[:, ::-1]
+        if self.delay_voltage:
+            # The value of a sample holds over the step that ends there: no values are mixed.
+            late = recording.stamp_ns - round(self.delay_voltage * 1e9)
+            source = np.searchsorted(recording.stamp_ns, late, side="left")
+            voltage = voltage[np.clip(source, 0, len(recording) - 1)]
+        return replace(recording, pressure=pressure, voltage=voltage)
+
+    def applied(self, recording: Recording) -> Recording:
+        """A recording that was read as it is, corrected as a whole.
+
+        Args:
+            recording: read without corrections.
+        """
+        return self.arranged(
+            replace(
+                recording,
+                pressure=self.pressure(recording.pressure),
+                angle=None if recording.angle is None else self.angle(recording.angle),
+                torque=None if recording.torque is None else self.torque(recording.torque),
+            )
+        )
+
+    def options(self) -> list[str]:
+        """What to type for these corrections."""
+        out = []
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value == item.default:
+                continue
+            if isinstance(value, bool):
+                out.append(_option(item.name))
+            elif isinstance(value, float):
+                out.append(f"{_option(item.name)} {1e3 * value:.3g}")
+            else:
+                out.append(f"{_option(item.name)} {value!r}" if " " in value else f"{_option(item.name)} {value}")
+        return out
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+_HELP = {
+    "pressure_unit": "unit of the pressures in the bag (default: Pa)",
+    "gauge": "the pressures are gauge pressures: add 101.325 kPa",
+    "swap_pressures": "the pressure lines or sensors are exchanged",
+    "swap_valves": "the valves or their voltages are exchanged",
+    "angle_unit": "unit of the measured angle (default: rad)",
+    "flip_angle": "the encoder counts in the other direction",
+    "torque_unit": "unit of the measured torque (default: N m)",
+    "flip_torque": "the torque meter counts in the other direction",
+    "delay_voltage": "the voltages are stamped so many milliseconds too early",
+}
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The options of all corrections, as a group of their own.
+
+    Args:
+        parser: takes them.
+    """
+    group = parser.add_argument_group("corrections of a recording (`check` says which ones it needs)")
+    for item in fields(Corrections):
+        option: dict[str, Any] = {"help": _HELP[item.name], "default": item.default}
+        if isinstance(item.default, bool):
+            option["action"] = "store_true"
+        else:
+            option |= {"metavar": "MS", "type": float} if isinstance(item.default, float) else {"metavar": "UNIT"}
+        group.add_argument(_option(item.name), **option)
+
+
+def from_options(arguments: argparse.Namespace) -> Corrections:
+    """The corrections that were asked for.
+
+    Args:
+        arguments: of a parser with :func:`add_options`.
+
+    Raises:
+        BadInput: a unit that does not exist, or a delay that is none.
+    """
+    values = {item.name: getattr(arguments, item.name) for item in fields(Corrections)}
+    return Corrections(**{**values, "delay_voltage": values["delay_voltage"] / 1e3})

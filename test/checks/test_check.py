@@ -1,0 +1,119 @@
+"""A recording in the wrong units or with the wrong wiring is recognised, and nothing is said of one that is right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.checks import Checked, check_recording
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.rig import Rig
+
+RIG_A = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+Damage = Callable[[Recording], Recording]
+
+DAMAGES: dict[str, tuple[Damage, set[str]]] = {
+    "gauge": (lambda r: replace(r, pressure=r.pressure - 101_325.0), {"--gauge"}),
+    "gauge kPa": (lambda r: replace(r, pressure=(r.pressure - 101_325.0) / 1e3), {"--gauge", "--pressure-unit kPa"}),
+    "bar": (lambda r: replace(r, pressure=r.pressure / 1e5), {"--pressure-unit bar"}),
+    "psi": (lambda r: replace(r, pressure=r.pressure / 6894.757), {"--pressure-unit psi"}),
+    "pressure lines": (lambda r: replace(r, pressure=r.pressure[:, ::-1]), {"--swap-pressures"}),
+    "valves": (lambda r: replace(r, voltage=r.voltage[:, ::-1]), {"--swap-valves"}),
+    "encoder's sign": (lambda r: replace(r, angle=-r.angle), {"--flip-angle"}),  # type: ignore[operator]
+    "degrees": (lambda r: replace(r, angle=np.degrees(r.angle)), {"--angle-unit deg"}),  # type: ignore[arg-type]
+    "lines and degrees": (
+        lambda r: replace(r, pressure=r.pressure[:, ::-1], angle=np.degrees(r.angle)),  # type: ignore[arg-type]
+        {"--swap-pressures", "--angle-unit deg"},
+    ),
+}
+
+
+def wrong(checked: Checked) -> set[str]:
+    """Options of everything that is certainly wrong."""
+    return {option for finding in checked.wrong for option in finding.options}
+
+
+def test_nothing_is_said_of_a_good_recording(free: Recording, locked: Recording, rig: Rig) -> None:
+    for recording in (free, locked):
+        checked = check_recording(recording, rig)
+        assert not checked.wrong
+        assert not [finding.text for finding in checked.findings if finding.status == "doubtful"]
+        assert checked.corrections == Corrections()
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_what_is_wrong_is_named_with_what_to_type(free: Recording, rig: Rig, damage: str) -> None:
+    change, expected = DAMAGES[damage]
+    damaged = change(free)
+    checked = check_recording(damaged, rig)
+    assert wrong(checked) == expected
+    # What was found makes it the recording that it was.
+    corrected = checked.corrections.applied(damaged)
+    np.testing.assert_allclose(corrected.pressure, free.pressure, rtol=1e-5)
+    np.testing.assert_array_equal(corrected.voltage, free.voltage)
+    np.testing.assert_allclose(corrected.angle, free.angle, atol=1e-12)  # type: ignore[arg-type]
+    assert not check_recording(corrected, rig).wrong
+
+
+def test_a_torque_that_counts_the_wrong_way_round(locked: Recording, rig: Rig) -> None:
+    assert wrong(check_recording(replace(locked, torque=-locked.torque), rig)) == {"--flip-torque"}  # type: ignore[operator]
+
+
+def test_without_angle_and_torque_it_is_not_known_which_is_exchanged(free: Recording, rig: Rig) -> None:
+    checked = check_recording(replace(free, pressure=free.pressure[:, ::-1], angle=None, torque=None), rig)
+    assert len(checked.wrong) == 1
+    assert not checked.wrong[0].options
+    assert "--swap-pressures" in checked.wrong[0].text
+    assert "--swap-valves" in checked.wrong[0].text
+    assert checked.corrections == Corrections()
+
+
+def test_no_green_tick_for_what_was_not_tested(free: Recording, rig: Rig) -> None:
+    checked = check_recording(replace(free, angle=None, torque=None), rig)
+    good = " ".join(finding.text for finding in checked.findings if finding.status == "good")
+    untested = " ".join(finding.text for finding in checked.findings if finding.status == "untested")
+    assert "angle" not in good
+    assert "angle" in untested
+    assert "torque" in untested
+
+
+def test_a_sensor_that_is_not_connected(free: Recording, rig: Rig) -> None:
+    pressure = free.pressure.copy()
+    pressure[:, 1] = 101_325.0
+    texts = [finding.text for finding in check_recording(replace(free, pressure=pressure), rig).wrong]
+    assert any("pressure_2" in text and "not connected" in text for text in texts)
+
+
+def test_voltages_of_another_time_are_doubted(free: Recording, rig: Rig) -> None:
+    checked = check_recording(replace(free, voltage=np.roll(free.voltage, 2500, axis=0)), rig)
+    assert any(finding.status == "doubtful" and "do not follow" in finding.text for finding in checked.findings)
+
+
+def test_a_short_recording_is_refused(free: Recording, rig: Rig) -> None:
+    with pytest.raises(BadInput, match="too short to check"):
+        check_recording(free.slice(0.0, 2.0), rig)
+
+
+@pytest.mark.skipif(not RIG_A.is_dir(), reason="the recordings of rig A are not part of this repository")
+@pytest.mark.parametrize(
+    "bag", ["rig_a/case_other/free", "rig_a/case_valve_offset/locked", "rig_a_lab/valve_play/free"]
+)
+def test_an_effect_is_not_taken_for_wrong_wiring(rig: Rig, bag: str) -> None:
+    assert not check_recording(read_bag(RIG_A / bag, judge=False), rig).wrong
+
+
+@pytest.mark.skipif(not RIG_A.is_dir(), reason="the recordings of rig A are not part of this repository")
+@pytest.mark.parametrize("joint", ["free", "locked"])
+def test_late_measurements_are_measured(rig: Rig, joint: str) -> None:
+    checked = check_recording(read_bag(RIG_A / "rig_a_lab" / "measured_late" / joint, judge=False), rig)
+    late = [finding for finding in checked.findings if "late" in finding.text and finding.status == "doubtful"]
+    assert len(late) == 1
+    (option,) = late[0].options
+    # Rig A's recordings are stamped 22 ms late.
+    assert float(option.split()[1]) == pytest.approx(22.0, abs=3.0)

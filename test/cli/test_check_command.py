@@ -1,0 +1,83 @@
+"""``check`` says what is wrong with a bag, and the other commands refuse such a bag or read it corrected."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.cli import check, replay
+from pam_antagonist.recording import Recording, write_bag
+
+
+@pytest.fixture(scope="session")
+def exchanged(free: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag whose pressure lines were exchanged."""
+    folder = tmp_path_factory.mktemp("exchanged") / "bag"
+    write_bag(folder, replace(free, pressure=free.pressure[:, ::-1]))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def in_kilopascals(free: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag with gauge pressures in kPa."""
+    folder = tmp_path_factory.mktemp("kilopascals") / "bag"
+    write_bag(folder, replace(free, pressure=(free.pressure - 101_325.0) / 1e3))
+    return folder
+
+
+def test_a_good_bag_ends_with_status_0(free: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check.main([str(free.path), "--rig", "shin2022"]) == 0
+    out = capsys.readouterr().out
+    assert "✗" not in out
+    assert "each pressure follows its own valve" in out
+
+
+def test_what_is_wrong_is_said_with_the_option(exchanged: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check.main([str(exchanged), "--rig", "shin2022"]) == 2
+    out = capsys.readouterr().out
+    assert "✗ the pressure lines are exchanged" in out
+    assert "Type --swap-pressures" in out
+
+
+def test_findings_as_json_on_standard_output(in_kilopascals: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check.main([str(in_kilopascals), "--rig", "shin2022", "--json", "-"]) == 2
+    (found,) = json.loads(capsys.readouterr().out).values()
+    assert found["options"] == ["--pressure-unit kPa", "--gauge"]
+    assert {finding["status"] for finding in found["findings"]} >= {"wrong", "good"}
+
+
+def test_with_what_was_typed_nothing_is_wrong(in_kilopascals: Path, exchanged: Path) -> None:
+    assert check.main([str(in_kilopascals), "--rig", "shin2022", "--pressure-unit", "kPa", "--gauge"]) == 0
+    assert check.main([str(exchanged), "--rig", "shin2022", "--swap-pressures"]) == 0
+
+
+def test_replay_refuses_a_wrong_bag_in_one_line(
+    exchanged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay.main([str(exchanged), "--rig", "shin2022", "--out", str(tmp_path / "out"), "--no-figures"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "--swap-pressures" in error
+    assert "--no-check" in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_replay_of_a_corrected_bag_is_that_of_the_good_one(free: Recording, exchanged: Path, tmp_path: Path) -> None:
+    reports = []
+    for name, arguments in (("good", [str(free.path)]), ("corrected", [str(exchanged), "--swap-pressures"])):
+        assert replay.main([*arguments, "--rig", "shin2022", "--out", str(tmp_path / name), "--no-figures"]) == 0
+        reports.append(json.loads((tmp_path / name / "report.json").read_text())["ukf"])
+    assert reports[0] == reports[1]
+
+
+def test_no_check_goes_on_as_it_is(exchanged: Path, tmp_path: Path) -> None:
+    arguments = [str(exchanged), "--rig", "shin2022", "--out", str(tmp_path / "out"), "--no-figures", "--no-check"]
+    assert replay.main(arguments) == 0
+
+
+def test_a_unit_that_does_not_exist_is_refused(free: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check.main([str(free.path), "--rig", "shin2022", "--pressure-unit", "kpascal"]) == 2
+    assert "--pressure-unit: unknown unit" in capsys.readouterr().err
