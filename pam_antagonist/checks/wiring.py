@@ -36,6 +36,8 @@ GAUGE_TOLERANCE = 25e3
 """[Pa] How far from one atmosphere the offset of gauge pressures may seem to be, by what the rig file gets wrong."""
 FAR_OFF = 40e3
 """[Pa] Pressures that differ more from the model's are not what the rig file describes."""
+_ANY_PRESSURE = 250e3
+"""[Pa] With the right unit the pressures lie nearer to the model's, gauge pressures included."""
 STILL_ANGLE = math.radians(0.3)
 """[rad] A joint that moves less is taken to stand still."""
 
@@ -86,11 +88,11 @@ def pressure_unit_of(pressures: Floats, model: Prediction, now: Corrections) -> 
     """
     ratio = float(np.sqrt(np.prod([ratio_to(pressures[:, i], model.pressure[:, i]) for i in (0, 1)])))
     unit, factor = min(UNITS["pressure"].items(), key=lambda item: abs(math.log(item[1] * ratio)))
-    if max(factor * ratio, 1.0 / (factor * ratio)) > _SAME_UNIT:
-        text = f"the pressures change {ratio:.3g} times as much as the model's, which is no unit's factor"
+    offset = np.nanmean(pressures * factor - model.pressure, axis=0)
+    if max(factor * ratio, 1.0 / (factor * ratio)) > _SAME_UNIT or np.max(np.abs(offset)) > _ANY_PRESSURE:
+        text = f"the pressures change {ratio:.3g} times as much as the model's, which no unit explains"
         return [Finding("doubtful", text)], now
     found = replace(now, pressure_unit=unit)
-    offset = np.nanmean(pressures * factor - model.pressure, axis=0)
     gauge = bool(np.all(np.abs(offset + STANDARD_ATMOSPHERE) < GAUGE_TOLERANCE))
     out = []
     if unit != "Pa":
