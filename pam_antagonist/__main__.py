@@ -36,11 +36,18 @@ COMMANDS: dict[str, Command] = {
     "simulate": Command("pam_antagonist.cli.simulate:main", "make a recording of a simulated joint"),
     "import_csv": Command("pam_antagonist.cli.import_csv:main", "make a recording of a CSV file"),
     "static": Command("pam_antagonist.cli.static:main", "volume and force map of a muscle from tables of measurements"),
-    "paper": Command("pam_antagonist.cli.paper:main", "every experiment of the paper on a simulated joint"),
-    "benchmark": Command("pam_antagonist.cli.benchmark:main", "measure the speed of estimator, pipeline and replay"),
-    "battery": Command("pam_antagonist.cli.battery:main", "how often the diagnosis is right, on simulated joints"),
+    "paper": Command(
+        "pam_antagonist.validation.paper.command:main", "every experiment of the paper on a simulated joint"
+    ),
+    "benchmark": Command(
+        "pam_antagonist.validation.benchmark.command:main", "measure the speed of estimator, pipeline and replay"
+    ),
+    "battery": Command(
+        "pam_antagonist.validation.battery.command:main", "how often the diagnosis is right, on simulated joints"
+    ),
     "faults": Command(
-        "pam_antagonist.cli.faults:main", "make every fault in a running pipeline, tell what the valves did"
+        "pam_antagonist.validation.faults.command:main",
+        "make every fault in a running pipeline, tell what the valves did",
     ),
     "device_emulator": Command(
         "pam_antagonist.cli.device_emulator:main", "a microcontroller that is not there, with a simulated joint"
@@ -53,12 +60,19 @@ COMMANDS: dict[str, Command] = {
 }
 """Name of an executable -> what it is. ``setup.py`` installs one script for each."""
 
+_PLACES = {
+    "Commands": "pam_antagonist.cli.",
+    "What measures the product": "pam_antagonist.validation.",
+    "ROS 2 nodes": "pam_antagonist.nodes.",
+}
+"""Title in the help -> where the modules of its executables lie."""
+
 
 def usage() -> str:
     """One line for each executable, commands and nodes apart."""
     width = max(len(name) for name in COMMANDS)
     lines = ["usage: python -m pam_antagonist NAME [arguments]"]
-    for title, package in (("Commands", "pam_antagonist.cli."), ("ROS 2 nodes", "pam_antagonist.nodes.")):
+    for title, package in _PLACES.items():
         lines += ["", title]
         for name, command in COMMANDS.items():
             if command.target.startswith(package):

@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.benchmark.figure import Figure as Measured
-from pam_antagonist.benchmark.soak import BLOCK, WARM_UP, Soak
 from pam_antagonist.report.curves import PALETTE
 from pam_antagonist.report.document import Block, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
 from pam_antagonist.report.figures import Clock, Level, Line, Panel, stack
 from pam_antagonist.report.html import Figure
 from pam_antagonist.report.table import number
+from pam_antagonist.validation.benchmark.figure import Figure as Measured
+from pam_antagonist.validation.benchmark.soak import BLOCK, WARM_UP, Soak
 
 Floats = NDArray[np.float64]
 

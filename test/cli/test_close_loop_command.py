@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from joblib import Parallel, delayed
 
-from pam_antagonist.benchmark.battery_plants import Case
 from pam_antagonist.cli.close_loop import main
 from pam_antagonist.cli.cluster import connected
 from pam_antagonist.diagnosis.store import Store
 from pam_antagonist.recording import write_bag
 from pam_antagonist.rig import load_rig
+from pam_antagonist.validation.battery.plants import Case
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rig_a"
 

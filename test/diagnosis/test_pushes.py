@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.benchmark.battery_forms import SINGLE
 from pam_antagonist.diagnosis import pushes
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import BLOCK
+from pam_antagonist.validation.battery.forms import SINGLE
 
 SEED = 13
 SIZE = 8.0

@@ -7,13 +7,13 @@ import re
 import numpy as np
 import pytest
 
-from pam_antagonist.benchmark.battery_plants import staircase
 from pam_antagonist.diagnosis import dependence, remaining, residuals
 from pam_antagonist.diagnosis.dependence import Surroundings
 from pam_antagonist.diagnosis.equations import equation_errors
 from pam_antagonist.diagnosis.select import Model, recalibrated
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.validation.battery.plants import staircase
 
 STEP = 0.02
 COUNT = 1000

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pam_antagonist.benchmark.battery_plants import JOINTS, Case
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
+from pam_antagonist.validation.battery.plants import JOINTS, Case
 
 Make = Callable[..., Recording]
 

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_table import read_force_map, read_volumes
-from pam_antagonist.paper.scenario import load_scenario
 from pam_antagonist.paths import config_dir
 from pam_antagonist.recording.csv_import import read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.rig import load_rig
+from pam_antagonist.validation.paper.scenario import load_scenario
 
 DEEP = bool(os.environ.get("PAM_PROOF"))
 EXAMPLES = settings(

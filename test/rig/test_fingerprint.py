@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.paper.scenario import load_scenario, virtual_rig
 from pam_antagonist.rig import Rig, RigIdentity, differences, fingerprint, load_rig
 from pam_antagonist.rig.fingerprint import FACTS
 from pam_antagonist.rig.write import write_rig
+from pam_antagonist.validation.paper.scenario import load_scenario, virtual_rig
 
 Laid = Callable[[str], Rig]
 

@@ -1,0 +1,1 @@
+"""How often the diagnosis is right, on simulated joints whose effects are known."""

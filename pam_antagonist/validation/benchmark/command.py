@@ -1,0 +1,155 @@
+"""``benchmark``: what the package costs, as ratios measured in one run."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.report import terminal
+from pam_antagonist.report.table import Table, number
+from pam_antagonist.rig import load_rig
+from pam_antagonist.software import versions
+from pam_antagonist.strict_json import write_json
+from pam_antagonist.validation.benchmark.figure import Figure
+
+_DESCRIPTION = """\
+Measure what the package costs on this machine.
+
+  kernels   a UKF step against bare RK4 steps of the same model, and against filterpy's UKF around it
+  replay    the whole replay command against the length of the recording
+  pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): losses,
+            and the round trip pressure -> command against that of a pipeline that passes messages through
+
+  --soak S  instead of all that: the pipeline for S seconds, with what grows, what is lost and what drifts (600 is a
+            good while); looks at every process once a second, and with --json FILE writes the series as a page beside
+            it (FILE with the suffix .html)
+
+Every figure is a ratio of two things that were timed in turn, so that a busy machine slows both.
+Status: 0 whether or not a bound holds, 2 bad input.
+"""
+PARTS = ("kernels", "replay", "pipeline")
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("benchmark", _DESCRIPTION)
+    out.add_argument("--only", choices=PARTS, action="append", help="this part alone; may be given several times")
+    out.add_argument(
+        "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
+    )
+    out.add_argument("--bag", type=Path, metavar="BAG", help="recording for the replay (default: 60 s are simulated)")
+    out.add_argument(
+        "--duration", type=float, default=60.0, metavar="S", help="length of the pipeline's run [s] (default: 60)"
+    )
+    out.add_argument(
+        "--soak", type=float, metavar="S", help="run the pipeline for so long, from 15 s on, and no other part"
+    )
+    out.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE as well; must not exist")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    if arguments.json is not None and arguments.json.exists():
+        raise BadInput(f"{arguments.json}: exists; expected a new file, nothing is overwritten")
+    rig = load_rig(arguments.rig)
+    if arguments.soak is not None:
+        return _soak(arguments)
+    parts = [part for part in PARTS if part in (arguments.only or PARTS)]
+    figures: list[Figure] = []
+    with common.progress(len(parts), "benchmark", "parts") as bar:
+        for part in parts:
+            if part == "kernels":
+                from pam_antagonist.validation.benchmark import kernels
+
+                figures += kernels.measure(rig)
+            elif part == "replay":
+                from pam_antagonist.validation.benchmark import offline
+
+                figures += offline.measure(arguments.rig, arguments.bag)
+            else:
+                from pam_antagonist.validation.benchmark import pipeline
+
+                figures += pipeline.measure(arguments.rig, arguments.duration)
+            bar.update(1)
+    _tell(figures, arguments.json)
+    return common.DONE
+
+
+def _soak(arguments: argparse.Namespace) -> int:
+    if not (math.isfinite(arguments.soak) and 15.0 <= arguments.soak <= 86_400.0):
+        raise BadInput(f"--soak {arguments.soak:g}: expected seconds from 15 to 86400")
+    if arguments.only:
+        raise BadInput("--soak and --only: expected one of them")
+    html = None if arguments.json is None else arguments.json.with_suffix(".html")
+    if html is not None and (html.exists() or html == arguments.json):
+        raise BadInput(f"--json {arguments.json}: {html} is the page that stands beside it; expected another name")
+    from pam_antagonist.validation.benchmark import soak
+
+    with common.progress(round(arguments.soak), "soak", "s") as bar:
+        result = soak.measure(arguments.rig, arguments.soak, bar.update)
+    series: dict[str, object] = {
+        "time_s": result.usage.time.round(3).tolist(),
+        "resident_mb": {name: values.round(3).tolist() for name, values in result.usage.resident.items()},
+        "cpu_s": {name: values.round(2).tolist() for name, values in result.usage.cpu.items()},
+        "drift_ms": result.drift.round(4).tolist(),
+        "block_s": soak.BLOCK,
+        "lost": {stage: values.tolist() for stage, values in result.samples.lost.items()},
+        "round_trip_ms": {
+            name: getattr(result.samples, name).round(3).tolist() for name in ("median", "p99", "largest")
+        },
+    }
+    _tell(result.figures, arguments.json, {"duration_s": arguments.soak, "series": series})
+    if html is not None:
+        from pam_antagonist.report.html import render
+        from pam_antagonist.report.soak_page import page
+
+        html.write_text(render(page(result, load_rig(arguments.rig).name)), encoding="utf-8")
+        print(f"\npage: {html}")
+    return common.DONE
+
+
+def _tell(figures: Sequence[Figure], json: Path | None, more: Mapping[str, object] = {}) -> None:
+    """Print the figures, and write them where that was asked for."""
+    print(terminal.table(_table(figures), indent=""))
+    print("\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures))
+    if json is not None:
+        machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+        content = {
+            "figures": {figure.name: dataclasses.asdict(figure) for figure in figures},
+            "machine": machine,
+            "software": versions(),
+            **more,
+        }
+        write_json(json, content)
+
+
+def _table(figures: Sequence[Figure]) -> Table:
+    mark = {True: "yes", False: "NO", None: ""}
+    return Table(
+        ("figure", "measured", "wanted", "holds"),
+        tuple(
+            (figure.name, f"{number(figure.value)} {figure.unit}".strip(), figure.wanted, mark[figure.holds])
+            for figure in figures
+        ),
+    )
+
+
+def _parts(figure: Figure) -> str:
+    return ", ".join(f"{name} {number(value)}" for name, value in figure.parts.items())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,112 @@
+"""``faults``: everything that may go wrong, made on purpose, and what the valves did."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+
+if TYPE_CHECKING:
+    from pam_antagonist.validation.faults.fault import Fault
+
+_DESCRIPTION = """\
+Make every fault in a running pipeline, and tell what the valves did.
+
+Device emulator, bridge, estimator and controller run as processes at the rig's sample rate, in a ROS domain of their
+own. Each fault is made, ended, and looked at until control is back: whether the valves had safe voltages within 50 ms
+(by the device's own log), what /diagnostics said, and what came back by itself. All of them take about three minutes,
+for which the machine should have nothing else to do.
+Status: 0 if everything came out as expected, 1 if something did not, 2 bad input.
+"""
+_EXAMPLES = """\
+examples:
+  faults
+  faults --only "bridge killed" --only "pressure stuck"
+  faults --json faults.json --docs faults.md
+"""
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("faults", _DESCRIPTION, _EXAMPLES)
+    out.add_argument(
+        "--only", action="append", metavar="NAME", help="this fault alone; may be given several times (see --list)"
+    )
+    out.add_argument("--list", action="store_true", help="tell the faults, and make none")
+    out.add_argument(
+        "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
+    )
+    out.add_argument("--json", type=Path, metavar="FILE", help="write the table to FILE as well; must not exist")
+    out.add_argument("--docs", type=Path, metavar="FILE", help="write the table as a Markdown page; replaces FILE")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    if importlib.util.find_spec("rclpy") is None:
+        raise BadInput("faults needs ROS 2: start it with ./run, or source ROS 2 Jazzy")
+    from pam_antagonist.rig import load_rig
+    from pam_antagonist.strict_json import write_json
+    from pam_antagonist.validation.faults import table
+    from pam_antagonist.validation.faults.catalogue import FAULTS
+    from pam_antagonist.validation.faults.fault import Outcome
+    from pam_antagonist.validation.faults.run import run_faults
+
+    if arguments.list:
+        width = max(len(fault.name) for fault in FAULTS)
+        print("\n".join(f"{fault.name.ljust(width)}  {fault.what}" for fault in FAULTS))
+        return common.DONE
+    if arguments.json is not None and arguments.json.exists():
+        raise BadInput(f"{arguments.json}: exists; expected a new file, nothing is overwritten")
+    faults = chosen(FAULTS, arguments.only)
+    load_rig(arguments.rig)
+    rig = str(Path(arguments.rig).resolve()) if arguments.rig.endswith((".yaml", ".yml")) else arguments.rig
+    print(table.HEADER, flush=True)
+    with common.progress(len(faults), "faults", "faults") as bar:
+
+        def done(outcome: Outcome) -> None:
+            bar.clear()
+            print(table.line(outcome), flush=True)
+            bar.update(1)
+
+        outcomes = run_faults(faults, rig, done)
+    print(f"\n{table.summary(outcomes)}")
+    if arguments.json is not None:
+        write_json(arguments.json, table.content(outcomes))
+    if arguments.docs is not None:
+        _write(arguments.docs, table.page(outcomes))
+    return common.DONE if all(outcome.held for outcome in outcomes) else common.FAILED
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def chosen(faults: Sequence[Fault], names: Sequence[str] | None) -> list[Fault]:
+    """Those faults that were asked for, in the table's order.
+
+    Raises:
+        BadInput: there is no such fault.
+    """
+    known = [fault.name for fault in faults]
+    wanted = list(names or known)
+    for name in wanted:
+        if name not in known:
+            raise BadInput(f"--only {name!r}: expected one of {', '.join(known)}")
+    return [fault for fault in faults if fault.name in wanted]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,292 @@
+"""Scores, files and tables of the battery, with a diagnosis that says what it is told to."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.validation.battery import command, outcomes
+from pam_antagonist.validation.battery.plants import JOINTS, Case, cases
+
+NOTHING = {"angle": None, "torque": None, "pressure": {"rmse_pa": [None, None]}}
+
+
+def errors(angle: float, torque: float, pressure: tuple[float, float]):
+    return {"angle": {"rmse_deg": angle}, "torque": {"rmse_nm": torque}, "pressure": {"rmse_pa": list(pressure)}}
+
+
+def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=None, after=None):
+    return SimpleNamespace(
+        verdict=verdict,
+        effects=[SimpleNamespace(name=name, muscle=muscle) for name, muscle in effects],
+        ambiguous_with=list(ambiguous),
+        trials=[
+            SimpleNamespace(effect=n, round=1, delta_bic=30.0, foretold=8.0, shares=(0.9, 0.8)) for n, _ in effects
+        ],
+        errors={"recalibrated": before or errors(1, 1, (1e4, 1e4)), "extended": after or errors(1, 1, (1e4, 1e4))},
+    )
+
+
+def outcome(kind: str, effects=(), verdict: str = "none", found=(), **values) -> outcomes.Outcome:
+    base = {
+        "name": "a case", "kind": kind, "effects": tuple(effects), "form": tuple(name for name, _ in effects),
+        "seed": 1, "sizes": (5.0,) * len(effects), "duration": 60.0, "verdict": verdict, "found": tuple(found),
+        "ambiguous_with": (), "leading": (), "channel": None, "errors": {}, "seconds": 1.0, "threads": 1,
+    }  # fmt: skip
+    return outcomes.Outcome(**{**base, **values})
+
+
+LEAK, CREEP, DROOP = ("leak", 1), ("creep", None), ("supply_droop", None)
+
+
+@pytest.mark.parametrize(
+    ("item", "right"),
+    [
+        (outcome("single", [LEAK], "effect", [LEAK]), True),
+        (outcome("single", [LEAK], "effect", [LEAK, CREEP]), True),
+        (outcome("single", [LEAK], "effect", [CREEP, LEAK]), False),
+        (outcome("single", [LEAK], "unexplained", [LEAK]), False),
+        (outcome("single", [LEAK], "none"), False),
+        (outcome("pair", [LEAK, CREEP], "effect", [CREEP, LEAK]), True),
+        (outcome("pair", [LEAK, CREEP], "effect", [CREEP]), False),
+        (outcome("pair", [LEAK, CREEP], "effect", [CREEP, DROOP, LEAK]), True),
+        (outcome("none", [], "none"), True),
+        (outcome("none", [], "effect", [LEAK]), False),
+        (outcome("none", [], "unexplained"), False),
+        (outcome("foreign", [("exchange", None)], "unexplained"), True),
+        (outcome("foreign", [("exchange", None)], "effect", [LEAK]), False),
+        (outcome("foreign", [("exchange", None)], "none"), False),
+    ],
+)
+def test_what_is_right(item: outcomes.Outcome, right: bool) -> None:
+    assert item.right is right
+
+
+def test_muscles_are_counted_apart() -> None:
+    assert outcome("single", [LEAK], "effect", [("leak", 1)]).right_muscle is True
+    assert outcome("single", [LEAK], "effect", [("leak", 2)]).right_muscle is False
+    assert outcome("single", [LEAK], "effect", [("leak", 2)]).right is True
+    assert outcome("single", [CREEP], "effect", [("creep", 2)]).right_muscle is None
+
+
+def test_reduction_is_a_share_of_what_a_true_model_takes_away() -> None:
+    def of(before, after, true) -> float | None:
+        return outcome("single", [LEAK], errors={"recalibrated": before, "extended": after, "true": true}).reduction
+
+    assert of(10.0, 4.0, 2.0) == pytest.approx(0.75)
+    assert of(10.0, 12.0, 2.0) == pytest.approx(-0.25)
+    assert of(2.05, 2.0, 2.0) is None, "there was nothing to take away"
+    assert of(None, 4.0, 2.0) is None
+
+
+def test_scores() -> None:
+    items = [
+        outcome("single", [LEAK], "effect", [("leak", 2)], errors={"recalibrated": 10.0, "extended": 4.0, "true": 2.0}),
+        outcome("single", [CREEP], "effect", [DROOP], ambiguous_with=("creep",)),
+        outcome("single", [LEAK], "unexplained", leading=[outcomes.Candidate("leak", 40.0, 20.0, 0.6, 0.7)]),
+        outcome("pair", [LEAK, CREEP], "effect", [CREEP]),
+        outcome("none"), outcome("none"), outcome("none"), outcome("none", [], "effect", [LEAK]),
+        outcome("foreign", [("exchange", None)], "unexplained"),
+    ]  # fmt: skip
+    values = {score.what: (score.value, score.count, score.holds) for score in outcomes.scores(items)}
+    assert values["single effect: the right one first"] == (pytest.approx(1.0 / 3.0), 3, False)
+    assert values["single effect: and on its muscle"] == (0.0, 1, None)
+    assert values["single effect: first, or among those it cannot be told from"] == (pytest.approx(2.0 / 3.0), 3, None)
+    leads = values["single effect: named, or the first of the candidates where none explains enough"]
+    assert leads == (pytest.approx(2.0 / 3.0), 3, None)
+    assert values["two effects: both found"] == (0.0, 1, False)
+    assert values["two effects: one of them first"] == (1.0, 1, None)
+    assert values["one or two effects, some found: none named that is not there"] == (pytest.approx(2.0 / 3.0), 3, None)
+    assert values["nothing: false alarm"] == (0.25, 4, False)
+    assert values["in no catalogue: unexplained"] == (1.0, 1, True)
+    assert values["error that a true model takes away, taken away (median)"] == (pytest.approx(0.75), 1, True)
+    assert all(score.value is None and score.holds is None for score in outcomes.scores([]))
+
+
+def test_confusion_matrix() -> None:
+    header, rows = outcomes.confusion(
+        [
+            outcome("single", [LEAK], "effect", [LEAK]),
+            outcome("single", [LEAK], "effect", [CREEP]),
+            outcome("single", [CREEP], "unexplained"),
+            outcome("pair", [LEAK, CREEP], "effect", [CREEP]),
+            outcome("none"),
+            outcome("foreign", [("exchange", None)], "effect", [LEAK]),
+        ]
+    )
+    assert header == ("there \\ said first", "leak", "creep", "none", "unexplained")
+    assert rows == (
+        ("leak", "1", "1", "·", "·"),
+        ("creep", "·", "·", "·", "1"),
+        ("none", "·", "·", "1", "·"),
+        ("(exchange)", "1", "·", "·", "·"),
+    )
+
+
+def a_case(effect: str, form: str, muscle: int | None) -> Case:
+    return Case(form, "single", ((effect, muscle),), (form,), 21, (10.0,))
+
+
+def test_a_case_is_judged_on_the_channel_that_it_moves() -> None:
+    case = a_case("leak", "seeping", 1)
+    before, after = errors(1.0, 0.1, (9000.0, 700.0)), errors(1.0, 0.1, (1200.0, 700.0))
+    seen = []
+
+    def diagnose(recordings):
+        seen.extend(recordings)
+        return said("effect", ("leak", 1), before=before, after=after)
+
+    result = outcomes.judge(case, diagnose, 12.0)
+    assert [len(recording) for recording in seen] == [12_000, 12_000]
+    assert result.channel == "pressure_1"
+    assert result.errors["recalibrated"] == 9000.0 and result.errors["extended"] == 1200.0
+    # A model that is right in everything leaves the sensor's noise and rounding.
+    assert result.errors["true"] == pytest.approx(np.hypot(600.0, 244.0 / 12**0.5), rel=0.03)
+    assert 0.9 < result.reduction < 1.0
+    assert result.right and result.right_muscle
+
+
+def test_the_angle_s_error_is_in_degrees_and_of_the_free_joint() -> None:
+    case = a_case("friction", "hess and soom", None)
+    result = outcomes.judge(case, lambda recordings: said("none"), 12.0)
+    assert result.channel == "angle"
+    assert result.errors["true"] == pytest.approx(np.degrees(5e-4), rel=0.05)
+    assert result.errors["recalibrated"] == 1.0
+
+
+def test_errors_that_are_not_there_are_unknown() -> None:
+    case = a_case("friction", "hess and soom", None)
+    answer = said("unexplained", before=NOTHING)
+    del answer.errors["extended"]
+    result = outcomes.judge(case, lambda recordings: answer, 12.0)
+    assert result.errors["recalibrated"] is None and result.errors["extended"] is None
+    assert result.reduction is None
+
+
+def test_recordings_that_are_refused_are_a_wrong_answer() -> None:
+    def refuse(recordings):
+        raise BadInput("too quiet")
+
+    result = outcomes.judge(a_case("leak", "seeping", 1), refuse, 12.0)
+    assert result.verdict == "refused" and not result.right
+    assert outcomes.confusion([result])[1] == (("leak", "1"),)
+    assert outcomes.confusion([result])[0][1:] == ("refused",)
+
+
+def test_outcomes_survive_their_file(tmp_path: Path) -> None:
+    case = cases(3, 1)[0]
+    result = outcomes.judge(case, lambda recordings: said("effect", ("leak", 1), ("creep", None)), 10.0)
+    outcomes.save(tmp_path, 0, result)
+    assert outcomes.load(tmp_path, 0, case, 10.0) == result
+    assert outcomes.load(tmp_path, 1, case, 10.0) is None
+    assert [path.name for path in tmp_path.iterdir()] == ["case_000.json"]
+
+
+def test_the_file_of_another_battery_is_refused(tmp_path: Path) -> None:
+    case = cases(3, 1)[0]
+    outcomes.save(tmp_path, 0, outcomes.judge(case, lambda recordings: said("none"), 10.0))
+    for wanted, duration in ((cases(4, 1)[0], 10.0), (case, 20.0), (dataclasses.replace(case, sizes=(9.0,)), 10.0)):
+        with pytest.raises(BadInput, match="another battery"):
+            outcomes.load(tmp_path, 0, wanted, duration)
+    (tmp_path / "case_000.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(BadInput, match="no outcome"):
+        outcomes.load(tmp_path, 0, case, 10.0)
+
+
+# The command
+
+
+@pytest.fixture
+def oracle(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A diagnosis that knows the truth, but for supply_droop; and the names of the cases that it was asked about."""
+    asked: list[str] = []
+
+    def diagnosis(case: Case, jobs: int):
+        def run(recordings):
+            assert len(recordings) == len(JOINTS)
+            asked.append(case.name)
+            if case.kind in ("none", "foreign"):
+                return said({"none": "none", "foreign": "unexplained"}[case.kind])
+            return said("effect", *((name, m) for name, m in case.effects if name != "supply_droop"))
+
+        return run
+
+    monkeypatch.setattr(command, "_diagnosis", diagnosis)
+    return asked
+
+
+def run(*arguments: object) -> int:
+    return command.main([str(item) for item in arguments])
+
+
+def test_goes_on_where_it_was_interrupted(tmp_path: Path, oracle, capsys) -> None:
+    out = tmp_path / "result"
+    assert run("--out", out, "--count", 6, "--duration", 10, "--shard", "2/2", "--jobs", 2) == 0
+    assert "3 of 6 cases are finished" in capsys.readouterr().out
+    assert len(oracle) == 3
+    assert run("--out", out, "--count", 6, "--duration", 10, "--jobs", 2) == 0
+    assert len(oracle) == 6 == len(set(oracle))
+    (out / "case_004.json").unlink()
+    arguments = ("--out", out, "--count", 6, "--duration", 10, "--jobs", 1, "--docs", tmp_path / "battery.md")
+    assert run(*arguments) == 0
+    assert len(oracle) == 7 and oracle[-1] == cases(1, 6)[4].name
+    text = capsys.readouterr().out
+    assert "6 of 6 cases are finished" in text and "single effect: the right one first" in text
+    page = (tmp_path / "battery.md").read_text(encoding="utf-8")
+    assert "./run battery --out DIR --count 6 --seed 1 --duration 10" in page
+    assert "s at most, with 1 to 2 threads" in page
+    tables = [line for line in page.splitlines() if line.startswith("|")]
+    assert len({line.count("|") for line in tables}) <= 3
+    for item in cases(1, 6):
+        if item.kind == "single":
+            assert f"| {item.effects[0][0]} |" in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--shard", "3/2"), "I/K"),
+        (("--shard", "one"), "I/K"),
+        (("--count", 0), "one case or more"),
+        (("--seed", -1), "seed of 0 or more"),
+        (("--duration", 1), "10 to 3600"),
+        (("--jobs", 0), "1 or more"),
+    ],
+)
+def test_bad_arguments(tmp_path: Path, capsys, arguments, word: str) -> None:
+    assert run("--out", tmp_path / "out", *arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1 and word in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_that_is_a_file(tmp_path: Path, capsys) -> None:
+    (tmp_path / "out").write_text("mine", encoding="utf-8")
+    assert run("--out", tmp_path / "out", "--count", 1) == 2
+    assert "cannot be made" in capsys.readouterr().err
+
+
+def test_bags_with_their_truth(tmp_path: Path, capsys) -> None:
+    assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 0
+    assert "2 cases" in capsys.readouterr().out
+    for number, case in enumerate(cases(1, 2)):
+        folder = tmp_path / "bags" / f"{number:03d}"
+        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        assert truth["name"] == case.name and truth["kind"] == case.kind
+        assert [name for name, _ in truth["effects"]] == [name for name, _ in case.effects]
+        assert {path.name for path in folder.iterdir()} == {"free", "locked", "truth.json"}
+    assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 2
+
+
+def test_help_teaches(capsys) -> None:
+    assert run("--help") == 0
+    text = capsys.readouterr().out
+    assert "examples:" in text and "--shard" in text and "--docs" in text
+    assert len(CATALOGUE) == 12

@@ -1,0 +1,176 @@
+"""The battery's joints: without effects the model, with them off by what they say, never in the catalogue's form."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import dynamics
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.recording import read_bag
+from pam_antagonist.recording.joint import joint_condition
+from pam_antagonist.rig import load_rig
+from pam_antagonist.validation.battery import physics
+from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Form
+from pam_antagonist.validation.battery.plants import JOINTS, KINDS, SMALLEST, Case, cases, staircase
+
+RIG = load_rig("shin2022")
+
+
+def case_of(form: Form, size: float, seed: int = 21) -> Case:
+    muscle = 1 + seed % 2 if form.by_muscle else None
+    return Case(form.name, "single", ((form.effect, muscle),), (form.name,), seed, (size,))
+
+
+NOTHING = Case("nothing", "none", (), (), 5, ())
+
+
+def test_every_effect_has_two_forms_or_more() -> None:
+    effects = [form.effect for form in SINGLE]
+    assert set(effects) == set(CATALOGUE)
+    assert all(effects.count(name) >= 2 for name in CATALOGUE)
+    assert len({form.name for form in (*SINGLE, *FOREIGN)}) == len(SINGLE) + len(FOREIGN)
+    assert not {form.effect for form in FOREIGN} & set(CATALOGUE)
+    assert len(FOREIGN) >= 5
+
+
+@pytest.mark.parametrize("joint", JOINTS)
+def test_without_effects_it_is_the_model_at_a_finer_step(joint: str) -> None:
+    seconds, substeps = 10.0, 4
+    case = NOTHING
+    voltage = case.voltage(joint, seconds)
+    p = par.changed(case.parameters(joint), {"friction.time_step": 1e-3 / substeps})
+    x = np.array([0.0, 0.0, 450e3, 450e3])
+    for _ in range(physics.SETTLING * substeps):
+        dynamics.rk4_step(x, voltage[0], p, 1e-3 / substeps, x)
+        x[2:] = 450e3
+    # ``simulate`` shows the start first, the battery the end of the first period.
+    states, torques, _ = dynamics.simulate(x, np.vstack([voltage[:1], voltage]), p, 1e-3, substeps)
+    shown = case.channels(joint, seconds)
+    np.testing.assert_allclose(shown.pressure, states[1:, 2:], rtol=1e-9)
+    np.testing.assert_allclose(shown.angle, states[1:, 0], atol=1e-9)
+    np.testing.assert_allclose(shown.torque, torques[1:], atol=1e-7)
+    assert np.ptp(shown.pressure, axis=0).min() > 50e3
+
+
+def test_nothing_moves_nothing() -> None:
+    for joint in JOINTS:
+        one, other = NOTHING.channels(joint, 5.0), NOTHING.channels(joint, 5.0, effects=False)
+        for name in ("angle", "pressure", "torque"):
+            assert np.array_equal(getattr(one, name), getattr(other, name))
+    assert set(NOTHING.moved(5.0).values()) == {0.0}
+
+
+@pytest.mark.parametrize("form", [*SINGLE, *FOREIGN], ids=lambda form: form.name)
+def test_a_size_is_what_a_channel_moves_in_noises(form: Form) -> None:
+    size = min(10.0, form.largest)
+    # Pushes are spread over a minute; the others show in less.
+    moved = case_of(form, size).moved(60.0 if form.effect == "external_torque" else 30.0)
+    assert all(np.isfinite(list(moved.values())))
+    assert 0.3 * size < max(moved.values()) < 4.0 * size, moved
+    assert moved["locked angle"] == 0.0
+
+
+@pytest.mark.parametrize("form", [form for form in SINGLE if form.by_muscle], ids=lambda form: form.name)
+def test_a_muscle_s_effect_leaves_the_other_s_pressure(form: Form) -> None:
+    for seed, own, other in ((20, 1, 2), (21, 2, 1)):
+        moved = case_of(form, min(10.0, form.largest), seed).moved(20.0)
+        assert moved[f"locked pressure_{own}"] > 0.5
+        assert moved[f"locked pressure_{other}"] == 0.0
+
+
+def test_recordings_are_like_those_of_a_laboratory() -> None:
+    case = cases(3, 1)[0]
+    free, locked = case.recordings(20.0)
+    for recording, joint in ((free, "free"), (locked, "locked")):
+        assert len(recording) == 20_000
+        assert recording.sample_period_s == pytest.approx(1e-3)
+        assert joint_condition(recording).condition == joint
+        assert recording.pressure[:20] == pytest.approx(450e3, abs=5e3)
+        assert np.abs(recording.angle[:20]).max() < np.radians(2.0)
+        steps = recording.pressure / RIG.sensors.pressure_step
+        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+        true = case.channels(joint, 20.0)
+        noise = np.std(recording.pressure - true.pressure)
+        assert noise == pytest.approx(np.hypot(RIG.sensors.pressure_std, RIG.sensors.pressure_step / 12**0.5), rel=0.05)
+        assert np.std(recording.torque - true.torque) == pytest.approx(RIG.sensors.torque_std, rel=0.05)
+        assert recording.external_torque is None
+    assert np.all(case.channels("locked", 5.0).angle == 0.0)
+
+
+def test_each_recording_has_base_parameters_of_its_own() -> None:
+    free, locked = (NOTHING.parameters(joint) for joint in JOINTS)
+    name = par.INDEX["muscle_1.force.v1"]
+    declared = RIG.parameters()[name]
+    assert 0.0 < abs(free[name] / declared - 1.0) < 0.05
+    assert free[name] != locked[name]
+    assert np.array_equal(NOTHING.parameters("free"), free)
+
+
+def test_voltages_are_steps_and_ramps_within_the_valves_range() -> None:
+    time = np.arange(1, 60_001) * 1e-3
+    for seed in range(20):
+        voltage = staircase(time, np.random.default_rng(seed))
+        assert voltage.shape == (60_000, 2)
+        assert voltage.min() > 4.1 and voltage.max() < 8.01
+        levels = voltage * 4096 / 10
+        np.testing.assert_allclose(levels, np.rint(levels), atol=1e-6)
+        jumps = np.abs(np.diff(voltage, axis=0)).max(axis=1) > 0.05
+        assert 1 <= jumps.sum() <= 20
+
+
+def test_a_battery_holds_all_kinds_and_all_forms() -> None:
+    battery = cases(1, 80)
+    counts = {kind: sum(case.kind == kind for case in battery) for kind in KINDS}
+    assert counts == {"single": 40, "pair": 16, "none": 12, "foreign": 12}
+    alone = {case.form[0] for case in battery if case.kind == "single"}
+    assert alone == {form.name for form in SINGLE}
+    assert {case.form[0] for case in battery if case.kind == "foreign"} == {form.name for form in FOREIGN}
+    assert len({case.seed for case in battery}) == 80
+    largest = {form.name: form.largest for form in (*SINGLE, *FOREIGN)}
+    for case in battery:
+        assert len(case.effects) == len(case.form) == len(case.sizes) == {"none": 0, "pair": 2}.get(case.kind, 1)
+        assert all(SMALLEST <= size <= largest[name] for name, size in zip(case.form, case.sizes, strict=True))
+        if case.kind == "pair":
+            assert case.effects[0][0] != case.effects[1][0]
+    sizes = np.array([case.sizes[0] for case in battery if case.kind == "single"])
+    assert sizes.min() < 5.0 and sizes.max() > 20.0
+
+
+def test_the_same_seed_is_the_same_battery_and_another_is_not() -> None:
+    assert cases(4, 30) == cases(4, 60)[:30]
+    assert cases(4, 30) != cases(5, 30)
+    one, other = (cases(4, 2)[1].recording("locked", 3.0) for _ in range(2))
+    assert np.array_equal(one.pressure, other.pressure) and np.array_equal(one.torque, other.torque)
+
+
+@pytest.mark.parametrize(("seed", "count"), [(-1, 3), (0, 0)])
+def test_refused(seed: int, count: int) -> None:
+    with pytest.raises(BadInput, match="expected"):
+        cases(seed, count)
+
+
+def test_written_bags_hold_the_recordings(tmp_path: Path) -> None:
+    case = cases(2, 1)[0]
+    case.write(tmp_path, 3.0)
+    for joint in JOINTS:
+        bag, there = read_bag(tmp_path / joint), case.recording(joint, 3.0)
+        for name in ("stamp_ns", "pressure", "voltage", "angle", "torque"):
+            assert np.array_equal(getattr(bag, name), getattr(there, name)), name
+
+
+def test_pairs_do_both() -> None:
+    forms = [next(form for form in SINGLE if form.name == name) for name in ("seeping", "geared pendulum")]
+    both = Case(
+        "both", "pair", (("leak", 2), ("load_torque", None)), tuple(form.name for form in forms), 21, (10.0, 10.0)
+    )
+    moved = both.moved(20.0)
+    assert moved["locked pressure_2"] > 3.0 and moved["locked pressure_1"] == 0.0
+    alone = Case("alone", "single", (("leak", 2),), ("seeping",), 21, (10.0,)).moved(20.0)
+    assert moved["free angle"] != pytest.approx(alone["free angle"], rel=0.05)
+    assert json.dumps(both.effects) == '[["leak", 2], ["load_torque", null]]'

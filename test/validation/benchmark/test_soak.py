@@ -1,0 +1,110 @@
+"""What the soak run makes of its series: growth, drift, bounds; and the run itself, short."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.nodes.accounting import STAGES, OverTime
+from pam_antagonist.recording import Arrival, Recording
+from pam_antagonist.report.html import render
+from pam_antagonist.report.soak_page import page
+from pam_antagonist.validation.benchmark import command as benchmark
+from pam_antagonist.validation.benchmark.figure import at_most
+from pam_antagonist.validation.benchmark.soak import Soak, Usage, clock_drift, growth
+
+
+def usage(resident: np.ndarray) -> Usage:
+    time = np.arange(len(resident), dtype=float)
+    return Usage(time, {"plant": resident}, {"plant": 0.1 * time})
+
+
+def test_growth_counts_from_the_end_of_the_warm_up() -> None:
+    time = np.arange(601.0)
+    assert growth(usage(200.0 + np.minimum(time, 50.0)), "plant") == 0.0  # all of it in the first minute
+    leak = growth(usage(200.0 + 0.01 * time), "plant")
+    assert leak == pytest.approx(0.01 * (595.0 - 64.5))
+    spikes = 200.0 + 50.0 * (time % 20 == 0)
+    assert growth(usage(spikes), "plant") == 0.0
+
+
+def recorded(drift: float, delays: np.ndarray) -> Recording:
+    """Samples at 1 kHz whose device runs slow by ``drift``."""
+    size = len(delays)
+    stamp_ns = 10**18 + 10**6 * np.arange(size)
+    log_ns = stamp_ns + (drift * (stamp_ns - stamp_ns[0])).astype(np.int64) + (delays * 1e6).astype(np.int64)
+    arrival = Arrival(log_ns, stamp_ns)
+    return Recording(
+        Path("x"), stamp_ns, np.full((size, 2), 4e5), np.full((size, 2), 5.0), received_ns={"pressure_1": arrival}
+    )
+
+
+def test_drift_is_told_from_delays() -> None:
+    rng = np.random.default_rng(1)
+    delays = 0.15 + rng.exponential(0.3, 60_000)
+    delays[30_000:45_000] += rng.exponential(5.0, 15_000)  # the machine was busy
+    assert np.abs(clock_drift(recorded(0.0, delays))).max() < 0.03  # ms
+    drift = clock_drift(recorded(50e-6, delays))
+    assert len(drift) == 6
+    assert drift[-1] == pytest.approx(50e-6 * 50e3, rel=0.02)  # 50 ppm over 50 s
+
+
+def test_the_page_shows_what_broke_and_when(tmp_path: Path) -> None:
+    time = np.arange(121.0)
+    grown = Usage(
+        time, {"plant": 200.0 + 0.1 * time, "record": 90.0 + 0.0 * time}, {"plant": 0.3 * time, "record": time}
+    )
+    blocks = np.full(12, 0.5)
+    blocks[7] = np.nan  # nothing answered
+    lost = {stage: np.zeros(12) for stage in STAGES}
+    samples = OverTime(np.arange(12) * 10.0 + 5.0, lost, blocks, 3.0 * blocks, 90.0 * blocks)
+    figures = [
+        at_most("soak_memory_growth", "largest growth", 6.0, 2.0, "MB", {}),
+        at_most("soak_lost", "share", 0.0, 0.1, "%", {}),
+    ]
+    html = render(page(Soak(figures, grown, np.linspace(0.0, 0.2, 12), samples), "shin2022"))
+    assert "1 of 2 figures broke their bound." in html
+    assert "largest growth: 6.00 MB, expected ≤ 2." in html
+    for title in ("Memory", "Processor", "Losses", "Round trip", "Drift"):
+        assert f"<figcaption>{title}</figcaption>" in html
+    good = render(page(Soak(figures[1:], grown, np.zeros(12), samples), "shin2022"))
+    assert "Every bound held." in good and "broke" not in good
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--soak", "3"], "--soak 3: expected seconds from 15 to 86400"),
+        (["--soak", "nan"], "--soak nan: expected seconds"),
+        (["--soak", "60", "--only", "kernels"], "--soak and --only"),
+    ],
+)
+def test_what_it_refuses(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert benchmark.main(arguments) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.ros
+def test_a_short_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("rclpy")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")  # it takes a free one and leaves that behind
+    assert benchmark.main(["--soak", "15", "--json", str(tmp_path / "soak.json")]) == 0
+    said = json.loads((tmp_path / "soak.json").read_text())
+    assert set(said["figures"]) == {
+        "soak_memory_growth", "soak_recorder_growth", "soak_lost", "soak_drift", "soak_processor",
+    }  # fmt: skip
+    series = said["series"]
+    assert 15 <= len(series["time_s"]) <= 17
+    assert set(series["resident_mb"]) == set(series["cpu_s"]) == {"plant", "estimator", "controller", "record"}
+    assert all(len(values) == len(series["time_s"]) for values in series["resident_mb"].values())
+    assert said["figures"]["soak_lost"]["value"] <= 0.1
+    assert set(series["lost"]) == set(STAGES) and len(series["lost"]["pressure_1"]) == 2
+    worst = max(sum(values) for values in series["lost"].values())
+    assert worst == max(said["figures"]["soak_lost"]["parts"][stage] for stage in STAGES)
+    html = (tmp_path / "soak.html").read_text()
+    assert "Round trip" in html and "<script src=" not in html.split("<script>")[0]
+    assert benchmark.main(["--soak", "15", "--json", str(tmp_path / "soak.html")]) == 2
+    assert "soak_memory_growth" in capsys.readouterr().out

@@ -1,0 +1,61 @@
+"""Clocks that can be set: one offset for all processes of a pipeline, and nothing else of a node changes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(autouse=True)
+def _ros() -> None:
+    pytest.importorskip("rclpy")
+
+
+def test_the_offset_is_every_process_s(tmp_path: Path) -> None:
+    from pam_antagonist.validation.faults.stepped import Step
+
+    here = Step(tmp_path / "step", new=True)
+    assert here.ns == 0
+    code = (
+        "import sys\nfrom pam_antagonist.validation.faults.stepped import Step, Path\nstep = Step(Path(sys.argv[1]))\n"
+    )
+    code += "print(step.ns, flush=True)\nsys.stdin.readline()\nprint(step.ns)\nstep.ns = 7"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "step")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdin is not None and other.stdout is not None
+        assert other.stdout.readline() == "0\n"
+        here.ns -= 5 * 10**9
+        assert other.communicate("\n", timeout=30.0)[0] == "-5000000000\n"
+    assert here.ns == 7
+
+
+def test_a_node_s_time_has_the_step_in_it(tmp_path: Path) -> None:
+    from pam_antagonist.validation.faults.stepped import Step, stepped
+
+    step = Step(tmp_path / "step", new=True)
+    now_ns = stepped(lambda node: 1000, step)
+    assert now_ns(None) == 1000  # type: ignore[arg-type]
+    step.ns = -300
+    assert now_ns(None) == 700  # type: ignore[arg-type]
+
+
+def test_the_node_is_run_as_ever(tmp_path: Path) -> None:
+    from pam_antagonist.validation.faults.stepped import Step
+
+    Step(tmp_path / "step", new=True)
+    command = [
+        sys.executable,
+        "-m",
+        "pam_antagonist.validation.faults.stepped",
+        "estimator",
+        str(tmp_path / "step"),
+        "--help",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0 and "usage: estimator" in done.stdout, done.stderr

@@ -1,0 +1,191 @@
+"""What holds and what does not: the judgement of a fault, and the table."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.line_faults import parse_fault
+from pam_antagonist.strict_json import plain
+from pam_antagonist.validation.faults import table
+from pam_antagonist.validation.faults.catalogue import FAULTS, RELAYED
+from pam_antagonist.validation.faults.causes import AtDevice, Killed, Messages
+from pam_antagonist.validation.faults.command import chosen
+from pam_antagonist.validation.faults.command import main as command
+from pam_antagonist.validation.faults.fault import Fault, Observed, Outcome, Recovery, Said, Status, Valves, judge
+from pam_antagonist.validation.faults.relay import Line, Order, parse_order
+from pam_antagonist.validation.faults.valve_log import BRIDGE_SAFE, Row
+
+MS = 1_000_000
+ON = (6.0, 5.0)
+STOP = Fault(
+    "stop",
+    "",
+    AtDevice("stop"),
+    Valves.SAFE,
+    (Said("bridge: safety", 2, "stopped"),),
+    Recovery.CLEAR,
+    clear=("bridge",),
+)
+GOES_ON = Fault("on", "", AtDevice("flip=0.01"), Valves.CONTROLLED, (), Recovery.ITSELF)
+SAYS = Status(150 * MS, "bridge: safety", 2, "stopped: so", {})
+
+
+def seen(*rows: tuple[float, tuple[float, float]], **changes: Any) -> Observed:
+    """A fault at 100 ms that is over at 200 ms, and cleared at 300 ms."""
+    usual: dict[str, Any] = {"cleared_ns": 300 * MS, "said": (SAYS,), **changes}
+    log = [Row(round(at * MS), "voltage", voltage, False) for at, voltage in ((0, ON), *rows)]
+    return Observed(100 * MS, 200 * MS, end_ns=400 * MS, rows=log, **usual)
+
+
+def test_a_stop_in_time_that_lasts_until_it_is_cleared_holds() -> None:
+    outcome = judge(STOP, seen((121, BRIDGE_SAFE), (310, ON)))
+    assert outcome.held, outcome.failures
+    assert (outcome.safe_ms, outcome.by, outcome.wrong) == (pytest.approx(21.0), "bridge", 0)
+    assert outcome.control_s == pytest.approx(0.01)
+    assert outcome.said == ("bridge: safety ERROR: stopped: so",)
+
+
+@pytest.mark.parametrize(
+    ("observed", "words"),
+    [
+        (seen((151, BRIDGE_SAFE), (310, ON)), "safe voltages after 51 ms"),
+        (seen(), "did not have safe voltages"),
+        (seen((121, BRIDGE_SAFE), (250, ON)), "did not have safe voltages"),  # went on before it was cleared
+        (seen((121, BRIDGE_SAFE)), "control did not come back"),
+        (seen((110, (10.0, 0.0)), (121, BRIDGE_SAFE), (310, ON)), "1 wrong voltages"),
+        (seen((121, BRIDGE_SAFE), (310, ON), said=()), "nobody said bridge: safety"),
+        (seen((121, BRIDGE_SAFE), (310, ON), said=(SAYS._replace(time_ns=90 * MS),)), "nobody said"),
+        (seen((121, BRIDGE_SAFE), (310, ON), said=(SAYS._replace(level=1),)), "nobody said"),
+        (seen((121, BRIDGE_SAFE), (310, ON), said=(SAYS._replace(part="plant: safety"),)), "nobody said"),
+    ],
+)
+def test_what_does_not_hold_is_said(observed: Observed, words: str) -> None:
+    outcome = judge(STOP, observed)
+    assert not outcome.held
+    assert any(words in failure for failure in outcome.failures), outcome.failures
+
+
+def test_a_moment_of_control_within_the_fault_makes_the_stop_a_late_one() -> None:
+    outcome = judge(STOP, seen((110, BRIDGE_SAFE), (130, ON), (140, BRIDGE_SAFE), (310, ON)))
+    assert outcome.safe_ms == pytest.approx(40.0)
+
+
+def test_control_through_a_fault() -> None:
+    outcome = judge(GOES_ON, seen((120, BRIDGE_SAFE), (140, ON), cleared_ns=None))
+    assert outcome.held
+    assert outcome.share_safe == pytest.approx(0.2)
+    assert (outcome.safe_ms, outcome.control_s) == (None, 0.0)
+    outcome = judge(GOES_ON, seen((120, BRIDGE_SAFE), (210, ON), cleared_ns=None))
+    assert not outcome.held and "80 % of the time" in outcome.failures[0]
+
+
+def test_a_count_has_to_grow_during_the_fault() -> None:
+    fault = dataclasses.replace(GOES_ON, says=(Said("estimator: samples", 0, "duplicate messages", counted=True),))
+
+    def counted(*counts: tuple[int, int]) -> Outcome:
+        said = [Status(at * MS, "estimator: samples", 0, "", {"duplicate messages": str(n)}) for at, n in counts]
+        return judge(fault, seen(cleared_ns=None, said=said))
+
+    assert counted((50, 3), (150, 4)).held
+    assert not counted((50, 3), (150, 3)).held
+    assert not counted((50, 3)).held
+
+
+def test_every_line_of_the_matrix_can_be_made_and_has_expectations() -> None:
+    names = [fault.name for fault in FAULTS]
+    assert len(set(names)) == len(names)
+    for fault in FAULTS:
+        assert bool(fault.clear) == (fault.recovery is Recovery.CLEAR), fault.name
+        assert fault.says or fault.name == "two pipelines", fault.name
+        if isinstance(fault.cause, AtDevice):
+            parse_fault(fault.cause.order)
+        if isinstance(fault.cause, Messages):
+            assert set(fault.cause.topics) <= set(RELAYED) and fault.bench == "relayed"
+            parse_order(f"+{fault.cause.order} {fault.cause.topics[0]}")
+    benches = [fault.bench for fault in FAULTS]
+    assert sum(a != b for a, b in zip(benches, benches[1:], strict=False)) == len(set(benches)) - 1
+
+
+def test_the_matrix_has_what_was_asked_for() -> None:
+    killed = {fault.cause.node for fault in FAULTS if isinstance(fault.cause, Killed)}
+    assert killed == {"estimator", "controller", "bridge"}
+    device = {fault.cause.order.partition("=")[0] for fault in FAULTS if isinstance(fault.cause, AtDevice)}
+    assert {"unplug", "silent", "flip", "nan", "freeze"} <= device
+    orders = {fault.cause.order.partition("=")[0] for fault in FAULTS if isinstance(fault.cause, Messages)}
+    assert orders == {"drop", "double", "late"}
+
+
+def test_table_page_and_json_tell_what_failed() -> None:
+    good = judge(STOP, seen((121, BRIDGE_SAFE), (310, ON)))
+    bad = judge(STOP, seen((163, BRIDGE_SAFE), (310, ON)))
+    assert table.line(good).split()[:2] == ["yes", "stop"] and "safe after 21 ms, by the bridge" in table.line(good)
+    assert table.line(bad).startswith("NO") and "safe voltages after 63 ms, expected" in table.line(bad)
+    assert table.summary([good, bad]) == "1 of 2 as expected; safe voltages after 63 ms at most"
+    page = table.page([good, bad])
+    assert page.count("| stop |") == 2 and "**no**: safe voltages after 63 ms" in page
+    widths = {line.count("|") for line in page.splitlines() if line.startswith("|")}
+    assert widths == {7}
+    content = json.loads(json.dumps(plain(table.content([good, bad]))))
+    assert [entry["held"] for entry in content["faults"]] == [True, False]
+    assert not math.isnan(content["faults"][0]["safe_ms"])
+
+
+def test_faults_are_chosen_by_name_in_the_order_of_the_table() -> None:
+    names = [FAULTS[3].name, FAULTS[0].name]
+    assert chosen(FAULTS, names) == [FAULTS[0], FAULTS[3]]
+    assert chosen(FAULTS, None) == list(FAULTS)
+    with pytest.raises(BadInput, match="'bridge kiled': expected one of estimator killed"):
+        chosen(FAULTS, ["bridge kiled"])
+
+
+def test_the_list_names_every_fault(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("rclpy")
+    assert command(["--list"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"{fault.name}  " in said and fault.what in said for fault in FAULTS)
+    assert command(["--only", "nothing"]) == 2
+    assert capsys.readouterr().err.startswith("error: --only 'nothing'")
+
+
+@pytest.mark.parametrize(
+    ("text", "order"),
+    [
+        ("+drop=0.2 pressure_1", Order("drop", 0.2, "pressure_1")),
+        ("+double valve_command", Order("double", 0.0, "valve_command")),
+        ("-pressure_1", Order("", 0.0, "pressure_1")),
+    ],
+)
+def test_relay_orders(text: str, order: Order) -> None:
+    assert parse_order(text) == order
+
+
+@pytest.mark.parametrize("text", ["drop=0.2 pressure_1", "+drop=0.2", "+lose pressure_1", "+late=-1 pressure_1", "+"])
+def test_relay_refuses_other_orders(text: str) -> None:
+    with pytest.raises(BadInput, match="expected"):
+        parse_order(text)
+
+
+def test_what_a_relay_does_to_messages() -> None:
+    line = Line(0)
+
+    def through(kind: str, value: float, now: float) -> list[int]:
+        line.order = Order(kind, value, "")
+        for k in range(1000):
+            line.put(k, now)
+        return list(line.due(now))
+
+    assert through("", 0.0, 0.0) == list(range(1000))
+    assert through("double", 0.0, 1.0) == [k // 2 for k in range(2000)]
+    kept = through("drop", 0.2, 2.0)
+    assert 700 < len(kept) < 900 and kept == sorted(set(kept))
+    assert through("late", 0.1, 3.0) == []
+    line.order = Order("", 0.0, "")
+    line.put(-1, 3.05)  # in order again, but behind those that wait
+    assert list(line.due(3.09)) == []
+    assert list(line.due(3.11)) == [*range(1000), -1]

@@ -1,0 +1,224 @@
+"""The command: what it writes, what it refuses."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import shutil
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.report.curves import Curve, chart
+from pam_antagonist.report.html import Figure
+from pam_antagonist.validation.paper import docs, page
+from pam_antagonist.validation.paper.command import main
+from pam_antagonist.validation.paper.experiments import EXPERIMENTS
+from pam_antagonist.validation.paper.result import Result
+from pam_antagonist.validation.paper.scenario import Scenario
+
+QUICK = ["static", "influence"]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("paper")
+    arguments = ["--out", str(folder / "out"), "--seeds", "3", "--seed", "7", "--jobs", "1", "--only", *QUICK]
+    assert main([*arguments, "--docs", str(folder / "paper.md")]) == 0
+    return folder
+
+
+def test_report_and_tables_are_written(report: Path) -> None:
+    assert sorted(path.name for path in (report / "out").iterdir()) == ["report.html", "report.json"]
+    document = json.loads((report / "out/report.json").read_text(encoding="utf-8"))
+    assert list(document["experiments"]) == QUICK
+    assert document["virtual_rig"]["seeds"] == [7, 8, 9]
+    for entry in document["experiments"].values():
+        for row in entry["beside_the_paper"]:
+            assert row["difference"].endswith("."), f"{row['what']}: a sentence on the difference"
+    static = document["experiments"]["static"]["numbers"]
+    assert len(static["of_seed"]) == 3
+    assert len({entry["muscle_1"]["declared_error_n"] for entry in static["of_seed"]}) == 3, "one rig a seed"
+
+
+def test_a_measured_force_map_is_fitted_by_leaving_lengths_out(tmp_path: Path) -> None:
+    # A map of Hildebrandt's form, slack where it would push: that form alone predicts lengths it has not seen.
+    rows = ["length_m,pressure_Pa_gauge,force_N"]
+    for k in (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.24):
+        for q in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0):
+            force = (200.0 - 900.0 * k + 700.0 * k**2) * q - 60.0 - 500.0 * k + 3000.0 * k**2 - 9000.0 * k**3
+            rows.append(f"{0.3 * (1.0 - k):.6f},{1e5 * q:g},{max(force, 0.0):.6f}")
+    (tmp_path / "map.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    arguments = ["--only", "compare_torque", "--seeds", "1", "--jobs", "1", "--force-map", str(tmp_path / "map.csv")]
+    assert main(["--out", str(tmp_path / "out"), *arguments]) == 0
+    numbers = json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))["experiments"]["compare_torque"][
+        "numbers"
+    ]
+    real = numbers["real_map"]
+    left_out = {form: real[form]["left_out_rmse_n"] for form in ("linear", "hildebrandt", "sarosi", "polynomial")}
+    assert left_out.pop("hildebrandt") < 0.01
+    assert min(left_out.values()) > 1.0
+    # On the virtual rig, whose muscles are linear, the forms that hold the linear one find it.
+    ratios = [numbers["of_seed"][0][form]["default"]["ratio"] for form in ("linear", "hildebrandt", "polynomial")]
+    assert max(ratios) < 0.02
+
+
+def test_every_form_says_that_the_rig_is_virtual(report: Path) -> None:
+    for path in (report / "out/report.html", report / "out/report.json", report / "paper.md"):
+        assert "own simulator with declared mismatches" in path.read_text(encoding="utf-8"), path
+
+
+def test_markdown_has_every_table(report: Path) -> None:
+    text = (report / "paper.md").read_text(encoding="utf-8")
+    assert text.startswith(page.MARK)
+    assert "## Static characteristics" in text and "## Proposition 1" in text
+    tables = [line for line in text.splitlines() if line.startswith("|")]
+    widths = {line.count("|") - line.count("\\|") for line in tables if "muscle 1, p_v1" in line}
+    assert widths == {5}, "a name and three numbers"
+
+
+def test_markdown_shows_every_figure_where_the_page_has_it(report: Path) -> None:
+    assert sorted(path.name for path in report.iterdir()) == ["out", "paper", "paper.md"]
+    text = (report / "paper.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\*\*(.+?)\.\*\* (.+)\n\n!\[(.+)\]\((.+)\)$", text, re.MULTILINE)
+    assert [place for *_, place in shown] == [
+        "paper/static_1.png",
+        "paper/static_2.png",
+        *(f"paper/influence_{k}.png" for k in range(1, 5)),
+    ]
+    assert text.count("![") == len(shown)
+    assert {path.name for path in (report / "paper").iterdir()} == {Path(place).name for *_, place in shown}
+    html = (report / "out/report.html").read_text(encoding="utf-8")
+    captions = [unescape(text) for text in re.findall(r"<figcaption>(.+?)</figcaption>", html)]
+    assert [title for title, *_ in shown] == captions
+    assert all(title == alt and about for title, about, alt, _ in shown)
+    assert text.index("influence_1.png") > text.index("| Parameter × 1.5 |") > text.index("static_2.png")
+    for file in (report / "paper").iterdir():
+        content = file.read_bytes()
+        assert content.startswith(b"\x89PNG") and 5_000 < len(content) < 120_000, file
+
+
+def _result(title: str, *links: str) -> Result:
+    plot = chart([("x [m]", "y [N]", [Curve("a", [0.0, 1.0], [1.0, 2.0], "#000000")])])
+    figures = tuple(Figure(title, "About it.", plot, link) for link in links)
+    return Result(name="static", title="Static", question="What?", figures=figures)
+
+
+def test_pictures_of_an_earlier_run_are_replaced_and_others_are_left(scenario: Scenario, tmp_path: Path) -> None:
+    path, folder = tmp_path / "my docs.md", tmp_path / "my docs"
+    docs.write(path, [_result("First", "one", "two", "static")], scenario, (0,))
+    assert sorted(file.name for file in folder.iterdir()) == ["static.png", "static_one.png", "static_two.png"]
+    assert "(my%20docs/static_one.png)" in path.read_text(encoding="utf-8"), "a place without a space"
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    photo = b"\x89PNG\r\n\x1a\n of somebody else"
+    (folder / "photo.png").write_bytes(photo)
+    (folder / "notes.txt").write_text("static", encoding="utf-8")
+
+    docs.check(path, ["static"])
+    docs.write(path, [_result("Second [N]", "two")], scenario, (0,))
+    assert sorted(file.name for file in folder.iterdir()) == ["notes.txt", "photo.png", "static_two.png"]
+    assert (folder / "photo.png").read_bytes() == photo
+    assert (folder / "static_two.png").read_bytes() == before["static_two.png"], "equal figures, equal bytes"
+    assert r"![Second \[N\]](my%20docs/static_two.png)" in path.read_text(encoding="utf-8")
+
+    docs.write(path, [_result("Third")], scenario, (0,))
+    assert sorted(file.name for file in folder.iterdir()) == ["notes.txt", "photo.png"]
+    (folder / "photo.png").unlink()
+    (folder / "notes.txt").unlink()
+    docs.write(path, [_result("Third")], scenario, (0,))
+    assert not folder.exists() and "![" not in path.read_text(encoding="utf-8")
+
+
+def test_a_figure_that_cannot_be_drawn_leaves_everything_as_it_was(scenario: Scenario, tmp_path: Path) -> None:
+    path = tmp_path / "paper.md"
+    docs.write(path, [_result("First", "one")], scenario, (0,))
+    before = path.read_text(encoding="utf-8")
+    broken = _result("Second", "two")
+    broken.figures[0].plot["data"][0]["type"] = "pie"
+    with pytest.raises(BadInput, match="pie"):
+        docs.write(path, [broken], scenario, (0,))
+    assert path.read_text(encoding="utf-8") == before
+    assert [file.name for file in (tmp_path / "paper").iterdir()] == ["static_one.png"]
+
+
+def test_figures_of_one_link_are_numbered() -> None:
+    result = _result("Any", "static", "q angle", "static", "ℚ of σ")
+    assert docs.file_names(result) == ["static_1.png", "static_q_angle.png", "static_2.png", "static_q_of.png"]
+
+
+def test_docs_that_would_write_over_others_are_refused_before_anything_runs(
+    report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(report / "paper.md", tmp_path)
+    (tmp_path / "paper").mkdir()
+    (tmp_path / "paper/static_9.png").write_bytes(b"mine")
+    (tmp_path / "plain").write_text("", encoding="utf-8")
+    for given, says in (("paper.md", "static_9.png"), ("bare", "bare"), ("plain.md", "plain"), ("no/such.md", "no")):
+        arguments = ["--only", "static", "--seeds", "1", "--docs", str(tmp_path / given)]
+        assert main(["--out", str(tmp_path / "out"), *arguments]) == 2, given
+        error = capsys.readouterr().err
+        assert says in error and error.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+    assert (tmp_path / "paper/static_9.png").read_bytes() == b"mine"
+
+
+def test_a_missing_matplotlib_is_said_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find(name))
+    arguments = ["--only", "static", "--seeds", "1", "--docs", str(tmp_path / "paper.md")]
+    assert main(["--out", str(tmp_path / "out"), *arguments]) == 2
+    assert "matplotlib is not installed" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_markdown_of_ones_own_is_replaced_and_others_are_not(
+    report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--seeds", "1", "--jobs", "1", "--no-figures", "--only", "static"]
+    mine, other = tmp_path / "mine.md", tmp_path / "other.md"
+    mine.write_text((report / "paper.md").read_text(encoding="utf-8"), encoding="utf-8")
+    assert main(["--out", str(tmp_path / "a"), *arguments, "--docs", str(mine)]) == 0
+    assert "Proposition 1" not in mine.read_text(encoding="utf-8")
+    assert "![" not in mine.read_text(encoding="utf-8") and not (tmp_path / "mine").exists(), (
+        "no figures were asked for"
+    )
+    other.write_text("notes", encoding="utf-8")
+    assert main(["--out", str(tmp_path / "b"), *arguments, "--docs", str(other)]) == 2
+    assert "other.md" in capsys.readouterr().err
+    assert other.read_text(encoding="utf-8") == "notes"
+    assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--only", "offlien"], "offline"),
+        (["--only", "static", "--seeds", "0"], "--seeds 0"),
+        (["--only", "static", "--seed", "-1"], "--seed -1"),
+        (["--only", "static", "--jobs", "0"], "--jobs 0"),
+        (["--only", "compare_torque", "--force-map", "no_such.csv"], "no_such.csv"),
+    ],
+)
+def test_bad_arguments_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
+) -> None:
+    assert main(["--out", str(tmp_path / "out"), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert says in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_existing_folder_is_not_touched(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--out", str(report / "out"), "--only", "static"]) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+def test_help_names_every_experiment(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"  {name} " in text for name in EXPERIMENTS)
