@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.model import profiles
-from pam_antagonist.model.plant import Plant
 from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.simulation import excitation
+from pam_antagonist.simulation.plant import Plant
 
 FIRST_NS = 1_700_000_000_000_000_000
 
@@ -23,7 +23,7 @@ def rig() -> Rig:
 
 def _record(rig: Rig, folder: Path, joint: str, seconds: float) -> Recording:
     plant = Plant(rig, joint=joint, seed=5, mismatch=0.01)
-    voltage = profiles.profile("steps", seconds, rig.sample_period, seed=2)
+    voltage = excitation.profile("steps", seconds, rig.sample_period, seed=2)
     samples = [plant.step(u) for u in voltage]
     stamps = FIRST_NS + np.arange(1, len(samples) + 1) * 1_000_000
     recording = Recording(

@@ -85,9 +85,9 @@ def _main(argv: Sequence[str] | None) -> int:
     from pam_antagonist.hardware.firmware import Firmware, Settings
     from pam_antagonist.hardware.line_faults import FaultOrders, FaultPlan
     from pam_antagonist.hardware.protocol import Feature
-    from pam_antagonist.model.plant import Plant
     from pam_antagonist.nodes.spin import hurry
     from pam_antagonist.rig import load_rig
+    from pam_antagonist.simulation.plant import Plant
 
     faults = _faults(arguments)
     if arguments.seed < 0:

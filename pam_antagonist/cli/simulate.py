@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import profiles
-from pam_antagonist.model.plant import Plant
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.simulation import excitation
+from pam_antagonist.simulation.plant import Plant
 
 _DESCRIPTION = """\
 Make a recording of a simulated joint: a rosbag2 (MCAP) with the topics of a live one.
@@ -43,7 +43,7 @@ def parser() -> common.Parser:
         "--profile",
         default="paper",
         metavar="NAME|FILE.csv",
-        help=f"valve voltages: {', '.join(profiles.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s and V",
+        help=f"valve voltages: {', '.join(excitation.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s and V",
     )
     out.add_argument(
         "--duration", type=float, metavar="S", help="length [s] (default: 130 for paper, 60, or that of the CSV file)"
@@ -86,16 +86,16 @@ def _voltages(arguments: argparse.Namespace, rig: Rig) -> NDArray[np.float64]:
     low, high = rig.valves.voltage_min, rig.valves.voltage_max
     if duration is not None and not period <= duration <= 86_400.0:
         raise BadInput(f"--duration {duration:g}: expected {period:g} to 86400 s")
-    if name in profiles.PROFILES:
-        chosen = duration or (profiles.PAPER_DURATION if name == "paper" else 60.0)
-        return np.clip(profiles.profile(name, chosen, period, arguments.seed), low, high)
+    if name in excitation.PROFILES:
+        chosen = duration or (excitation.PAPER_DURATION if name == "paper" else 60.0)
+        return np.clip(excitation.profile(name, chosen, period, arguments.seed), low, high)
     if not name.endswith(".csv"):
-        raise BadInput(f"--profile {name!r}: expected one of {', '.join(profiles.PROFILES)}, or a .csv file")
-    time, voltage = profiles.read_table(Path(name))
+        raise BadInput(f"--profile {name!r}: expected one of {', '.join(excitation.PROFILES)}, or a .csv file")
+    time, voltage = excitation.read_table(Path(name))
     outside = np.flatnonzero(((voltage < low) | (voltage > high)).any(axis=1))
     if len(outside):
         raise BadInput(f"{name}: row {outside[0] + 2} is outside the rig's valve voltages, {low:g} to {high:g} V")
-    return profiles.held(time, voltage, duration or float(time[-1] - time[0]) + period, period)
+    return excitation.held(time, voltage, duration or float(time[-1] - time[0]) + period, period)
 
 
 def simulate(plant: Plant, voltage: NDArray[np.float64], period: float, path: Path) -> Recording:

@@ -21,7 +21,7 @@ from pam_antagonist.hardware.calibration import Converter
 from pam_antagonist.hardware.firmware import Firmware, Readings
 from pam_antagonist.hardware.line_faults import FaultPlan
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.model.plant import Plant
+from pam_antagonist.simulation.plant import Plant
 
 _LONGEST_CATCH_UP = 1.0  # [s]; what is beyond is left out, with the overrun flag
 _LOG_FLUSH = 0.05  # [s]

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 from sensor_msgs.msg import FluidPressure, JointState
 
-from pam_antagonist.model.plant import Plant
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import JOINT_NAME, PamNode
@@ -15,6 +14,7 @@ from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
+from pam_antagonist.simulation.plant import Plant
 from pam_antagonist_msgs.msg import ValveCommand
 
 _BURST = 25  # samples in a row while catching up, before commands are looked at again

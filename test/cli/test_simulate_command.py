@@ -10,9 +10,9 @@ import pytest
 from pam_antagonist.cli.simulate import FIRST_STAMP_NS, main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
-from pam_antagonist.model import profiles
 from pam_antagonist.recording import bag_hash, read_bag
 from pam_antagonist.rig import load_rig
+from pam_antagonist.simulation import excitation
 
 
 def _bag(folder: Path, *arguments: str) -> Path:
@@ -26,7 +26,7 @@ def test_a_bag_holds_what_a_live_joint_publishes(tmp_path: Path, capsys: pytest.
     assert len(recording.stamp_ns) == 2000
     assert recording.stamp_ns[0] == FIRST_STAMP_NS + 1_000_000
     assert set(np.diff(recording.stamp_ns)) == {1_000_000}
-    expected = profiles.profile("multisine", 2.0, 1e-3)
+    expected = excitation.profile("multisine", 2.0, 1e-3)
     assert np.array_equal(recording.voltage, expected)
     assert recording.angle is not None and recording.torque is not None
     assert np.isfinite(recording.pressure).all()
@@ -111,7 +111,7 @@ def test_an_existing_bag_is_not_touched(bag: Path, capsys: pytest.CaptureFixture
 
 def test_the_papers_profile_reaches_the_papers_pressures_and_angles() -> None:
     rig = load_rig("shin2022")
-    voltage = profiles.profile("paper", profiles.PAPER_DURATION, rig.sample_period)
+    voltage = excitation.profile("paper", excitation.PAPER_DURATION, rig.sample_period)
     assert len(voltage) == 130_000
     model = simulate_model(rig, voltage, np.array([450e3, 450e3]))
     assert model.pressure.min(axis=0) == pytest.approx([200e3, 200e3], abs=10e3)
@@ -120,10 +120,10 @@ def test_the_papers_profile_reaches_the_papers_pressures_and_angles() -> None:
     assert np.degrees(model.angle.max()) > 20.0
 
 
-@pytest.mark.parametrize("name", sorted(profiles.PROFILES))
+@pytest.mark.parametrize("name", sorted(excitation.PROFILES))
 def test_profiles_start_at_rest_and_stay_within_their_span(name: str) -> None:
-    span = profiles.Span(4.0, 5.0, 8.0)
-    voltage = profiles.profile(name, 150.0, 1e-3, seed=4, span=span)
+    span = excitation.Span(4.0, 5.0, 8.0)
+    voltage = excitation.profile(name, 150.0, 1e-3, seed=4, span=span)
     assert voltage[0] == pytest.approx([5.0, 5.0], abs=0.01)
     assert voltage.min() >= 4.0
     assert voltage.max() <= 8.0
@@ -133,11 +133,11 @@ def test_profiles_start_at_rest_and_stay_within_their_span(name: str) -> None:
 
 def test_random_profiles_follow_their_seed() -> None:
     for name in ("steps", "multisine"):
-        one, same, other = (profiles.profile(name, 20.0, 1e-3, seed) for seed in (1, 1, 2))
+        one, same, other = (excitation.profile(name, 20.0, 1e-3, seed) for seed in (1, 1, 2))
         assert np.array_equal(one, same)
         assert not np.array_equal(one, other)
 
 
 def test_an_unknown_profile_is_refused() -> None:
     with pytest.raises(BadInput, match="paper, steps, multisine"):
-        profiles.profile("square", 1.0, 1e-3)
+        excitation.profile("square", 1.0, 1e-3)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist.control import PUBLISHED_GAINS, Mode, PiController, Status
-from pam_antagonist.model.plant import Plant
 from pam_antagonist.rig import load_rig
+from pam_antagonist.simulation.plant import Plant
 
 STEPS_DEG = (0.0, 10.0, -10.0)
 STEP_SECONDS = 6.0

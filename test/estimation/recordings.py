@@ -7,8 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from pam_antagonist.model.plant import Plant
 from pam_antagonist.rig import load_rig
+from pam_antagonist.simulation.plant import Plant
 
 PERIOD_NS = 1_000_000
 START_NS = 1_800_000_000_000_000_000

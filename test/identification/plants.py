@@ -9,10 +9,10 @@ import numpy as np
 from pam_antagonist.identification.between import variations
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import Trial, make_trial
-from pam_antagonist.model.plant import Plant
-from pam_antagonist.model.profiles import profile
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
+from pam_antagonist.simulation.excitation import profile
+from pam_antagonist.simulation.plant import Plant
 
 
 def scattered(rig: Rig, spread: float, seed: int) -> Rig:

@@ -11,8 +11,8 @@ from pam_antagonist.identification.directions import considered_directions
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.model import rest
-from pam_antagonist.model.plant import Plant
 from pam_antagonist.recording import Recording
+from pam_antagonist.simulation.plant import Plant
 
 SECONDS = 4.0
 

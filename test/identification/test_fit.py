@@ -18,10 +18,10 @@ from pam_antagonist.inference.free_parameters import free_parameters
 from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, check, make_trial
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.plant import Plant
-from pam_antagonist.model.profiles import profile
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.simulation.excitation import profile
+from pam_antagonist.simulation.plant import Plant
 
 RIG = load_rig("shin2022")
 TRUE = {

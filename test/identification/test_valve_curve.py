@@ -12,9 +12,9 @@ from pam_antagonist.identification.curve_stage import identify_curves
 from pam_antagonist.identification.valve_curve import SteadyPoints, steady_open_rate, steady_points, valve_curve
 from pam_antagonist.inference.trial import Trial, make_trial
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.plant import Plant
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.simulation.plant import Plant
 
 RIG = load_rig("shin2022")
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from states import random_states
 
-from pam_antagonist.model import dynamics, profiles, rest, sensor
+from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import load_rig
+from pam_antagonist.simulation import excitation
 
-VOLTAGE = profiles.profile("steps", 8.0, 1e-3, seed=6)
+VOLTAGE = excitation.profile("steps", 8.0, 1e-3, seed=6)
 NAMES = (
     "hysteresis", "leak", "supply_droop", "valve_lag", "valve_offset", "line_resistance", "pressure_sensor",
     "load_torque", "friction", "creep", "thermal", "external_torque",

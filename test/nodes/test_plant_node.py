@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.model.plant import Plant
 from pam_antagonist.rig import load_rig
+from pam_antagonist.simulation.plant import Plant
 
 pytestmark = pytest.mark.ros
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.plant import scattered
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import load_rig
+from pam_antagonist.simulation.plant import scattered
 from pam_antagonist.validation.battery import physics
 from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Deviation, Form
 

@@ -10,8 +10,8 @@ from pam_antagonist.estimation.estimator import parameter_sets
 from pam_antagonist.estimation.filter import make_work
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.parameters import BASE_STATES as STATES
-from pam_antagonist.model.profiles import profile
 from pam_antagonist.rig import Rig
+from pam_antagonist.simulation.excitation import profile
 from pam_antagonist.validation.benchmark.figure import Figure, at_least, at_most, pairwise
 
 _SAMPLES = 4000

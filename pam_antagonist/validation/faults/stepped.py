@@ -1,8 +1,8 @@
 """A node whose clock can be set, as NTP, an empty battery or ``date`` sets one, while the machine's own stays right.
 
-``python -m pam_antagonist.validation.faults.stepped NODE FILE ARGUMENTS...`` runs a node of the package. Its ROS time is
-the system's plus the 64-bit integer [ns] in the file. All nodes of a pipeline read the same file, so their clocks change
-together.
+``python -m pam_antagonist.validation.faults.stepped NODE FILE ARGUMENTS...`` runs a node of the package. Its ROS time
+is the system's plus the 64-bit integer [ns] in the file. All nodes of a pipeline read the same file, so their clocks
+change together.
 """
 
 from __future__ import annotations

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.model import dynamics, rest
-from pam_antagonist.model.profiles import Span
 from pam_antagonist.report import figures
 from pam_antagonist.report.curves import PALETTE
 from pam_antagonist.report.figures import Clock, Line, Panel
 from pam_antagonist.report.html import Figure
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
+from pam_antagonist.simulation.excitation import Span
 from pam_antagonist.validation.paper.result import Beside, Context, Result, Spread
 from pam_antagonist.validation.paper.scenario import START
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.model.profiles import PAPER_DURATION
 from pam_antagonist.report import figures
 from pam_antagonist.report.figures import Clock, Line, Panel
 from pam_antagonist.report.html import Figure
 from pam_antagonist.report.replay_figures import SUBSYSTEMS
 from pam_antagonist.report.style import MEASURED, SECOND
 from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.simulation.excitation import PAPER_DURATION
 from pam_antagonist.validation.paper.result import Beside, Context, Result, Spread
 from pam_antagonist.validation.paper.seed_work import SeedWork
 

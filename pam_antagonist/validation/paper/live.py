@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from pam_antagonist.control import Mode
-from pam_antagonist.model.profiles import PAPER_DURATION
 from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.rig.write import write_rig
+from pam_antagonist.simulation.excitation import PAPER_DURATION
 from pam_antagonist.validation.paper.comparison import COMPARED_S
 from pam_antagonist.validation.paper.result import Context
 

@@ -57,7 +57,7 @@ def mismatches(scenario: Scenario, seeds: Sequence[int]) -> Table:
         ("Mismatch", "Size"),
         (
             ("declared rig", scenario.rig),
-            ("parameters", f"{100 * size.parameters:g} % standard deviation of each group (model/plant.py)"),
+            ("parameters", f"{100 * size.parameters:g} % standard deviation of each group (simulation/plant.py)"),
             ("valve curves", f"{100 * size.valve_curve:g} % standard deviation of each knot's open rate"),
             (
                 "hysteresis of the force",

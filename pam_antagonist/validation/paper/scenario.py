@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from pam_antagonist.model import dynamics, profiles, rest, sensor
-from pam_antagonist.model.plant import Plant
+from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.paths import config_dir
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.schema import Curve, Valve
+from pam_antagonist.simulation import excitation
+from pam_antagonist.simulation.plant import Plant
 from pam_antagonist.strict_yaml import Strict, read_mapping, validated
 
 Floats = NDArray[np.float64]
@@ -192,6 +193,6 @@ def drive(scenario: Scenario, seconds: float | None = None) -> Floats:
         seconds: how much of it; default: all of the paper's 130 s.
     """
     period = load_rig(scenario.rig).sample_period
-    voltage = profiles.profile(scenario.profile, seconds or profiles.PAPER_DURATION, period)
+    voltage = excitation.profile(scenario.profile, seconds or excitation.PAPER_DURATION, period)
     voltage.setflags(write=False)
     return voltage

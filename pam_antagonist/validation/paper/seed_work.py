@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import Estimator, metrics, simulate_model
-from pam_antagonist.model import profiles
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Reading, Rig
+from pam_antagonist.simulation import excitation
 from pam_antagonist.validation.paper.scenario import Scenario, Truth, VirtualRig, drive, virtual_rig
 
 Floats = NDArray[np.float64]
@@ -175,7 +175,7 @@ class SeedWork:
     def identification(self) -> Recording:
         """Another recording of the free joint, for what is identified from data: random steps."""
         period = self.rig.declared.sample_period
-        voltage = profiles.profile("steps", IDENTIFICATION_S, period, _IDENTIFICATION_SEED + self.seed)
+        voltage = excitation.profile("steps", IDENTIFICATION_S, period, _IDENTIFICATION_SEED + self.seed)
         return self.rig.record(voltage, "free")
 
     def recording(self, joint: str) -> Recording:

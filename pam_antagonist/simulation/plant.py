@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.model import parameters as par
-
-if TYPE_CHECKING:
-    from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig
 
 # What scatters together: a muscle that is a percent weaker is so in its whole force map, for instance.
 _SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (

@@ -10,8 +10,8 @@ import pytest
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics, rest
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.plant import Plant, scattered
 from pam_antagonist.rig import load_rig
+from pam_antagonist.simulation.plant import Plant, scattered
 
 
 def drive(samples: int) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""A joint without hardware: the simulated plant and the voltages that excite it."""
