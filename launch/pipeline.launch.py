@@ -90,7 +90,7 @@ def generate_launch_description() -> LaunchDescription:
             "enclave",
             default_value="",
             description="where the nodes' SROS2 enclaves are in the keystore, such as /pam for /pam/bridge and so on; "
-            "empty: no enclaves (docs/security.md)",
+            "empty: no enclaves (docs/how-to/security.md)",
         ),
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=require_parameters), OpaqueFunction(function=nodes)])

@@ -34,7 +34,7 @@ Give recordings of a joint that moves (free) and of one that is held (locked), w
 base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
 catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a recording of
 its own (--holdout), is kept to judge by. A rig whose valves are sealed wants a recording of its joint driven to and
-fro by a known torque (docs/sealed_joint.md).
+fro by a known torque (docs/evidence/sealed_joint.md).
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
 recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values.

@@ -16,7 +16,7 @@ PI control of the joint's angle or torque on the estimate: one command for each 
 The valves get safe voltages as long as no reference has come, while the last reference is not usable (not finite, out
 of range, unknown mode), while estimates are late or not finite, when they stop coming, and once more at the end. It
 stops, until it is cleared, when the estimated angle is too large, when measured and expected pressures disagree, and
-when the estimate goes without a pressure for too long (docs/safety.md).
+when the estimate goes without a pressure for too long (docs/how-to/safety.md).
 
 subscribes:  joint_estimate (pam_antagonist_msgs/JointEstimate), reference (pam_antagonist_msgs/JointReference; held),
              valve_state (pam_antagonist_msgs/ValveCommand, to start from what is on the valves), rig (std_msgs/String:

@@ -131,7 +131,7 @@ VALVE_OWNER = (
         60.0,
     ),
 )
-"""What a node that owns the valves, the plant or a bridge, has beside that: see docs/safety.md."""
+"""What a node that owns the valves, the plant or a bridge, has beside that: see docs/how-to/safety.md."""
 
 AUTOSTART = Parameter("autostart", True, "whether the node configures and activates itself, without anybody's asking")
 DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)

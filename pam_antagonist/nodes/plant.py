@@ -14,7 +14,7 @@ DESCRIPTION = """
 Simulated joint with two pneumatic muscles, in place of a real one: the physics of the rig in real time at its sample
 period, with finer steps, parameters off their declared values, sensor noise and quantisation. It obeys one commander;
 commands are clamped and slew-limited, and the valves become safe when commands stay away or a pressure is not what it
-may be (docs/safety.md).
+may be (docs/how-to/safety.md).
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only),

@@ -17,7 +17,7 @@ from pam_antagonist.estimation.filter import MISSING_PRESSURE_1, MISSING_PRESSUR
 _CHANCE = 1e-15  # of a sound sensor taken for frozen, a sample: once in 30,000 years at 1 kHz
 _SHARE = 0.15  # of the samples; with innovations twice as large as they should be, 18 % are out of bounds
 _FEWEST = 3.0  # samples, since after a stall there may be but a few
-_SLOWEST = 30.0  # low-pass of a sensor's amplifier, a sixth of what docs/hardware.md asks for [Hz]
+_SLOWEST = 30.0  # low-pass of a sensor's amplifier, a sixth of what docs/how-to/hardware.md asks for [Hz]
 _GAP = 20  # samples in a row that are missing: the valves have become safe meanwhile, for want of commands
 _SETTLING = 2 * PATIENCE  # samples until the filter has taken the pressures behind a gap for what they are
 _LONGEST_FROZEN = 1.0  # a sensor that may stand still for longer by chance cannot be judged so [s]

@@ -84,7 +84,7 @@ def test_intervals_cover_the_truth_of_scattered_plants() -> None:
 
 
 def test_the_published_tuning_is_as_bad_as_the_notes_say() -> None:
-    """R of 10 kPa puts the NIS near 0.01, and Q throws sigma points out of stiction (docs/model.md, point 11)."""
+    """R of 10 kPa: NIS near 0.01; Q throws sigma points out of stiction (docs/explanation/model.md, point 11)."""
     recording = trial(20.0, seed=2, mismatch=0.0)
     published = Estimator(RIG, "published").run(recording.stamp_ns, recording.pressure, recording.voltage).rows
     model = simulate_model(RIG, recording.voltage, recording.pressure[0])

@@ -1,8 +1,9 @@
 """Table II's p_w22: what the joint does with the sign that is printed, and with the one that fits the paper's figures.
 
-The figures (docs/model.md, correction 1) are where the joint comes to rest when it is drawn slowly from 0° by
-pressures that are held: friction decides, for the joint sticks in a whole range of angles, and it stops at the end of
-that range that is nearer to where it comes from. Without the mechanical stop, since one of the figures lies beyond it.
+The figures (docs/explanation/model.md, correction 1) are where the joint comes to rest when it is drawn slowly from 0°
+by pressures that are held: friction decides, for the joint sticks in a whole range of angles, and it stops at the end
+of that range that is nearer to where it comes from. Without the mechanical stop, since one of the figures lies beyond
+it.
 """
 
 from __future__ import annotations

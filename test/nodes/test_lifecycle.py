@@ -226,7 +226,7 @@ def test_another_tuning_is_taken_and_an_unknown_one_is_refused_with_the_reason(
     assert nis() > 0.5
     assert choose("published").successful
     rate(probe, "joint_estimate")
-    assert nis() < 0.1  # see docs/model.md, correction 11
+    assert nis() < 0.1  # see docs/explanation/model.md, correction 11
     refused = choose("no_such_tuning")
     assert not refused.successful and "published" in refused.reason
     assert choose("default").successful

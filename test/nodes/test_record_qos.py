@@ -28,7 +28,7 @@ def test_rosbag2_subscribes_as_record_does() -> None:
 
 
 def test_the_documented_command_names_every_topic() -> None:
-    text = (config_dir().parent / "docs" / "recording.md").read_text()
+    text = (config_dir().parent / "docs" / "how-to" / "recording.md").read_text()
     command = text.partition("ros2 bag record --storage")[2].partition("\n\n")[0]
     assert {word for word in command.split() if word.startswith(("/pam/", "/diag"))} == {
         topic.resolve("/pam") for topic in TOPICS.values()

@@ -107,7 +107,7 @@ def test_wildcards_cover_nothing_but_the_command_line() -> None:
 
 
 def test_another_namespace_is_a_change_of_the_profiles_alone() -> None:
-    """docs/security.md: with ns= and path= changed nothing of the old namespace is left."""
+    """docs/how-to/security.md: with ns= and path= changed nothing of the old namespace is left."""
     names = ET.parse(POLICY).getroot().iter()
     assert not [item.text for item in names if item.tag in ("topic", "service") and "pam" in str(item.text)]
 

@@ -121,10 +121,10 @@ voltages; after a restart that includes the start of the process.
 |---|---|---|---|---|---|
 {rows}
 
-What each of the stops does, and why: [safety.md](safety.md); what device and bridge do: [hardware.md](hardware.md).
+[Safety](how-to/safety.md) says what each stop does and why, [hardware](how-to/hardware.md) what device and bridge do.
 
 Not in the table: a device that stands still for good. Its valves keep their voltages, and no program elsewhere can do
-anything about that: let the microcontroller's own watchdog restart it ([hardware.md](hardware.md#firmware)).
+anything about that: let the microcontroller's own watchdog restart it ([hardware.md](how-to/hardware.md#firmware)).
 """
 
 

@@ -123,7 +123,7 @@ def result(context: Context) -> Result:
         "Why: with tuning published the median ℚ of the four laws of friction is within a factor of "
         f"{number(differ['published'])}, with default {number(differ['default'])}. The published Q adds 0.18° to the "
         "angle in each step, which shakes the sigma points out of stiction and averages any law of friction away "
-        "(docs/model.md, correction 11); a small Q lets the law decide.",
+        "(docs/explanation/model.md, correction 11); a small Q lets the law decide.",
         f"Simple friction: the paper's 13.7, taken as a force on the lever, is {number(torque)} N m, several times "
         "the shaft's friction in the same paper (about 0.1 N m): the filtered joint sticks where the rig moves. "
         f"Fitted to data, the constant comes out {constants['simple'].text()} times as large, and the median ℚ with "

@@ -121,7 +121,7 @@ def subsystems_result(context: Context) -> Result:
             Table(
                 ("σ", "muscle 1, muscle 2, joint", f"share of seed {work.seed}", "first at", "visited on rigs"),
                 tuple(rows),
-                "σ = 1 + 6 a + 2 b + c, docs/model.md",
+                "σ = 1 + 6 a + 2 b + c, docs/explanation/model.md",
             ),
         ),
         findings=(

@@ -119,7 +119,8 @@ def _why(context: Context, quantity: str, method: str) -> str:
     cost = "more than" if gain > 1.0 else "part of"
     return (
         f"The filter brings {gain:.2f} × the model's ℚ (the paper: 0.69 ×). This Q makes the filtered joint creep "
-        f"where the other one sticks (docs/model.md, correction 11), which costs {cost} what the pressures gain."
+        f"where the other one sticks (docs/explanation/model.md, correction 11), which costs {cost} what the "
+        "pressures gain."
     )
 
 
