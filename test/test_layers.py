@@ -21,7 +21,7 @@ PLACES = {"errors": BASE, "_jit": BASE, "paths": FILES, "strict_yaml": FILES, "s
 
 _PHYSICS = (BASE, "model", FILES, "rig")
 _OFFLINE = (*_PHYSICS, "estimation", "recording")
-_RESULTS = (*_OFFLINE, "inference", "identification", "diagnosis")
+_RESULTS = (*_OFFLINE, "replay", "inference", "identification", "diagnosis")
 _ONLINE = ("simulation", "control", "safety", "hardware", "nodes")
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
@@ -35,11 +35,12 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "safety": (BASE, "control", "estimation"),
     "hardware": (BASE, FILES, "simulation", "safety"),
     "recording": (BASE, FILES),
+    "replay": _OFFLINE,
     "checks": _OFFLINE,
     "inference": _OFFLINE,
     "identification": (*_OFFLINE, "inference"),
     "diagnosis": (*_OFFLINE, "inference", "identification"),
-    "report": _RESULTS,
+    "report": (*_RESULTS, "control"),
     "nodes": (*_OFFLINE, "simulation", "control", "safety", "hardware"),
     "cli": (*_RESULTS, *_ONLINE, "checks", "report"),
     "__main__": (),  # it names the executables and imports the one that is asked for
@@ -64,7 +65,7 @@ USE_ROS = {
 }
 """Modules outside of nodes/ that import ROS packages, and why: each is a node or speaks to nodes."""
 
-KNOWN = {("report/soak_page.py", "validation")}
+KNOWN: set[tuple[str, str]] = set()
 """Arrows that are still to be removed: (file, layer)."""
 
 

@@ -130,15 +130,34 @@ def _main(argv: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         print(f"\ninterrupted: what was recorded until now is in {out / 'bag'}", file=sys.stderr)
         return common.INTERRUPTED
-    from pam_antagonist.cli import demo_report
-
     try:
-        simulated = demo_report.Simulated(arguments.mismatch, arguments.seed)
-        demo_report.judge(out, rig, arguments.tuning, mode, simulated, with_figures=not arguments.no_figures)
+        _judge(out, rig, mode, arguments)
     except KeyboardInterrupt:
         print(f"\ninterrupted: the recording is in {out / 'bag'}, there is no report", file=sys.stderr)
         return common.INTERRUPTED
     return common.DONE
+
+
+def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> None:
+    """Replay OUT/bag, print the tables, write OUT/report.html and OUT/report.json.
+
+    Raises:
+        BadInput: the recording cannot be used.
+    """
+    from pam_antagonist.recording import read_bag
+    from pam_antagonist.replay import replay
+    from pam_antagonist.report import demo, terminal
+
+    begin = time.perf_counter()
+    recording = read_bag(out / "bag")
+    read_seconds = time.perf_counter() - begin
+    joint, lock_angle = ("free", None) if mode is Mode.ANGLE else ("locked", 0.0)
+    with common.progress(len(recording.stamp_ns), "replay") as bar:
+        done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=bar.update)
+    judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed))
+    print(f"\n{terminal.render(demo.summary(judged))}\n")
+    demo.write_report(out, judged, with_figures=not arguments.no_figures)
+    print(f"report: {out / 'report.html'} and report.json; recording: {out / 'bag'}")
 
 
 def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import datetime
 import sys
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,8 +18,10 @@ from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report import identify as numbers
-from pam_antagonist.report import identify_tables, identify_words, sealed, terminal
-from pam_antagonist.report.identify_page import write_report
+from pam_antagonist.report import identify_sealed as sealed
+from pam_antagonist.report import terminal
+from pam_antagonist.report.held_out import judge
+from pam_antagonist.report.identify_document import summary, write_report
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -102,12 +103,12 @@ def _main(argv: Sequence[str] | None) -> int:
             bar.update(1)
 
         found = identify(recordings, rig, options, tell)
-        judged = numbers.judge(recordings, found, tell)
-    document = numbers.document(recordings, found, judged)
+        judged = judge(recordings, numbers.rigs_of(found), found.held_from, tell)
+    report = numbers.report(recordings, found, judged)
     with common.output_folder(arguments.out) as folder:
         _write_rigs(folder, found, recordings)
-        write_report(folder, document, found, judged, with_figures=not arguments.no_figures)
-    print(_summary(document))
+        write_report(folder, report, found, judged, with_figures=not arguments.no_figures)
+    print(terminal.render(summary(report)))
     given.tell_where(arguments)
     return common.DONE
 
@@ -130,15 +131,15 @@ def _sealed(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[_Given
             bar.update(1)
 
         found = identify_sealed(named, rig, arguments.holdout, tell)
-    judged = sealed.judge(named, found)
-    content = sealed.document(found, judged)
+    rigs: dict[str, Rig] = {"as_configured": found.start, "identified": found.rig}
+    judged = judge(recordings, [rigs] * len(recordings), found.held_from)
+    report = sealed.report(found, judged)
     with common.output_folder(arguments.out) as folder:
         about = [*_about(rig, arguments.seed), *_fitted(recordings, found.held_from)]
         source = f"identified from {', '.join(name for _, name in named)}; started from: {rig.source.strip()}"
         write_rig(_named(found.rig, rig.name, source), folder / "rig.yaml", about)
-        sealed.write_report(folder, content, judged, with_figures=not arguments.no_figures)
-    tables = [sealed.values_table(content), *(sealed.held_out_table(entry) for entry in content["held_out"])]
-    print("\n\n".join(terminal.table(table) for table in tables))
+        sealed.write_report(folder, report, judged, with_figures=not arguments.no_figures)
+    print(terminal.render(sealed.summary(report)))
     given.tell_where(arguments)
     return common.DONE
 
@@ -160,8 +161,9 @@ def _fitted(recordings: Sequence[_Given], held_from: Sequence[float]) -> list[st
 
 def _read(arguments: argparse.Namespace, rig: Rig) -> list[_Given]:
     recordings = given.read(arguments, rig)
-    for text in given.damage(arguments, recordings):
-        print(textwrap.fill(f"! {text}", 100, subsequent_indent="  "))
+    damage = given.damage(arguments, recordings)
+    if damage:
+        print(terminal.warnings(damage))
     return [
         (recording, joint_condition(recording, arguments.joint, arguments.lock_angle), bag_name(bag))
         for recording, bag in zip(recordings, arguments.bags, strict=True)
@@ -188,16 +190,6 @@ def _write_rigs(folder: Path, found: Identified, recordings: Sequence[_Given]) -
 def _named(rig: Rig, name: str, source: str) -> Rig:
     plain = name.removesuffix("_identified")
     return rig.replaced(name=f"{plain}_identified", source=" ".join(source.split()))
-
-
-def _summary(document: dict) -> str:  # type: ignore[type-arg]
-    mark = {"good": "  ", "note": "  ", "warn": "! "}
-    said = "\n".join(
-        textwrap.fill(item.text, 100, initial_indent=mark[item.status], subsequent_indent="  ")
-        for item in identify_words.findings(document)
-    )
-    tables = "\n\n".join(terminal.table(identify_tables.held_out(item)) for item in document["held_out"])
-    return f"{terminal.table(identify_tables.parameters(document))}\n\n{tables}\n\n{said}"
 
 
 if __name__ == "__main__":

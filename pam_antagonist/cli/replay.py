@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import textwrap
 import time
 import webbrowser
 from collections.abc import Sequence
@@ -13,9 +12,9 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.recording import corrections, read_bag
-from pam_antagonist.report import replay as replaying
-from pam_antagonist.report import replay_tables, terminal, words
-from pam_antagonist.report.replay_page import write_report
+from pam_antagonist.replay import Replay, replay
+from pam_antagonist.report import terminal
+from pam_antagonist.report.replay import summary, write_report
 from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
@@ -43,7 +42,7 @@ def parser() -> common.Parser:
     common.add_tuning(out)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the report; a new one")
     common.add_joint(
-        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, told from the measured angle)"
+        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, by the measured angle)"
     )
     common.add_topics(out)
     out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
@@ -74,7 +73,7 @@ def _main(argv: Sequence[str] | None) -> int:
     replays = []
     for bag in arguments.bags:
         replays.append(_replay(bag, names, rig, arguments))
-        print(_summary(replays[-1]))
+        print(f"\n{terminal.render(summary(replays[-1]))}")
     with common.output_folder(arguments.out) as folder:
         write_report(folder, replays, with_figures=not arguments.no_figures)
     print(f"\nreport: {arguments.out / 'report.html'} and report.json")
@@ -83,7 +82,7 @@ def _main(argv: Sequence[str] | None) -> int:
     return common.DONE
 
 
-def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> replaying.Replay:
+def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> Replay:
     begin = time.perf_counter()
     recording = read_bag(
         bag,
@@ -97,24 +96,9 @@ def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Name
     given.refuse_wrong(recording, rig, arguments)
     read_seconds = time.perf_counter() - begin
     with common.progress(len(recording.stamp_ns), f"replay {bag.name}") as bar:
-        return replaying.replay(
+        return replay(
             recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, read_seconds, progress=bar.update
         )
-
-
-def _summary(replay: replaying.Replay) -> str:
-    report = replay.report
-    head = (
-        f"\n{report['recording']['name']}: {report['duration_s']:.1f} s, {report['samples']} samples, joint "
-        f"{report['joint']['condition']} (told from: {report['joint']['told_from']})\n"
-        f"rig {replay.rig.name}, tuning {replay.tuning}, {report['realtime_factor']:.1f} × real time\n"
-    )
-    mark = {"good": "  ", "note": "  ", "warn": "! "}
-    said = "\n".join(
-        textwrap.fill(item.text, 100, initial_indent=mark[item.status], subsequent_indent="  ")
-        for item in words.findings(report)
-    )
-    return f"{head}\n{terminal.table(replay_tables.errors_table(report))}\n\n{said}"
 
 
 if __name__ == "__main__":

@@ -1,28 +1,25 @@
-"""What is judged in a replay's report: which channels there are, and how their numbers are found and written."""
+"""The channels that a replay judges: what the filter estimates and a validation sensor may measure."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from pam_antagonist.estimation.errors import ChannelErrors, ModelErrors
+from pam_antagonist.replay.result import JointFacts, ReplayReport
 from pam_antagonist.report.table import number
-
-Report = dict[str, Any]
-"""An entry of ``report.json``, see :mod:`pam_antagonist.report.replay`."""
 
 
 class Channel(NamedTuple):
-    """A quantity that the filter estimates and a validation sensor may measure.
+    """The angle or the torque.
 
     Attributes:
-        name: key in the report, and what it is called.
-        key: unit in the report's keys (``rmse_deg``).
-        unit: unit as written in brackets.
+        name: what it is called.
+        unit: in brackets.
     """
 
     name: str
-    key: str
     unit: str
 
     @property
@@ -30,46 +27,50 @@ class Channel(NamedTuple):
         """Its name at the beginning of a sentence."""
         return self.name.capitalize()
 
-    def value(self, report: Report, model: str = "ukf", what: str = "rmse") -> float:
-        """An error of it: ``rmse`` or ``max``, of ``ukf`` or ``model_alone``."""
-        return float(report[model][self.name][f"{what}_{self.key}"])
-
-    def ratio(self, report: Report, model: str = "ukf") -> float:
-        """The paper's ratio of the largest error to the range of the measured signal."""
-        return float(report[model][self.name]["q"])
-
-    def coverage(self, report: Report) -> float:
-        """Share of the measured values in the filter's 95 % interval."""
-        return float(report["ukf"][self.name]["coverage95"])
+    def of(self, errors: ModelErrors) -> ChannelErrors | None:
+        """Its errors; None where it was not measured."""
+        return errors.angle if self.name == "angle" else errors.torque
 
     def write(self, value: float) -> str:
         """A value with its unit."""
         return f"{number(value, 2)}{'' if self.unit == '°' else ' '}{self.unit}"
 
 
-MODELS = ("ukf", "model_alone")
-"""What is compared: the filter, and the model without any feedback."""
-CHANNELS = (Channel("angle", "deg", "°"), Channel("torque", "nm", "N m"))
+ANGLE, TORQUE = Channel("angle", "°"), Channel("torque", "N m")
+CHANNELS = (ANGLE, TORQUE)
 """What is estimated from the pressures."""
 
 
-def moves(report: Report) -> bool:
-    """Whether the joint could move."""
-    return bool(report["joint"]["condition"] == "free")
+class Judged(NamedTuple):
+    """A channel with its errors in one recording."""
+
+    channel: Channel
+    ukf: ChannelErrors
+    model: ChannelErrors
+
+    @property
+    def coverage(self) -> float:
+        """Share of the measured values in the filter's 95 % interval."""
+        return math.nan if self.ukf.coverage95 is None else self.ukf.coverage95
 
 
-def lock_angle(report: Report) -> str:
-    """Where a locked joint was held."""
-    return f"{math.degrees(report['joint']['lock_angle_rad']):.1f}°"
-
-
-def judged(report: Report) -> list[Channel]:
+def judged(report: ReplayReport) -> list[Judged]:
     """Channels with a measurement to compare with; a locked joint's angle is given, not estimated."""
-    measured = [channel for channel in CHANNELS if report["ukf"][channel.name] is not None]
-    return [channel for channel in measured if channel.name != "angle" or moves(report)]
+    out = []
+    for channel in CHANNELS:
+        ukf, model = channel.of(report.ukf), channel.of(report.model_alone)
+        if ukf is not None and model is not None and (channel is TORQUE or report.joint.condition == "free"):
+            out.append(Judged(channel, ukf, model))
+    return out
 
 
-def worst(channel: Channel, reports: Sequence[Report]) -> Report | None:
-    """The recording in which the filter errs most; None where the channel was judged in none."""
-    where = [report for report in reports if channel in judged(report)]
-    return max(where, key=channel.value, default=None)
+def joint_text(joint: JointFacts) -> str:
+    """``free``, or ``locked at 5.7°``."""
+    if joint.lock_angle_rad is None:
+        return joint.condition
+    return f"{joint.condition} at {math.degrees(joint.lock_angle_rad):.1f}°"
+
+
+def joined(parts: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

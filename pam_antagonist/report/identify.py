@@ -1,43 +1,22 @@
-"""What an identification found, as numbers: the content of its ``report.json``.
+"""What an identification found, as typed numbers: the content of its ``report.json``.
 
-Keys::
-
-    held_out     [{name, from_s, joint, as_configured, identified, own | null}]: each recording's figures of a replay
-                 (:mod:`pam_antagonist.report.replay`: ukf, model_alone, innovation) of the part that was not fitted,
-                 by the rig as configured, by the identified rig, and, of several recordings, with the recording's own
-                 values in place of the common ones
-    coverage95   share of all measured angles and torques of the held-out parts, one mean over channels and recordings,
-                 in the identified rig's 95 % interval; null where nothing was measured
-    coverage95_own  the same with each recording's own values; null of a single recording
-    parameters   [{name, start, value, std, relative_change, prior_std, determined, record, own: [...], own_std: [...]}]
-    stages       [{name, source, values, before, after, note}], residuals by channel [rad, N m, Pa, Pa]
-    correlations [{first, second, correlation}], the strong ones
-    profiles     [{name, value: [...], loss: [...], low95, high95}]
-    between      null, or {spread, evidence_gain, differences}: how the recordings disagree
-    noise        sensors' standard deviations, declared and found
-    tuning       Q, R, directions, their scale, likelihood
-    starts       of the joint refinement, with their cost
-    recordings   [{name, sha256, condition, told_from, samples, duration_s, fitted_until_s, topics, issues}]
-    warnings     sentences
-    settings     what was asked, with the seed
-    software     versions
+The fields of :class:`IdentifyReport` and of the classes in it are the keys of ``report.json``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from pam_antagonist.identification.advice import advice
 from pam_antagonist.identification.directions import Direction
-from pam_antagonist.identification.session import Identified, relative
+from pam_antagonist.identification.session import Identified, Start, relative
+from pam_antagonist.identification.stages import Stage
 from pam_antagonist.inference.trial import CHANNELS
-from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.report import channels
-from pam_antagonist.report.replay import Replay, after, replay
+from pam_antagonist.replay.result import JointFacts
+from pam_antagonist.report.held_out import Given, HeldOut, Judged, pooled_coverage
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
@@ -46,228 +25,347 @@ STRONG = 0.9
 _PAIRS = 12
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """One recording by three rigs, whole and the part that was held out.
+def rigs_of(found: Identified) -> list[Mapping[str, Rig]]:
+    """The rigs that are compared on each recording of an identification."""
+    both: dict[str, Rig] = {"as_configured": found.start, "identified": found.tuned.rig}
+    return [{**both, "own": own} for own in found.own] if found.own else [both] * len(found.trials)
 
-    Attributes:
-        name: of the recording.
-        from_s: where the held-out part begins [s].
-        whole: replays of the whole recording by name of the rig: ``as_configured``, ``identified`` and, where there are
-            several recordings, ``own``.
-        held: the same, judged on the held-out part alone.
-    """
+
+@dataclass(frozen=True)
+class ParameterEntry:
+    """What became of a free parameter, in SI units; `record` says what would determine it where it is not."""
 
     name: str
-    from_s: float
-    whole: dict[str, Replay]
-    held: dict[str, Replay]
+    start: float
+    value: float
+    std: float
+    relative_change: float
+    prior_std: float
+    determined: bool
+    record: str | None
+    own: tuple[float, ...]
+    own_std: tuple[float, ...]
 
 
-def judge(
-    recordings: Sequence[tuple[Recording, JointCondition, str]],
-    found: Identified,
-    progress: Callable[[str], None] | None = None,
-) -> list[Judged]:
-    """Run every recording from its start through the model alone and the filter, and judge what was held out.
+@dataclass(frozen=True)
+class Change:
+    """A number before and after."""
 
-    Args:
-        recordings: as they were identified.
-        found: the identification.
-        progress: told which recording is being run.
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class StageEntry:
+    """A step: values that it moved, and RMS residuals by channel [rad, N m, Pa, Pa] before and after it."""
+
+    name: str
+    source: str
+    values: Mapping[str, Change]
+    before: Mapping[str, float | None]
+    after: Mapping[str, float | None]
+    balance_nm: Change | None
+    note: str
+
+    @classmethod
+    def of(cls, stage: Stage) -> StageEntry:
+        """The entry of a step."""
+        balance = stage.balance
+        return cls(
+            stage.name,
+            stage.source,
+            {name: Change(old, new) for name, (old, new) in stage.values.items()},
+            dict(zip(CHANNELS, stage.before, strict=True)),
+            dict(zip(CHANNELS, stage.after, strict=True)),
+            None if balance is None else Change(balance.rms("before"), balance.rms("after")),
+            stage.note,
+        )
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two parameters that the data hardly distinguish."""
+
+    first: str
+    second: str
+    correlation: float
+
+
+@dataclass(frozen=True)
+class ProfileEntry:
+    """Profile likelihood of a parameter, and its 95 % interval."""
+
+    name: str
+    value: tuple[float, ...]
+    loss: tuple[float, ...]
+    low95: float | None
+    high95: float | None
+
+
+@dataclass(frozen=True)
+class DifferenceEntry:
+    """How the recordings differ in one direction, relative; `largest` is between the two that differ most."""
+
+    name: str
+    deviations: tuple[float, ...]
+    largest: float
+    std: float
+    certain: bool
+
+
+@dataclass(frozen=True)
+class Between:
+    """How the recordings differ, and by how much the logarithm of the evidence is higher with these differences."""
+
+    spread: Mapping[str, float]
+    evidence_gain: float
+    differences: tuple[DifferenceEntry, ...]
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Standard deviations and steps of the sensors [Pa, rad, N m]."""
+
+    pressure_std: float
+    angle_std: float
+    angle_step: float
+    torque_std: float
+    torque_step: float
+
+    @classmethod
+    def of(cls, rig: Rig) -> SensorNoise:
+        """Those of a rig."""
+        s = rig.sensors
+        return cls(*(float(v) for v in (s.pressure_std, s.angle_std, s.angle_step, s.torque_std, s.torque_step)))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The sensors' noise as the rig file declares it and as it was found."""
+
+    declared: SensorNoise
+    found: SensorNoise
+
+
+@dataclass(frozen=True)
+class RelativeChange:
+    """A parameter and its relative change."""
+
+    name: str
+    relative: float
+
+
+@dataclass(frozen=True)
+class DirectionEntry:
+    """Parameters that are uncertain together: what they move, and the parameters that change most."""
+
+    name: str
+    angle_deg: float
+    torque_nm: float
+    share: float
+    largest: tuple[RelativeChange, ...]
+
+
+@dataclass(frozen=True)
+class TuningEntry:
+    """Process and measurement noise, and the directions in which the filter carries the parameters as uncertain."""
+
+    process: tuple[float, ...]
+    process_before: tuple[float, ...]
+    measurement: tuple[float, ...]
+    measurement_before: tuple[float, ...]
+    log_likelihood_a_sample: Change
+    evaluations: int
+    scale: float
+    scale_from_reference: bool
+    directions: tuple[DirectionEntry, ...]
+
+
+@dataclass(frozen=True)
+class RecordingEntry:
+    """A recording, and until when it was fitted."""
+
+    sha256: str
+    topics: Mapping[str, str]
+    issues: tuple[str, ...]
+    name: str
+    condition: str
+    lock_angle_rad: float | None
+    told_from: str
+    samples: int
+    duration_s: float
+    fitted_until_s: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What was asked."""
+
+    rig: str
+    free: tuple[str, ...]
+    frozen: tuple[str, ...]
+    holdout: float
+    starts: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class IdentifyReport:
+    """All numbers of an identification.
+
+    Attributes:
+        held_out: errors on the part of each recording that was not fitted.
+        coverage95: share of all measured angles and torques of the held-out parts in the identified rig's 95 %
+            interval: one mean over channels and recordings; NaN where nothing was measured.
+        coverage95_own: the same with each recording's own values; NaN of a single recording.
+        parameters: that were free.
+        stages: steps.
+        correlations: the strong ones.
+        profiles: of the parameters that matter most.
+        between: how the recordings differ; None of a single one.
+        noise: of the sensors.
+        tuning: of the filter.
+        starts: of the joint refinement.
+        recordings: that were used.
+        warnings: what the user should know.
+        settings: what was asked.
+        software: versions.
     """
-    out = []
-    for index, (recording, state, name) in enumerate(recordings):
-        if progress:
-            progress(f"held-out part of {name}")
-        rigs: dict[str, Rig] = {"as_configured": found.start, "identified": found.tuned.rig}
-        if len(recordings) > 1:
-            rigs["own"] = found.own[index]
-        angle = state.lock_angle if state.condition == "locked" else None
-        whole = {key: replay(recording, rig, "default", state.condition, angle) for key, rig in rigs.items()}
-        begin = found.held_from[index]
-        out.append(Judged(name, begin, whole, {key: after(item, begin) for key, item in whole.items()}))
-    return out
+
+    held_out: tuple[HeldOut, ...]
+    coverage95: float
+    coverage95_own: float
+    parameters: tuple[ParameterEntry, ...]
+    stages: tuple[StageEntry, ...]
+    correlations: tuple[Pair, ...]
+    profiles: tuple[ProfileEntry, ...]
+    between: Between | None
+    noise: Noise
+    tuning: TuningEntry
+    starts: tuple[Start, ...]
+    recordings: tuple[RecordingEntry, ...]
+    warnings: tuple[str, ...]
+    settings: Settings
+    software: Mapping[str, str]
 
 
-def document(
-    recordings: Sequence[tuple[Recording, JointCondition, str]], found: Identified, judged: Sequence[Judged]
-) -> dict[str, Any]:
-    """What goes into ``report.json``.
+def report(recordings: Sequence[Given], found: Identified, judged: Sequence[Judged]) -> IdentifyReport:
+    """The numbers of an identification.
 
     Args:
         recordings: as they were identified.
         found: the identification.
         judged: of :func:`judge`.
     """
-    options = found.options
-    return {
-        "held_out": [
-            {
-                "name": item.name,
-                "from_s": item.from_s,
-                "joint": item.held["identified"].report["joint"],
-                **{key: _figures(item.held.get(key)) for key in ("as_configured", "identified", "own")},
-            }
-            for item in judged
-        ],
-        "coverage95": pooled_coverage(judged),
-        "coverage95_own": pooled_coverage(judged, "own"),
-        "parameters": parameters(found),
-        "stages": [
-            {
-                "name": stage.name,
-                "source": stage.source,
-                "values": {name: {"before": old, "after": new} for name, (old, new) in stage.values.items()},
-                "before": dict(zip(CHANNELS, stage.before, strict=True)),
-                "after": dict(zip(CHANNELS, stage.after, strict=True)),
-                "balance_nm": None
-                if stage.balance is None
-                else {"before": stage.balance.rms("before"), "after": stage.balance.rms("after")},
-                "note": stage.note,
-            }
-            for stage in found.stages
-        ],
-        "correlations": correlations(found),
-        "profiles": [
-            {"name": p.name, "value": p.value, "loss": p.loss, "low95": p.low, "high95": p.high} for p in found.profiles
-        ],
-        "between": _between(found),
-        "noise": {"declared": _sensors(found.start), "found": _sensors(found.tuned.rig)},
-        "tuning": _tuning(found),
-        "starts": [{"name": item.name, "cost": item.cost, "best": item.best} for item in found.starts],
-        "recordings": [
-            {
-                **{key: item.whole["identified"].report["recording"][key] for key in ("sha256", "topics", "issues")},
-                "name": item.name,
-                "condition": state.condition,
-                "lock_angle_rad": state.lock_angle if state.condition == "locked" else None,
-                "told_from": state.told_from,
-                "samples": len(recording.stamp_ns),
-                "duration_s": item.whole["identified"].report["duration_s"],
-                "fitted_until_s": item.from_s,
-            }
-            for item, (recording, state, _) in zip(judged, recordings, strict=True)
-        ],
-        "warnings": list(found.warnings),
-        "settings": {
-            "rig": found.start.name,
-            "free": list(options.free),
-            "frozen": list(options.frozen),
-            "holdout": options.holdout,
-            "starts": options.starts,
-            "seed": options.seed,
-        },
-        "software": versions(),
-    }
+    asked = found.options
+    return IdentifyReport(
+        held_out=tuple(HeldOut.of(item) for item in judged),
+        coverage95=pooled_coverage(judged),
+        coverage95_own=pooled_coverage(judged, "own"),
+        parameters=_parameters(found),
+        stages=tuple(StageEntry.of(stage) for stage in found.stages),
+        correlations=_correlations(found),
+        profiles=tuple(ProfileEntry(p.name, tuple(p.value), tuple(p.loss), p.low, p.high) for p in found.profiles),
+        between=_between(found),
+        noise=Noise(SensorNoise.of(found.start), SensorNoise.of(found.tuned.rig)),
+        tuning=_tuning(found),
+        starts=found.starts,
+        recordings=tuple(_recording(item, state) for item, (_, state, _) in zip(judged, recordings, strict=True)),
+        warnings=found.warnings,
+        settings=Settings(found.start.name, asked.free, asked.frozen, asked.holdout, asked.starts, asked.seed),
+        software=versions(),
+    )
 
 
-def _figures(item: Replay | None) -> dict[str, Any] | None:
-    if item is None:
-        return None
-    return {key: item.report[key] for key in ("samples", "duration_s", "ukf", "model_alone", "innovation")}
-
-
-def pooled_coverage(judged: Sequence[Judged], rig: str = "identified") -> float:
-    """Mean over recordings and channels of the coverage of a rig's 95 % interval; NaN where there is none.
-
-    Args:
-        judged: of :func:`judge`.
-        rig: ``identified``, or ``own`` for each recording's own values.
-    """
-    reports = [item.held[rig].report for item in judged if rig in item.held]
-    shares = [channel.coverage(report) for report in reports for channel in channels.judged(report)]
-    return sum(shares) / len(shares) if shares else math.nan
-
-
-def parameters(found: Identified) -> list[dict[str, Any]]:
-    """What became of each free parameter."""
+def _parameters(found: Identified) -> tuple[ParameterEntry, ...]:
     fit = found.fit
     values, stds, determined = fit.values, fit.std, fit.determined
-    several = len(found.trials) > 1
-    owns = [fit.own_values(k) for k in range(len(found.trials))] if several else []
-    own_stds = [fit.own_std(k) for k in range(len(found.trials))] if several else []
-    return [
-        {
-            "name": item.name,
-            "start": item.start,
-            "value": values[item.name],
-            "std": stds[item.name],
-            "relative_change": relative(values[item.name], item.start),
-            "prior_std": item.prior_std,
-            "determined": determined[item.name],
-            "record": None if determined[item.name] else advice(item.name),
-            "own": [own[item.name] for own in owns],
-            "own_std": [own[item.name] for own in own_stds],
-        }
+    several = range(len(found.trials)) if len(found.trials) > 1 else range(0)
+    owns, own_stds = [fit.own_values(k) for k in several], [fit.own_std(k) for k in several]
+    return tuple(
+        ParameterEntry(
+            item.name,
+            item.start,
+            values[item.name],
+            stds[item.name],
+            relative(values[item.name], item.start),
+            item.prior_std,
+            bool(determined[item.name]),
+            None if determined[item.name] else advice(item.name),
+            tuple(own[item.name] for own in owns),
+            tuple(own[item.name] for own in own_stds),
+        )
         for item in found.free
-    ]
+    )
 
 
-def correlations(found: Identified) -> list[dict[str, Any]]:
-    """The pairs of parameters that the data hardly tell apart, the strongest first."""
+def _correlations(found: Identified) -> tuple[Pair, ...]:
+    """The pairs of parameters that the data hardly distinguish, the strongest first."""
     names, matrix = [item.name for item in found.free], found.fit.correlation
     pairs = [(float(matrix[i, j]), i, j) for i in range(len(names)) for j in range(i)]
     strong = sorted((pair for pair in pairs if abs(pair[0]) >= STRONG), key=lambda pair: -abs(pair[0]))
-    return [{"first": names[j], "second": names[i], "correlation": value} for value, i, j in strong[:_PAIRS]]
+    return tuple(Pair(names[j], names[i], value) for value, i, j in strong[:_PAIRS])
 
 
-def _between(found: Identified) -> dict[str, Any] | None:
+def _between(found: Identified) -> Between | None:
     if found.fit.spread is None:
         return None
-    spread = {way.group: float(value) for way, value in zip(found.ways, found.fit.spread, strict=True)}
-    return {
-        "spread": spread,
-        "evidence_gain": found.fit.evidence_gain,
-        "differences": [
-            {
-                "name": item.name,
-                "deviations": list(item.deviations),
-                "largest": item.largest,
-                "std": item.std,
-                "certain": item.certain,
-            }
+    return Between(
+        {way.group: float(value) for way, value in zip(found.ways, found.fit.spread, strict=True)},
+        found.fit.evidence_gain,
+        tuple(
+            DifferenceEntry(item.name, tuple(item.deviations), item.largest, item.std, bool(item.certain))
             for item in found.differences
-        ],
-    }
+        ),
+    )
 
 
-def _sensors(rig: Rig) -> dict[str, float]:
-    sensors = rig.sensors
-    names = ("pressure_std", "angle_std", "angle_step", "torque_std", "torque_step")
-    return {name: float(getattr(sensors, name)) for name in names}
-
-
-def _tuning(found: Identified) -> dict[str, Any]:
+def _tuning(found: Identified) -> TuningEntry:
     tuned = found.tuned
     now, before = tuned.rig.tuning("default"), found.start.tuning("default")
-    return {
-        "process": list(now.process),
-        "process_before": list(before.process),
-        "measurement": list(now.measurement),
-        "measurement_before": list(before.measurement),
-        "log_likelihood_a_sample": {"before": tuned.likelihood[0], "after": tuned.likelihood[1]},
-        "evaluations": tuned.evaluations,
-        "scale": tuned.scale,
-        "scale_from_reference": tuned.calibrated,
-        "directions": [
-            {
-                "name": item.name,
-                "angle_deg": math.degrees(item.angle) * tuned.scale,
-                "torque_nm": item.torque * tuned.scale,
-                "share": item.share,
-                "largest": _largest(found, item),
-            }
+    return TuningEntry(
+        process=tuple(now.process),
+        process_before=tuple(before.process),
+        measurement=tuple(now.measurement),
+        measurement_before=tuple(before.measurement),
+        log_likelihood_a_sample=Change(*tuned.likelihood),
+        evaluations=tuned.evaluations,
+        scale=tuned.scale,
+        scale_from_reference=tuned.calibrated,
+        directions=tuple(
+            DirectionEntry(
+                item.name,
+                math.degrees(item.angle) * tuned.scale,
+                item.torque * tuned.scale,
+                item.share,
+                _largest(found, item),
+            )
             for item in tuned.directions
-        ],
-    }  # fmt: skip
+        ),
+    )
 
 
-def _largest(found: Identified, direction: Direction) -> list[dict[str, Any]]:
+def _largest(found: Identified, direction: Direction) -> tuple[RelativeChange, ...]:
     """The parameters that a direction moves most, relative to their values."""
     moves = [
-        (name, found.tuned.scale * relative(found.fitted.value(name) + step, found.fitted.value(name)))
+        RelativeChange(name, found.tuned.scale * relative(found.fitted.value(name) + step, found.fitted.value(name)))
         for name, step in direction.changes.items()
     ]
-    moves.sort(key=lambda item: -abs(item[1]))
-    return [{"name": name, "relative": value} for name, value in moves[:5]]
+    moves.sort(key=lambda item: -abs(item.relative))
+    return tuple(moves[:5])
+
+
+def _recording(item: Judged, state: JointCondition) -> RecordingEntry:
+    whole, joint = item.whole["identified"].report, JointFacts.of(state)
+    return RecordingEntry(
+        sha256=whole.recording.sha256,
+        topics=whole.recording.topics,
+        issues=whole.recording.issues,
+        name=item.name,
+        condition=joint.condition,
+        lock_angle_rad=joint.lock_angle_rad,
+        told_from=joint.told_from,
+        samples=whole.samples,
+        duration_s=whole.duration_s,
+        fitted_until_s=item.from_s,
+    )

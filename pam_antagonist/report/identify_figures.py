@@ -13,11 +13,12 @@ from pam_antagonist.identification.prediction import BLOCK
 from pam_antagonist.identification.session import Identified
 from pam_antagonist.identification.stages import Stage
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.replay import Replay
 from pam_antagonist.report import figures
 from pam_antagonist.report.figures import Band, Clock, Line, Panel, Part
+from pam_antagonist.report.held_out import Judged
 from pam_antagonist.report.html import Figure
-from pam_antagonist.report.identify import Judged
-from pam_antagonist.report.replay import Replay
+from pam_antagonist.report.identify import ParameterEntry
 from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, QUIET, SECOND
 from pam_antagonist.rig import Reading
 
@@ -216,11 +217,11 @@ def _residual_figure(stage: Stage, trials: Sequence[Trial]) -> Figure:
     return Figure(f"{stage.name.capitalize()}: residuals", about, figures.stack(panels, clock), f"stage {stage.name}")
 
 
-def parameters_figure(document: dict[str, Any]) -> Figure:
+def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
     """Change of each parameter with its 95 % interval, over the prior's."""
-    items = [item for item in document["parameters"] if item["start"]][::-1]
-    names = [item["name"] for item in items]
-    scale = [100.0 / abs(item["start"]) for item in items]
+    items = [item for item in parameters if item.start][::-1]
+    names = [item.name for item in items]
+    scale = [100.0 / abs(item.start) for item in items]
 
     def bars(name: str, middle: list[float], half: list[float], color: str, width: float, size: int) -> dict[str, Any]:
         return {
@@ -234,9 +235,9 @@ def parameters_figure(document: dict[str, Any]) -> Figure:
         }
 
     zero = [0.0] * len(items)
-    changes = [(item["value"] - item["start"]) * s for item, s in zip(items, scale, strict=True)]
-    prior = [1.96 * item["prior_std"] * s for item, s in zip(items, scale, strict=True)]
-    now = [1.96 * item["std"] * s for item, s in zip(items, scale, strict=True)]
+    changes = [(item.value - item.start) * s for item, s in zip(items, scale, strict=True)]
+    prior = [1.96 * item.prior_std * s for item, s in zip(items, scale, strict=True)]
+    now = [1.96 * item.std * s for item, s in zip(items, scale, strict=True)]
     layout = figures.base_layout(90 + 24 * len(items))
     layout["hovermode"] = "closest"
     layout["margin"] = {**layout["margin"], "l": 66}

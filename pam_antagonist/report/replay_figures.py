@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import metrics
+from pam_antagonist.replay import Replay
 from pam_antagonist.report import figures
 from pam_antagonist.report.figures import Band, Clock, Level, Line, Panel, Part
 from pam_antagonist.report.html import Figure
-from pam_antagonist.report.replay import Replay
 from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, QUIET, SECOND
 from pam_antagonist.rig import Reading
 
@@ -38,7 +38,7 @@ def _tenth(replay: Replay) -> int:
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
     """All figures of one recording, the most telling first."""
     clock = Clock.from_stamps(replay.run.stamp_ns, int(replay.recording.stamp_ns[0]), replay.rig.sample_period)
-    link = replay.report["recording"]["name"]
+    link = replay.name
     out = []
     rows, variance = replay.run.rows, replay.run.rows["covariance"]
     if replay.joint.condition == "free":

@@ -23,7 +23,7 @@ from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.notes import write_notes
-from pam_antagonist.report.replay import replay
+from pam_antagonist.replay import replay
 from pam_antagonist.rig import Rig, load_rig
 
 FILE = Path(__file__).parents[3] / "shared" / "data" / "measured" / "sealed_joint" / "sealed_joint.csv"
@@ -192,7 +192,7 @@ def test_the_measured_joint(measured: Path, tmp_path: Path, capsys) -> None:
     extended = load_rig(str(out / "rig_extended.yaml"))
     assert extended.valves.sealed
     again = replay(read_bag(measured), extended)
-    assert again.report["ukf"]["external_torque"]["rmse_nm"] < 0.16
+    assert again.report.ukf.external_torque.rmse < 0.16
 
 
 @measured_only

@@ -20,7 +20,7 @@ from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.notes import SEALED, write_notes
-from pam_antagonist.report.replay import replay
+from pam_antagonist.replay import replay
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -109,11 +109,11 @@ def test_the_filter_finds_angle_and_torque_from_the_pressures_alone(joint, tmp_p
     recording = read_bag(tmp_path / "bag")
     done = replay(recording, joint)
     # The rig's tuning allows for strays of a real joint, which this simulated one does not have.
-    assert done.report["ukf"]["angle"]["rmse_deg"] < 0.25
-    external = done.report["ukf"]["external_torque"]
+    assert done.report.ukf.angle.rmse < 0.25
+    external = done.report.ukf.external_torque
     # Where the joint sticks, the torque may be anything within the friction's bound.
-    assert external["rmse_nm"] < 0.3 < np.std(recording.external_torque)
-    assert done.report["model_alone"]["angle"]["rmse_deg"] < 0.05, "the model alone is given the torque"
+    assert external.rmse < 0.3 < np.std(recording.external_torque)
+    assert done.report.model_alone.angle.rmse < 0.05, "the model alone is given the torque"
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_the_angle_of_the_measured_joint_from_its_pressures(joint, measured):
     error = np.degrees((done.run.rows["angle"] - measured.angle[done.run.index])[rest])
     assert math.sqrt(float(np.mean(error**2))) <= 0.20
     assert np.abs(error).max() / np.degrees(np.ptp(measured.angle)) <= 0.08
-    assert not any("sealed" in issue for issue in done.report["recording"]["issues"])
+    assert not any("sealed" in issue for issue in done.report.recording.issues)
 
 
 def test_identify_takes_a_sealed_joint_through_the_same_command(joint, tmp_path, capsys):

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.nodes.accounting import account
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.replay.accounting import account
 
 pytestmark = pytest.mark.ros
 

@@ -17,16 +17,25 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import EstimateRun, Estimator, simulate_model
 from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, write_bag
 from pam_antagonist.recording.notes import SEALED, write_notes
-from pam_antagonist.report import words
+from pam_antagonist.replay import ReplayReport, replay
+from pam_antagonist.replay.result import JointFacts, RecordedRig
 from pam_antagonist.report.document import Text
 from pam_antagonist.report.html import render
-from pam_antagonist.report.replay import replay, replay_recording
-from pam_antagonist.report.replay_page import document, page, write_report
+from pam_antagonist.report.replay import document, numbers, write_report
+from pam_antagonist.report.replay_findings import live_rig
 from pam_antagonist.rig import Rig, RigIdentity, fingerprint, load_rig
+from pam_antagonist.strict_json import plain
 
 Changed = Callable[..., Recording]
 
 CHANNEL = {"angle": ("rmse_deg", "max_deg", "q"), "torque": ("rmse_nm", "max_nm", "q")}
+
+
+def replay_recording(recording: Recording, rig: Rig, tuning: str = "default") -> dict[str, Any]:
+    """The recording's entry in ``report.json``."""
+    entry = plain(replay(recording, rig, tuning).report)
+    assert isinstance(entry, dict)
+    return entry
 
 
 @pytest.fixture(scope="module")
@@ -46,17 +55,17 @@ def test_report_keys_are_those_that_others_read(report: dict[str, Any]) -> None:
 
 def test_numbers_are_those_of_the_arrays(rig: Rig, free: Recording) -> None:
     done = replay(free, rig)
-    assert done.report["samples"] == 6000
-    assert done.report["duration_s"] == pytest.approx(6.0)
+    assert done.report.samples == 6000
+    assert done.report.duration_s == pytest.approx(6.0)
     assert free.angle is not None and free.torque is not None
     run = Estimator(rig).run(free.stamp_ns, free.pressure, free.voltage)
     error = np.degrees(run.rows["angle"] - free.angle)
-    assert done.report["ukf"]["angle"]["rmse_deg"] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
-    assert done.report["ukf"]["angle"]["q"] == pytest.approx(np.abs(error).max() / np.degrees(np.ptp(free.angle)))
+    assert done.report.ukf.angle.rmse == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
+    assert done.report.ukf.angle.ratio == pytest.approx(np.abs(error).max() / np.degrees(np.ptp(free.angle)))
     alone = simulate_model(rig, free.voltage, free.pressure[0])
-    assert done.report["model_alone"]["torque"]["max_nm"] == pytest.approx(np.abs(alone.torque - free.torque).max())
+    assert done.report.model_alone.torque.largest == pytest.approx(np.abs(alone.torque - free.torque).max())
     worst = np.sqrt(np.mean((alone.pressure - free.pressure) ** 2, axis=0))
-    assert done.report["model_alone"]["pressure"]["rmse_pa"] == pytest.approx(worst)
+    assert done.report.model_alone.pressure.rmse_pa == pytest.approx(worst)
 
 
 def test_the_published_tuning_is_another_filter(rig: Rig, free: Recording, report: dict[str, Any]) -> None:
@@ -77,9 +86,9 @@ def test_a_channel_that_was_not_recorded_is_null(rig: Rig, free: Recording, chan
 
 def test_nothing_measured_is_said_plainly(rig: Rig, free: Recording, changed: Changed) -> None:
     done = replay(changed(free, torque=None, angle=None), rig)
-    text = render(page([done], with_figures=False))
-    assert "The estimate stands alone" in text
-    assert "taken for free" in text
+    text = render(document([done], with_figures=False))
+    assert "the estimate was compared with nothing" in text
+    assert "taken as free" in text
 
 
 def test_the_recorded_files_hash_is_the_one_of_sha256sum(report: dict[str, Any], free: Recording) -> None:
@@ -90,11 +99,11 @@ def test_the_recorded_files_hash_is_the_one_of_sha256sum(report: dict[str, Any],
 
 def test_a_locked_joints_torque_is_judged_and_its_angle_is_given(rig: Rig, locked: Recording) -> None:
     done = replay(locked, rig)
-    assert done.report["joint"] == {"condition": "locked", "lock_angle_rad": 0.0, "told_from": "measured angle"}
+    assert done.report.joint == JointFacts("locked", 0.0, "measured angle")
     assert not done.run.rows["angle"].any()
-    text = render(page([done], with_figures=False))
-    assert "the torque is known to" in text
-    assert "the angle is known to" not in text
+    text = render(document([done], with_figures=False))
+    assert "gives the torque to within" in text
+    assert "the angle to within" not in text
 
 
 def test_samples_that_are_missing_do_not_shift_the_model(rig: Rig, free: Recording, changed: Changed) -> None:
@@ -107,15 +116,15 @@ def test_samples_that_are_missing_do_not_shift_the_model(rig: Rig, free: Recordi
     holed = replay(changed(free, keep=keep), rig)
     assert len(holed.run.index) == len(free.stamp_ns) - 400
     assert np.array_equal(holed.model.angle, whole.model.angle[keep])
-    assert holed.report["estimator"]["counts"]["gaps"] == 1
+    assert holed.report.estimator.counts.gaps == 1
 
 
 def test_after_a_long_pause_filter_and_model_start_afresh(rig: Rig, free: Recording, changed: Changed) -> None:
     stamps = free.stamp_ns.copy()
     stamps[3000:] += 20_000_000_000
     done = replay(changed(free, stamp_ns=stamps), rig)
-    assert done.report["estimator"]["started_ns"] == [int(stamps[0]), int(stamps[3000])]
-    assert done.report["estimator"]["counts"]["restarts"] == 1
+    assert done.report.estimator.started_ns == (int(stamps[0]), int(stamps[3000]))
+    assert done.report.estimator.counts.restarts == 1
     assert done.model.pressure[3000] == pytest.approx(free.pressure[3000])
 
 
@@ -207,8 +216,8 @@ def test_one_bit_is_a_difference_and_the_late_flag_is_none(rig: Rig, free: Recor
 
 def test_another_tuning_does_not_give_the_live_bits(rig: Rig, free: Recording, changed: Changed) -> None:
     done = replay(changed(free, estimate=_live(rig, free, (0,), 500)), rig, tuning="published")
-    assert done.report["live_equal"]["equal"] < 500
-    assert "differ: " in render(page([done], with_figures=False))
+    assert done.report.live_equal.equal < 500
+    assert "differ: " in render(document([done], with_figures=False))
 
 
 def test_a_filter_started_before_the_recording_cannot_be_repeated(rig: Rig, free: Recording, changed: Changed) -> None:
@@ -225,12 +234,12 @@ def test_a_filter_started_before_the_recording_cannot_be_repeated(rig: Rig, free
 
 def test_one_recording_stands_at_the_top_and_several_in_a_list(rig: Rig, free: Recording, locked: Recording) -> None:
     one, other = replay(free, rig), replay(locked, rig)
-    single = document([one])
-    assert single["ukf"] == one.report["ukf"]
+    single = numbers([one])
+    assert single["ukf"] == plain(one.report.ukf)
     assert single["settings"]["rig"] == "shin2022"
     assert single["settings"]["tuning"]["name"] == "default"
     assert set(single["software"]) == {"pam_antagonist", "python", "numpy", "numba"}
-    both = document([one, other])
+    both = numbers([one, other])
     assert set(both) == {"recordings", "settings", "software"}
     assert [entry["joint"]["condition"] for entry in both["recordings"]] == ["free", "locked"]
 
@@ -241,16 +250,16 @@ def test_a_report_names_no_folder_of_this_machine(rig: Rig, free: Recording, tmp
         assert str(free.path.parent.parent) not in (tmp_path / name).read_text(encoding="utf-8")
 
 
-def test_another_command_adds_its_own_part(rig: Rig, free: Recording, tmp_path: Path) -> None:
-    write_report(tmp_path, [replay(free, rig)], False, "Ten seconds", (Text("No sample was lost."),), latency={"ms": 1})
-    assert json.loads((tmp_path / "report.json").read_text())["latency"] == {"ms": 1}
-    html = (tmp_path / "report.html").read_text()
+def test_another_command_adds_its_own_part(rig: Rig, free: Recording) -> None:
+    done = replay(free, rig)
+    assert numbers([done], latency={"ms": 1})["latency"] == {"ms": 1}
+    html = render(document([done], "Ten seconds", False, (Text("No sample was lost."),)))
     assert "<h1>Ten seconds</h1>" in html
     assert html.index('class="verdict"') < html.index("No sample was lost.") < html.index("<table")
 
 
 def test_the_page_shows_every_figure_with_units(rig: Rig, free: Recording, locked: Recording) -> None:
-    html = render(page([replay(free, rig), replay(locked, rig)]))
+    html = render(document([replay(free, rig), replay(locked, rig)]))
     for title, count in (
         ("Joint angle", 1),
         ("Joint torque", 2),
@@ -271,20 +280,20 @@ def test_the_page_shows_every_figure_with_units(rig: Rig, free: Recording, locke
 
 
 def test_a_recording_with_another_rig_is_said(rig: Rig, free: Recording) -> None:
-    def replayed(*told: tuple[str, Rig]) -> dict[str, Any]:
+    def replayed(*told: tuple[str, Rig]) -> ReplayReport:
         texts = tuple(RigIdentity.of(used, node).text() for node, used in told)
-        return replay_recording(dataclasses.replace(free, rigs=("rubbish", *texts)).slice(0.0, 0.2), rig)
+        return replay(dataclasses.replace(free, rigs=("rubbish", *texts)).slice(0.0, 0.2), rig).report
 
     other = load_rig("shin2022_as_printed")
     refined = rig.replaced(name="refined", joint=rig.joint.replaced(inertia=5e-4))
-    same = replayed(("plant", rig), ("estimator", rig))["recording"]
-    assert same["issues"] == list(free.issues)
-    assert same["rigs"]["plant"] == {"name": rig.name, "fingerprint": fingerprint(rig), "same": True}
+    same = replayed(("plant", rig), ("estimator", rig)).recording
+    assert same.issues == tuple(free.issues)
+    assert same.rigs["plant"] == RecordedRig(rig.name, fingerprint(rig), True)
     told = replayed(("plant", rig), ("estimator", refined))
-    assert told["recording"]["issues"] == list(free.issues)
-    assert told["recording"]["rigs"]["estimator"]["same"] is False
-    assert f"rig refined ({fingerprint(refined)})" in words._live_rig(told)
+    assert told.recording.issues == tuple(free.issues)
+    assert told.recording.rigs["estimator"].same is False
+    assert f"rig refined ({fingerprint(refined)})" in live_rig(told)
     told = replayed(("plant", rig), ("estimator", other), ("estimator", other))
-    (issue,) = told["recording"]["issues"][len(free.issues) :]
+    (issue,) = told.recording.issues[len(free.issues) :]
     assert issue.startswith("recorded with rig shin2022_as_printed (") and "as its estimator said" in issue
     assert "force of muscle 2 at angle 0 and supply pressure" in issue

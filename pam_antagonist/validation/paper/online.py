@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.nodes.accounting import STAGES
 from pam_antagonist.recording import Recording
+from pam_antagonist.replay.accounting import STAGES
+from pam_antagonist.replay.live import compare_with_live
 from pam_antagonist.report import figures
 from pam_antagonist.report.figures import Clock, Level, Line, Panel
 from pam_antagonist.report.html import Figure
-from pam_antagonist.report.live import compare_with_live
 from pam_antagonist.report.style import ESTIMATE, MODEL
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig
@@ -120,7 +120,7 @@ def judge(recording: Recording, rig: Rig, quantity: str, joint: str) -> Run:
         recording=complete,
         tracks=tracks,
         errors={method: judged(track, complete, rig, quantity) for method, track in tracks.items()},
-        equal=(int(compared["equal"]), int(compared["compared"])),
+        equal=(compared.equal, compared.compared),
         lost=lost,
         pipeline_ms=_pipeline_times(recording),
         step_ms=step_times(rig, complete, joint),

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.nodes.accounting import STAGES, OverTime
 from pam_antagonist.recording import Arrival, Recording
+from pam_antagonist.replay.accounting import STAGES, OverTime
 from pam_antagonist.report.html import render
-from pam_antagonist.report.soak_page import page
 from pam_antagonist.validation.benchmark import command as benchmark
 from pam_antagonist.validation.benchmark.figure import at_most
 from pam_antagonist.validation.benchmark.soak import Soak, Usage, clock_drift, growth
+from pam_antagonist.validation.benchmark.soak_page import page
 
 
 def usage(resident: np.ndarray) -> Usage:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.nodes.accounting import STAGES, account, over_time
 from pam_antagonist.recording import Arrival, Recording
+from pam_antagonist.replay.accounting import STAGES, account, over_time
 
 MS = 1_000_000
 START = 10**18

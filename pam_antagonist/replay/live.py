@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,18 +66,33 @@ def same_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.asarray(((a.view(np.int64) == b.view(np.int64)) | (np.isnan(a) & np.isnan(b))).all(axis=1))
 
 
-def compare_with_live(live: RecordedEstimate, run: EstimateRun) -> dict[str, Any]:
+@dataclass(frozen=True)
+class LiveComparison:
+    """How recorded estimates compare with replayed ones.
+
+    Attributes:
+        compared: samples that both have.
+        equal: those of them that agree in every field, the ``LATE`` flag aside.
+        only_live: samples that the replay has no estimate for.
+        only_replay: samples between the first and the last recorded estimate that were not recorded.
+        first_difference_ns: stamp of the first sample that differs [ns], or None.
+        differing: for each field that differs, in how many samples it does.
+    """
+
+    compared: int
+    equal: int
+    only_live: int
+    only_replay: int
+    first_difference_ns: int | None
+    differing: Mapping[str, int]
+
+
+def compare_with_live(live: RecordedEstimate, run: EstimateRun) -> LiveComparison:
     """Compare recorded estimates with replayed ones, sample by sample.
 
     Args:
         live: what the live node published.
         run: the replay.
-
-    Returns:
-        ``compared``: samples that both have; ``equal``: those of them that agree in every field, the ``LATE`` flag
-        aside; ``only_live``: samples that the replay has no estimate for; ``only_replay``: samples between the first
-        and the last recorded estimate that were not recorded; ``first_difference_ns``: a stamp, or null;
-        ``differing``: for each field that differs, in how many samples it does.
     """
     _, at_live, at_run = np.intersect1d(live.stamp_ns, run.stamp_ns, return_indices=True)
     differing: dict[str, int] = {}
@@ -95,11 +112,11 @@ def compare_with_live(live: RecordedEstimate, run: EstimateRun) -> dict[str, Any
         equal &= same
     within = (run.stamp_ns >= live.stamp_ns[0]) & (run.stamp_ns <= live.stamp_ns[-1]) if len(live.stamp_ns) else []
     stamps = live.stamp_ns[at_live]
-    return {
-        "compared": len(at_live),
-        "equal": int(np.count_nonzero(equal)),
-        "only_live": len(live.stamp_ns) - len(at_live),
-        "only_replay": int(np.count_nonzero(within)) - len(at_run),
-        "first_difference_ns": int(stamps[~equal][0]) if not equal.all() else None,
-        "differing": differing,
-    }
+    return LiveComparison(
+        compared=len(at_live),
+        equal=int(np.count_nonzero(equal)),
+        only_live=len(live.stamp_ns) - len(at_live),
+        only_replay=int(np.count_nonzero(within)) - len(at_run),
+        first_difference_ns=int(stamps[~equal][0]) if not equal.all() else None,
+        differing=differing,
+    )

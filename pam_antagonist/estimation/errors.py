@@ -1,0 +1,106 @@
+"""Errors of an estimate or a model against what was measured, with the keys of every ``report.json``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.estimation import metrics
+from pam_antagonist.rig import Reading
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChannelErrors:
+    """Errors of an angle or a torque.
+
+    Attributes:
+        unit: of `rmse` and `largest`: degrees or N m.
+        rmse: root mean square.
+        largest: largest absolute value.
+        ratio: `largest` over the range of the measured signal.
+        coverage95: share of the measured values in the filter's 95 % interval; None of a model without one.
+    """
+
+    unit: Literal["deg", "nm"]
+    rmse: float
+    largest: float
+    ratio: float
+    coverage95: float | None = None
+
+    def to_json(self) -> dict[str, float]:
+        """``rmse_deg`` or ``rmse_nm``, and so on."""
+        out = {f"rmse_{self.unit}": self.rmse, f"max_{self.unit}": self.largest, "q": self.ratio}
+        return out if self.coverage95 is None else {**out, "coverage95": self.coverage95}
+
+
+@dataclass(frozen=True)
+class PressureErrors:
+    """Errors of both muscles' pressures, as :class:`ChannelErrors` has them [Pa]."""
+
+    rmse_pa: tuple[float, float]
+    max_pa: tuple[float, float]
+    q: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Errors of the model alone; None where a channel was not measured."""
+
+    angle: ChannelErrors | None
+    torque: ChannelErrors | None
+    pressure: PressureErrors
+
+
+@dataclass(frozen=True)
+class FilterErrors(ModelErrors):
+    """Errors of the filter, which may estimate the external torque as well."""
+
+    external_torque: ChannelErrors | None
+
+
+def channel_errors(
+    measured: FloatArray | None,
+    value: FloatArray,
+    unit: Literal["deg", "nm"],
+    variance: FloatArray | None = None,
+    reading: Reading = metrics.EXACT,
+) -> ChannelErrors | None:
+    """Errors of an angle [rad] or torque [N m]; None where it was not measured.
+
+    Args:
+        measured: (N,), NaN where there is no value.
+        value: of the estimate or the model (N,).
+        unit: in which the errors are given.
+        variance: of the estimate (N,), where its 95 % interval is to be judged.
+        reading: noise and step of the sensor that measured.
+    """
+    if measured is None or not np.isfinite(measured).any():
+        return None
+    error, scale = value - measured, math.degrees(1.0) if unit == "deg" else 1.0
+    coverage = None if variance is None else metrics.coverage(error, variance, reading)
+    return ChannelErrors(
+        unit,
+        metrics.rmse(error) * scale,
+        metrics.max_error(error) * scale,
+        metrics.estimation_ratio(error, measured),
+        coverage,
+    )
+
+
+def pressure_errors(measured: FloatArray, value: FloatArray) -> PressureErrors:
+    """Errors of both pressures, measured and estimated (N, 2) [Pa]."""
+    error = value - measured
+    return PressureErrors(
+        (metrics.rmse(error[:, 0]), metrics.rmse(error[:, 1])),
+        (metrics.max_error(error[:, 0]), metrics.max_error(error[:, 1])),
+        (
+            metrics.estimation_ratio(error[:, 0], measured[:, 0]),
+            metrics.estimation_ratio(error[:, 1], measured[:, 1]),
+        ),
+    )

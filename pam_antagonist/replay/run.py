@@ -1,0 +1,282 @@
+"""Run a recording through the estimator and through the model alone, and judge both."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator, metrics, simulate_model
+from pam_antagonist.estimation.errors import (
+    ChannelErrors,
+    FilterErrors,
+    ModelErrors,
+    channel_errors,
+    pressure_errors,
+)
+from pam_antagonist.model import sensor
+from pam_antagonist.recording import Recording, bag_hash, bag_name
+from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.recording.notes import sealed_muscles
+from pam_antagonist.replay.live import LiveInput, as_live, compare_with_live
+from pam_antagonist.replay.result import (
+    FilterFacts,
+    Innovation,
+    JointFacts,
+    ModelTrack,
+    RecordedRig,
+    RecordingFacts,
+    Replay,
+    ReplayReport,
+    Timing,
+)
+from pam_antagonist.rig import Rig, RigIdentity, differences, fingerprint
+
+FloatArray = NDArray[np.float64]
+
+_CHUNK = 5000
+"""Samples between two signs of progress."""
+
+
+def replay(
+    recording: Recording,
+    rig: Rig,
+    tuning: str = "default",
+    joint: str = "auto",
+    lock_angle: float | None = None,
+    read_seconds: float = 0.0,
+    progress: Callable[[int], None] | None = None,
+) -> Replay:
+    """Run a recording through the estimator and through the model alone, and judge both.
+
+    The filter is started where the live one was, if its estimate was recorded, so that both can be compared bit by
+    bit; else at the first sample.
+
+    Args:
+        recording: the recording.
+        rig: the rig.
+        tuning: name of one of its tunings.
+        joint: ``free``, ``locked`` or ``auto``.
+        lock_angle: angle of a locked joint [rad], where it is known.
+        read_seconds: what reading the recording took [s], for the real-time factor.
+        progress: called now and then with the number of samples done since the last call.
+
+    Raises:
+        BadInput: a tuning or joint condition that does not exist, or no sample to start from.
+    """
+    begin = time.perf_counter()
+    state = joint_condition(recording, joint, lock_angle)
+    estimator = Estimator(rig, tuning=tuning, joint=state.condition, lock_angle=state.lock_angle)
+    given = as_live(recording)
+    run = _estimate(recording, given, estimator, progress or (lambda samples: None))
+    if len(run.rows) == 0:
+        raise BadInput(
+            f"{recording.path}: no sample has both pressures and valve voltages, so no filter can be started"
+        )
+    filtered = time.perf_counter()
+    model = _model_alone(recording, rig, state, run)
+    modelled = time.perf_counter()
+    total = time.perf_counter() - begin + read_seconds
+    report = _judged(recording, rig, state, run, model)
+    report = dataclasses.replace(
+        report,
+        realtime_factor=report.duration_s / total,
+        live_without=None if recording.estimate is None else given.without,
+        timing=Timing(read_seconds, filtered - begin, modelled - filtered, total),
+    )
+    return Replay(recording, rig, tuning, state, run, model, report)
+
+
+def after(whole: Replay, begin_s: float) -> Replay:
+    """The part of a replay from a time on, judged by itself; filter and model still run from the recording's start.
+
+    Args:
+        whole: a replay.
+        begin_s: time from its first sample on [s].
+
+    Raises:
+        BadInput: there is no estimate from then on.
+    """
+    recording, run, model = whole.recording, whole.run, whole.model
+    kept = run.stamp_ns >= int(recording.stamp_ns[0]) + round(begin_s * 1e9)
+    if not kept.any():
+        raise BadInput(f"{recording.path}: no estimate from {begin_s:g} s on")
+    arrays = {name: getattr(run, name)[kept] for name in ("rows", "stamp_ns", "index", "started_ns")}
+    part = dataclasses.replace(run, added={name: values[kept] for name, values in run.added.items()}, **arrays)
+    track = ModelTrack(model.angle[kept], model.torque[kept], model.pressure[kept])
+    report = dataclasses.replace(
+        _judged(recording, whole.rig, whole.joint, part, track),
+        samples=int(kept.sum()),
+        duration_s=float(part.stamp_ns[-1] - part.stamp_ns[0]) * 1e-9 + whole.rig.sample_period,
+        realtime_factor=whole.report.realtime_factor,
+        live_without=whole.report.live_without,
+        timing=whole.report.timing,
+    )
+    return Replay(recording, whole.rig, whole.tuning, whole.joint, part, track, report)
+
+
+def _estimate(
+    recording: Recording, given: LiveInput, estimator: Estimator, progress: Callable[[int], None]
+) -> EstimateRun:
+    """Run the filter over the recording, begun afresh wherever the live one was."""
+    stamps = recording.stamp_ns
+    begins = np.zeros(1, dtype=np.int64)
+    if recording.estimate is not None:
+        starts = np.unique(recording.estimate.started_ns)
+        known = np.searchsorted(stamps, starts)
+        here = (known < len(stamps)) & (stamps[np.minimum(known, len(stamps) - 1)] == starts)
+        if here.any():
+            begins = known[here]
+    parts: list[EstimateRun] = []
+    for first, end in zip(begins, [*begins[1:], len(stamps)], strict=True):
+        estimator.reset()
+        for low in range(int(first), int(end), _CHUNK):
+            high = min(low + _CHUNK, int(end))
+            kept = low + np.flatnonzero(given.had[low:high])
+            part = estimator.run(stamps[kept], given.pressure[kept], given.voltage[kept])
+            parts.append(dataclasses.replace(part, index=kept[part.index]))
+            progress(high - low)
+    return EstimateRun(
+        rows=np.concatenate([part.rows for part in parts]) if parts else np.zeros(0, ESTIMATE_DTYPE),
+        added={name: np.concatenate([part.added[name] for part in parts]) for name in parts[0].added} if parts else {},
+        stamp_ns=np.concatenate([part.stamp_ns for part in parts]),
+        index=np.concatenate([part.index for part in parts]),
+        started_ns=np.concatenate([part.started_ns for part in parts]),
+        counts=estimator.counts,
+    )
+
+
+def _model_alone(recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun) -> ModelTrack:
+    """The model without any measurement, begun anew at the first pressures wherever the filter was started."""
+    count = len(run.index)
+    track = ModelTrack(np.empty(count), np.empty(count), np.empty((count, 2)))
+    first_of = np.flatnonzero(np.concatenate(([True], np.diff(run.started_ns) != 0)))
+    for first, end in zip(first_of, [*first_of[1:], count], strict=True):
+        stamps = run.stamp_ns[first:end]
+        # The model steps at a constant period; samples that are missing are stepped over with the voltages held.
+        step = np.rint((stamps - stamps[0]) / (rig.sample_period * 1e9)).astype(np.int64)
+        voltage = np.full((int(step[-1]) + 1, 2), np.nan)
+        voltage[step] = recording.voltage[run.index[first:end]]
+        external = None
+        if recording.external_torque is not None:
+            external = np.zeros(len(voltage))
+            external[step] = recording.external_torque[run.index[first:end]]
+        alone = simulate_model(
+            rig,
+            voltage,
+            recording.pressure[run.index[first]],
+            joint=joint.condition,
+            lock_angle=joint.lock_angle,
+            external_torque=external,
+        )
+        track.angle[first:end] = alone.angle[step]
+        track.torque[first:end] = alone.torque[step]
+        track.pressure[first:end] = alone.pressure[step]
+    return track
+
+
+def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun, model: ModelTrack) -> ReplayReport:
+    """The recording's report, without what depends on the clock of the machine."""
+    rows, index = run.rows, run.index
+    pressure = recording.pressure[index]
+    angle = None if recording.angle is None else recording.angle[index]
+    torque = None if recording.torque is None else recording.torque[index]
+    variance, reading = rows["covariance"], rig.sensors.reading
+    nis = metrics.nis_consistency(rows["nis"], rows["innovation"])
+    whitened = metrics.normalised_innovation(rows["innovation"], rows["innovation_covariance"])
+    return ReplayReport(
+        samples=len(recording.stamp_ns),
+        duration_s=float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9 + rig.sample_period,
+        realtime_factor=float("nan"),
+        ukf=FilterErrors(
+            channel_errors(angle, rows["angle"], "deg", variance[:, 0, 0], reading("angle")),
+            channel_errors(torque, rows["torque"], "nm", variance[:, 2, 2], reading("torque")),
+            pressure_errors(pressure, _readings(rig, rows["pressure"])),
+            _external(recording, run),
+        ),
+        model_alone=ModelErrors(
+            channel_errors(angle, model.angle, "deg"),
+            channel_errors(torque, model.torque, "nm"),
+            pressure_errors(pressure, model.pressure),
+        ),
+        innovation=Innovation(
+            nis.mean,
+            nis.in_95,
+            metrics.whiteness_p(whitened),
+            metrics.largest_autocorrelation(whitened),
+            nis.samples,
+        ),
+        recording=RecordingFacts(
+            bag_name(recording.path),
+            bag_hash(recording.path),
+            dict(recording.topics),
+            int(recording.stamp_ns[0]),
+            (*recording.issues, *_sealed(recording, rig), *_other_joint(recording, rig)),
+            _rigs(recording, rig),
+        ),
+        joint=JointFacts.of(joint),
+        estimator=FilterFacts(tuple(int(stamp) for stamp in np.unique(run.started_ns)), run.counts),
+        live_equal=None if recording.estimate is None else compare_with_live(recording.estimate, run),
+        live_without=None,
+        timing=Timing(0.0, 0.0, 0.0, 0.0),
+    )
+
+
+def _readings(rig: Rig, pressure: FloatArray) -> FloatArray:
+    """What the rig's sensors show at pressures (M, 2) [Pa]."""
+    p = rig.parameters()
+    return np.column_stack([sensor.reading(muscle, pressure[:, muscle], p) for muscle in (0, 1)])
+
+
+def _external(recording: Recording, run: EstimateRun) -> ChannelErrors | None:
+    """The external torque: what a filter with that state makes of it, against what was applied."""
+    if recording.external_torque is None or "external_torque" not in run.added:
+        return None
+    return channel_errors(recording.external_torque[run.index], run.added["external_torque"], "nm")
+
+
+def _sealed(recording: Recording, rig: Rig) -> list[str]:
+    """What to say of a recording whose muscles were sealed where the rig's are not."""
+    sealed = sealed_muscles(recording.path)
+    if not sealed or rig.valves.sealed:
+        return []
+    which = f"muscle {sealed[0]} was" if len(sealed) == 1 else "both muscles were"
+    return [f"{which} sealed, as the bag says, but rig {rig.name} lets air through its valves: expect large errors"]
+
+
+def _rigs_in_bag(recording: Recording) -> dict[str, RigIdentity]:
+    """Node -> the rig that it was given last while the bag was recorded."""
+    found = {}
+    for text in recording.rigs:
+        try:
+            identity = RigIdentity.read(text)
+        except BadInput:
+            continue  # not ours to judge: a bag may hold anything
+        found[identity.node] = identity
+    return found
+
+
+def _rigs(recording: Recording, rig: Rig) -> dict[str, RecordedRig]:
+    own = fingerprint(rig)
+    return {
+        node: RecordedRig(given.name, given.fingerprint, given.fingerprint == own)
+        for node, given in _rigs_in_bag(recording).items()
+    }
+
+
+def _other_joint(recording: Recording, rig: Rig) -> list[str]:
+    """What to say where the rig is another joint's than the one of the recording."""
+    own = RigIdentity.of(rig)
+    out = []
+    for given in {given.fingerprint: given for given in _rigs_in_bag(recording).values()}.values():
+        found = differences(given, own)
+        if found:
+            more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+            out.append(
+                f"recorded with rig {given}, as its {given.node} said; rig {own} is another joint's: {found[0]}{more}"
+            )
+    return out

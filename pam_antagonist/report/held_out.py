@@ -1,0 +1,164 @@
+"""The part of each recording that an identification did not fit: errors by the rig before and after it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import JointCondition
+from pam_antagonist.replay import Replay, after, replay
+from pam_antagonist.replay.result import Innovation, JointFacts
+from pam_antagonist.report.channels import ANGLE, CHANNELS, Channel
+from pam_antagonist.report.channels import judged as judged_channels
+from pam_antagonist.report.table import Comparison, Table, percent
+from pam_antagonist.rig import Rig
+
+Given = tuple[Recording, JointCondition, str]
+"""A recording, whether its joint could move, and its name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """One recording by two or three rigs, whole and the part that was held out.
+
+    Attributes:
+        name: of the recording.
+        from_s: where the held-out part begins [s].
+        whole: replays of the whole recording by name of the rig; ``own`` only where there are several recordings.
+        held: the same, judged on the held-out part alone.
+    """
+
+    name: str
+    from_s: float
+    whole: Mapping[str, Replay]
+    held: Mapping[str, Replay]
+
+
+def judge(
+    recordings: Sequence[Given],
+    rigs: Sequence[Mapping[str, Rig]],
+    held_from: Sequence[float],
+    progress: Callable[[str], None] | None = None,
+) -> list[Judged]:
+    """Run every recording from its start through the model alone and the filter, and judge what was held out.
+
+    Args:
+        recordings: as they were identified.
+        rigs: for each recording, the rigs that are compared.
+        held_from: for each recording, where its held-out part begins [s].
+        progress: called with the recording that is being run.
+    """
+    out = []
+    for (recording, state, name), compared, begin in zip(recordings, rigs, held_from, strict=True):
+        if progress:
+            progress(f"held-out part of {name}")
+        angle = state.lock_angle if state.condition == "locked" else None
+        whole = {key: replay(recording, rig, "default", state.condition, angle) for key, rig in compared.items()}
+        out.append(Judged(name, begin, whole, {key: after(item, begin) for key, item in whole.items()}))
+    return out
+
+
+@dataclass(frozen=True)
+class HeldOutFigures:
+    """Figures of a replay of the held-out part by one rig."""
+
+    samples: int
+    duration_s: float
+    ukf: FilterErrors
+    model_alone: ModelErrors
+    innovation: Innovation
+
+    @classmethod
+    def of(cls, item: Replay) -> HeldOutFigures:
+        """The figures of a replay."""
+        report = item.report
+        return cls(report.samples, report.duration_s, report.ukf, report.model_alone, report.innovation)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One recording's held-out part, from a time on, by the rigs that are compared."""
+
+    name: str
+    from_s: float
+    joint: JointFacts
+    as_configured: HeldOutFigures
+    identified: HeldOutFigures
+    own: HeldOutFigures | None
+
+    @classmethod
+    def of(cls, item: Judged) -> HeldOut:
+        """The entry of a recording."""
+        own = item.held.get("own")
+        return cls(
+            item.name,
+            item.from_s,
+            item.held["identified"].report.joint,
+            HeldOutFigures.of(item.held["as_configured"]),
+            HeldOutFigures.of(item.held["identified"]),
+            None if own is None else HeldOutFigures.of(own),
+        )
+
+    @property
+    def rigs(self) -> list[tuple[str, HeldOutFigures]]:
+        """The rigs that are compared: title and figures."""
+        both = [("as configured", self.as_configured), ("identified", self.identified)]
+        return both if self.own is None else [*both, ("own values", self.own)]
+
+    def known(self, channel: Channel, model: Literal["ukf", "model_alone"] = "ukf") -> list[ChannelErrors]:
+        """Errors of a channel by each rig; none where it was not measured, did not move or the joint was locked."""
+        if channel is ANGLE and self.joint.condition == "locked":
+            return []
+        errors = [channel.of(getattr(figures, model)) for _, figures in self.rigs]
+        known = [item for item in errors if item is not None and math.isfinite(item.ratio)]
+        return known if len(known) == len(errors) else []
+
+
+def pooled_coverage(judged: Sequence[Judged], rig: str = "identified") -> float:
+    """Mean over recordings and channels of the coverage of a rig's 95 % interval; NaN where there is none.
+
+    Args:
+        judged: of :func:`judge`.
+        rig: ``identified``, or ``own`` for each recording's own values.
+    """
+    reports = [item.held[rig].report for item in judged if rig in item.held]
+    shares = [item.coverage for report in reports for item in judged_channels(report)]
+    return sum(shares) / len(shares) if shares else math.nan
+
+
+def held_out_table(entry: HeldOut) -> Table:
+    """One recording's held-out part by the rig as configured and as identified.
+
+    Args:
+        entry: of the recording.
+    """
+    out = Comparison(f"{entry.name}, from {entry.from_s:.0f} s on", *(title for title, _ in entry.rigs))
+    figures = [item for _, item in entry.rigs]
+    out.heading("Model alone")
+    for channel in CHANNELS:
+        _rows(out, channel, entry.known(channel, "model_alone"))
+    for muscle in (0, 1):
+        values = [item.model_alone.pressure.rmse_pa[muscle] * 1e-3 for item in figures]
+        out.values(f"  pressure {muscle + 1} RMSE 𝕀 [kPa]", values)
+    out.heading("UKF")
+    for channel in CHANNELS:
+        known = entry.known(channel)
+        _rows(out, channel, known)
+        if known:
+            shares = [item.coverage95 for item in known]
+            out.values(f"  {channel.name} in the 95 % interval", shares, percent, best=None)
+    external = [item.ukf.external_torque for item in figures]
+    if all(external):
+        out.values("  external torque RMSE 𝕀 [N m]", [None if item is None else item.rmse for item in external])
+    out.values("  mean NIS (2 is right)", [item.innovation.nis_mean for item in figures], best=None)
+    return out.table()
+
+
+def _rows(out: Comparison, channel: Channel, known: Sequence[ChannelErrors]) -> None:
+    if known:
+        out.values(f"  {channel.name} RMSE 𝕀 [{channel.unit}]", [item.rmse for item in known])
+        out.values(f"  {channel.name} 𝕄 over range, ℚ", [item.ratio for item in known], percent)

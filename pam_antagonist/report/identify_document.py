@@ -1,0 +1,422 @@
+"""The report of an identification as a document: sentences, tables and figures of its typed numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from pam_antagonist.identification.session import Identified
+from pam_antagonist.identification.stages import MEASURED
+from pam_antagonist.report import html
+from pam_antagonist.report import identify_figures as drawn
+from pam_antagonist.report.channels import CHANNELS
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Section, Text, Tile, Tiles, background
+from pam_antagonist.report.held_out import HeldOut, Judged, held_out_table
+from pam_antagonist.report.identify import IdentifyReport, ProfileEntry, StageEntry
+from pam_antagonist.report.table import MISSING, Table, number, percent
+
+_LOW, _HIGH = 0.92, 0.98
+"""Shares of measured values between which a 95 % interval is called honest on held-out data."""
+_LISTED = 4
+
+DEFINITIONS = (
+    (
+        "Held out",
+        "The end of each recording, which no fit and no tuning used. The model starts at the recording's start and "
+        "gets the recorded voltages; the filter gets the recorded pressures as well. Errors count in this part only.",
+    ),
+    ("As configured", "The rig file that the identification began with."),
+    (
+        "Own values",
+        "The common values plus one recording's own small deviations, estimated from its fitted part. They show how "
+        "good the model could be for this recording. Another recording of the rig gets the common values.",
+    ),
+    (
+        "Model alone",
+        "The model without correction. It starts at the recording's start and gets the valve voltages only.",
+    ),
+    ("UKF", "The unscented Kalman filter: the model, corrected in every sample by the two measured pressures."),
+    (
+        "RMSE 𝕀, ratio ℚ",
+        "Root mean square of estimate minus measurement; ℚ is the largest error over the measured range.",
+    ),
+    (
+        "Standard error",
+        "One standard deviation of the identified value. Residuals that are correlated in time count as fewer "
+        "independent ones.",
+    ),
+    ("Determined", "The recordings narrowed the parameter to less than half of its prior's standard deviation."),
+    (
+        "Profile",
+        "How much the log-likelihood falls while one parameter is held at another value and the others are fitted "
+        "again. A fall of 1.92 marks the 95 % interval. A flat profile: the recordings do not determine the parameter.",
+    ),
+    (
+        "Direction",
+        "A combination of parameters that is uncertain. The filter's covariance includes the few directions that "
+        "change its angle and torque most.",
+    ),
+)
+
+
+def write_report(
+    folder: Path, report: IdentifyReport, found: Identified, judged: Sequence[Judged], with_figures: bool = True
+) -> None:
+    """Write ``report.json`` and ``report.html`` into a folder that exists.
+
+    Args:
+        folder: where to.
+        report: of :func:`pam_antagonist.report.identify.report`.
+        found: the identification.
+        judged: recordings by the rigs that are compared.
+        with_figures: False leaves the figures out of the page.
+    """
+    html.write(folder, document(report, found, judged, with_figures), report)
+
+
+def summary(report: IdentifyReport) -> tuple[Block, ...]:
+    """What the terminal shows."""
+    return parameters_table(report), *map(held_out_table, report.held_out), Findings(findings(report))
+
+
+def document(
+    report: IdentifyReport, found: Identified, judged: Sequence[Judged], with_figures: bool = True
+) -> Document:
+    """The report as a document.
+
+    Args:
+        report: of :func:`pam_antagonist.report.identify.report`.
+        found: the identification.
+        judged: recordings by the rigs that are compared.
+        with_figures: False leaves the figures out.
+    """
+    what = f"{len(judged)} recordings" if len(judged) > 1 else "one recording"
+    lede = (
+        f"Parameters with error bars, sensor noise and filter tuning from {what}. The end of each recording was held "
+        "out: it was not fitted, and the result is judged on it."
+    )
+    parts: list[Block] = [
+        Text(lede, "lede"),
+        Text(verdict(report), "verdict"),
+        Tiles(_tiles(report)),
+        Findings(findings(report)),
+        _held_out(report, found, judged, with_figures),
+        _parameters(report, found, with_figures),
+        *_between(report),
+        _stages(report, found, with_figures),
+        _noise(report),
+        *background(DEFINITIONS, _provenance(report)),
+    ]
+    return Document("Identification of a pneumatic muscle joint", f"Rig {found.start.name}", tuple(parts))
+
+
+# ------------------------------------------------------------------ sentences
+
+
+def verdict(report: IdentifyReport) -> str:
+    """The errors on held-out data before and after, of each channel in the recording where they are largest."""
+    parts = []
+    for channel in CHANNELS:
+        known = [errors for entry in report.held_out if (errors := entry.known(channel))]
+        if known:
+            before, now, *_ = max(known, key=lambda errors: errors[1].rmse)
+            parts.append(f"{channel.name} {channel.write(now.rmse)} (rig as configured: {channel.write(before.rmse)})")
+    if not parts:
+        return "No angle or torque was measured. Only the pressures could be judged."
+    return f"Errors of the filter with the identified rig on held-out data (RMS): {', '.join(parts)}."
+
+
+def findings(report: IdentifyReport) -> tuple[Finding, ...]:
+    """What a reader should take from the numbers."""
+    out = [Finding("warn", text) for text in report.warnings]
+    for entry in report.held_out:
+        out += _of_recording(entry)
+    return (*out, *_coverage(report), _differences(report), *_undetermined(report), *_pairs(report))
+
+
+def _of_recording(entry: HeldOut) -> list[Finding]:
+    before, now, *own = (
+        " and ".join(number(value * 1e-3, 2) for value in figures.model_alone.pressure.rmse_pa)
+        for _, figures in entry.rigs
+    )
+    parts = [f"pressures {now} kPa ({before} as configured{''.join(f', {text} with its own values' for text in own)})"]
+    for channel in CHANNELS:
+        known = entry.known(channel, "model_alone")
+        if known:
+            parts.append(f"{channel.name} {channel.write(known[1].rmse)} ({channel.write(known[0].rmse)})")
+    out = [Finding("note", f"{entry.name}, held-out part, model alone, RMS error: {'; '.join(parts)}.")]
+    for channel in CHANNELS:
+        for errors in entry.known(channel)[1:2]:
+            share = errors.coverage95 or 0.0
+            text = f"{entry.name}, held-out part: {percent(share)} of the measured {channel.name}s lie in the 95 % "
+            if _LOW <= share <= _HIGH:
+                out.append(Finding("good", text + "interval. The filter's covariance is honest."))
+            elif share > _HIGH:
+                out.append(Finding("note", text + "interval. The filter's covariance is larger than needed."))
+            else:
+                out.append(Finding("warn", text + "interval. The filter's covariance is too small."))
+    return out
+
+
+def _coverage(report: IdentifyReport) -> list[Finding]:
+    share, own = report.coverage95, report.coverage95_own
+    if not math.isfinite(share):
+        return []
+    beside = f"; with each recording's own values {percent(own)}" if math.isfinite(own) else ""
+    text = f"All held-out parts and channels together: {percent(share)} lie in the 95 % interval{beside}."
+    return [Finding("good" if _LOW <= share <= _HIGH else "note", text)]
+
+
+def _differences(report: IdentifyReport) -> Finding:
+    if report.between is None:
+        text = "One recording does not show how much the rig changes between recordings. Give several for that."
+        return Finding("note", text)
+    certain = [item for item in report.between.differences if item.certain]
+    if not certain:
+        return Finding("good", "The recordings agree in all parameters within their error bars.")
+    named = ", ".join(f"{item.name} by {100 * item.largest:.1f} %" for item in certain[:_LISTED])
+    more = f" and {len(certain) - _LISTED} more" if len(certain) > _LISTED else ""
+    return Finding(
+        "note",
+        f"The recordings differ a little, as those of one rig may: {named}{more}. The common values lie between them, "
+        "and the filter's covariance includes the differences.",
+    )
+
+
+def _undetermined(report: IdentifyReport) -> list[Finding]:
+    records: dict[str, list[str]] = {}
+    for item in report.parameters:
+        if item.record is not None:
+            records.setdefault(item.record, []).append(item.name)
+    if not records:
+        return [Finding("good", "The recordings determine every free parameter.")]
+    return [
+        Finding("note", f"Not determined, stays near its prior: {', '.join(names)}. To determine it, record {text}.")
+        for text, names in records.items()
+    ]
+
+
+def _pairs(report: IdentifyReport) -> list[Finding]:
+    pairs = report.correlations
+    if not pairs:
+        return []
+    named = "; ".join(f"{pair.first} with {pair.second} ({pair.correlation:+.2f})" for pair in pairs[:2])
+    text = f"{len(pairs)} pairs of parameters are strongly correlated. The strongest: {named}."
+    return [Finding("note", text)]
+
+
+def _tiles(report: IdentifyReport) -> tuple[Tile, ...]:
+    out = []
+    for channel in CHANNELS:
+        for entry in report.held_out:
+            known = entry.known(channel)
+            if known:
+                before, now, *_ = known
+                note = (
+                    f"{entry.name}; {channel.write(before.rmse)} as configured; {percent(now.coverage95)} in the 95 % "
+                    "interval"
+                )
+                out.append(Tile(f"UKF {channel.name} error (RMS)", channel.write(now.rmse), note))
+    return tuple(out)
+
+
+# ------------------------------------------------------------------ sections
+
+
+def _held_out(report: IdentifyReport, found: Identified, judged: Sequence[Judged], with_figures: bool) -> Section:
+    content: list[Block] = [
+        Text("Errors on the part of each recording that was neither fitted nor used for tuning. The best is bold.")
+    ]
+    for index, (entry, item) in enumerate(zip(report.held_out, judged, strict=True)):
+        figures = drawn.held_out_figures(item, found, index) if with_figures else []
+        content.append(Section(item.name, (held_out_table(entry), *figures)))
+    return Section("On held-out data", tuple(content), 2, "held-out")
+
+
+def _parameters(report: IdentifyReport, found: Identified, with_figures: bool) -> Section:
+    content: list[Block] = [drawn.parameters_figure(report.parameters)] if with_figures else []
+    content.append(parameters_table(report, "All free parameters, in SI units"))
+    left = tuple((item.name, item.record) for item in report.parameters if item.record is not None)
+    if left:
+        content.append(Table(("Not determined", "What to record to determine it"), left, prose=True))
+    if report.correlations:
+        pairs = tuple((pair.first, pair.second, f"{pair.correlation:+.3f}") for pair in report.correlations)
+        content.append(Table(("Parameter", "with", "correlation"), pairs, "Strongly correlated parameters"))
+    if with_figures:
+        profile = drawn.profiles_figure(found)
+        content += [*([profile] if profile else []), drawn.correlation_figure(found)]
+    content.append(_profiles_table(report.profiles))
+    return Section("Parameters", tuple(content), 2, "parameters")
+
+
+def _between(report: IdentifyReport) -> list[Section]:
+    between = report.between
+    if between is None:
+        return []
+    spread = ", ".join(f"{group} {100 * value:.2f} %" for group, value in between.spread.items())
+    text = (
+        "Each recording may deviate a little from the common values. The standard deviation of these deviations was "
+        f"estimated with the parameters: {spread}. They raise the logarithm of the evidence by "
+        f"{between.evidence_gain:.0f} against equal values for all recordings."
+    )
+    rows = tuple(
+        (
+            item.name,
+            *(change(value) for value in item.deviations),
+            change(item.largest).lstrip("+"),
+            change(1.96 * item.std).lstrip("+"),
+            "yes" if item.certain else "no",
+        )
+        for item in between.differences
+    )
+    header = ("Direction", *(entry.name for entry in report.held_out), "difference", "± 95 %", "certain")
+    table = Table(header, rows, "Deviation of each recording from the common value")
+    return [Section("How the recordings differ", (Text(text), table), 2, "between")]
+
+
+def _stages(report: IdentifyReport, found: Identified, with_figures: bool) -> Section:
+    free = {item.name for item in found.free}
+    known = ", ".join(f"{name} {found.start.value(name):.4g}" for name in MEASURED if name not in free)
+    content: list[Block] = [
+        Text(
+            "The order is that of Proposition 1. Steady states depend on neither orifice areas nor polytropic indices, "
+            "so they come first. Each step gives the start values of the joint refinement, which is the last."
+        ),
+        Section("measured directly", (Text(f"Taken from the rig file: {known}."),)),
+    ]
+    fitted = [trial.part(0.0, until) for trial, until in zip(found.trials, found.held_from, strict=True)]
+    for stage, entry in zip(found.stages, report.stages, strict=True):
+        note = f" {entry.note[:1].upper()}{entry.note[1:]}." if entry.note else ""
+        inner: list[Block] = [Text(f"From {entry.source}.{note}")]
+        if entry.values or entry.balance_nm is not None:
+            inner.append(_stage_residuals(entry))
+        if entry.values and entry.name != "joint refinement":
+            inner.append(_stage_values(entry))
+        figure = drawn.stage_figure(stage, fitted) if with_figures else None
+        content.append(Section(entry.name, (*inner, *([figure] if figure else []))))
+    if len(report.starts) > 1:
+        rows = tuple((start.name, number(start.cost, 6), "best" if start.best else "") for start in report.starts)
+        content.append(Table(("Start", "cost", ""), rows, "The joint refinement from several starts"))
+    return Section("Step by step", tuple(content), 2, "steps")
+
+
+def _noise(report: IdentifyReport) -> Section:
+    tuning = report.tuning
+    size = (
+        f"Their size is {tuning.scale:.2f} times that of the fit: with it, the errors of the measured angle and torque "
+        "in the fitted part are most likely."
+        if tuning.scale_from_reference
+        else "No angle or torque was measured, so their size could not be checked."
+    )
+    rows = tuple(
+        (
+            item.name,
+            f"{item.angle_deg:.3f}°",
+            f"{item.torque_nm:.4f} N m",
+            ", ".join(f"{part.name} {_percent_or_zero(part.relative)}" for part in item.largest),
+        )
+        for item in tuning.directions
+    )
+    header = ("Direction", "moves the angle by", "the torque by", "largest changes")
+    text = f"The filter's covariance includes the uncertainty of the parameters as directions. {size}"
+    return Section("Noise and tuning", (_noise_table(report), Text(text), Table(header, rows, prose=True)), 2, "noise")
+
+
+def _percent_or_zero(value: float) -> str:
+    return change(value if math.isfinite(value) else 0.0)
+
+
+def _provenance(report: IdentifyReport) -> list[tuple[str, str]]:
+    settings = report.settings
+    rows = [
+        ("Rig at the start", settings.rig),
+        ("Freed in addition", ", ".join(settings.free) or "none"),
+        ("Kept as configured", ", ".join(settings.frozen) or "none"),
+        ("Held out", percent(settings.holdout)),
+        ("Starts and seed", f"{settings.starts}, {settings.seed}"),
+    ]
+    for item in report.recordings:
+        rows.append((f"Recording {item.name}", f"SHA-256 {item.sha256}"))
+        rows.append(("Its joint", f"{item.condition}; source: {item.told_from}"))
+        rows.append(("Its length", f"{item.duration_s:.1f} s, of which {item.fitted_until_s:.1f} s were fitted"))
+        rows += [("Remark", issue) for issue in item.issues[:3]]
+    return rows
+
+
+# ------------------------------------------------------------------ tables
+
+
+def change(value: float) -> str:
+    """A relative change in per cent, with its sign."""
+    return f"{100.0 * value:+.2f} %" if math.isfinite(value) else MISSING
+
+
+def parameters_table(report: IdentifyReport, caption: str = "") -> Table:
+    """What became of each parameter."""
+    rows = tuple(
+        (
+            item.name,
+            number(item.start, 4),
+            number(item.value, 5),
+            number(item.std, 2),
+            change(item.relative_change),
+            change(1.96 * item.std / (abs(item.start) or math.nan)).lstrip("+"),
+            "yes" if item.determined else "no: stays near its prior",
+        )
+        for item in report.parameters
+    )
+    header = ("Parameter", "configured", "identified", "std error", "change", "± 95 %", "determined")
+    return Table(header, rows, caption)
+
+
+def _profiles_table(profiles: Sequence[ProfileEntry]) -> Table:
+    def end(value: float | None) -> str:
+        return "beyond 3 standard errors" if value is None else number(value, 4)
+
+    rows = tuple((item.name, end(item.low95), end(item.high95)) for item in profiles)
+    return Table(("Parameter", "95 % from", "to"), rows, "Intervals by profile likelihood")
+
+
+def _stage_values(stage: StageEntry) -> Table:
+    rows = []
+    for name, item in stage.values.items():
+        moved = (item.after - item.before) / abs(item.before) if item.before else math.nan
+        rows.append((name, number(item.before, 4), number(item.after, 5), change(moved)))
+    return Table(("Parameter", "before", "after", "change"), tuple(rows))
+
+
+def _stage_residuals(stage: StageEntry) -> Table:
+    """Residuals of the simulated model before and after one step."""
+    units = (("angle", "angle [°]", math.degrees(1.0)), ("torque", "torque [N m]", 1.0),
+             ("pressure_1", "pressure 1 [kPa]", 1e-3), ("pressure_2", "pressure 2 [kPa]", 1e-3))  # fmt: skip
+    rows = []
+    for key, title, scale in units:
+        before, after = stage.before[key], stage.after[key]
+        if before is not None and after is not None:
+            rows.append((title, number(before * scale), number(after * scale)))
+    if stage.balance_nm is not None:
+        both = stage.balance_nm
+        rows.append(("torque at measured pressures [N m]", number(both.before), number(both.after)))
+    return Table(("RMS residual", "before", "after"), tuple(rows))
+
+
+def _noise_table(report: IdentifyReport) -> Table:
+    """Sensor noise, Q and R before and after."""
+    both, tuning = (report.noise.declared, report.noise.found), report.tuning
+    rows: list[tuple[str, ...]] = [
+        ("pressure sensor [Pa]", *(number(item.pressure_std) for item in both)),
+        ("encoder [°]", *(number(math.degrees(item.angle_std)) for item in both)),
+        ("encoder, resolution [°]", *(number(math.degrees(item.angle_step)) for item in both)),
+        ("torque meter [N m]", *(number(item.torque_std) for item in both)),
+        ("torque meter, resolution [N m]", *(number(item.torque_step) for item in both)),
+    ]
+    for k, name in enumerate(("angle [rad²]", "velocity [rad²/s²]", "pressure 1 [Pa²]", "pressure 2 [Pa²]")):
+        rows.append((f"Q a step, {name}", number(tuning.process_before[k], 2), number(tuning.process[k], 2)))
+    for k in (0, 1):
+        before, now = tuning.measurement_before[k], tuning.measurement[k]
+        rows.append((f"R, pressure {k + 1} [Pa²]", number(before), number(now)))
+    like = tuning.log_likelihood_a_sample
+    rows.append(("log-likelihood of the innovations a sample", number(like.before, 5), number(like.after, 5)))
+    caption = "Sensor noise, process noise Q and measurement noise R"
+    return Table(("", "configured", "identified"), tuple(rows), caption)

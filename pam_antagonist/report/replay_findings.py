@@ -1,0 +1,204 @@
+"""What the numbers of a replay say, in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from pam_antagonist.replay.live import LiveComparison
+from pam_antagonist.replay.result import ReplayReport
+from pam_antagonist.report.channels import CHANNELS, Judged, joined, joint_text, judged
+from pam_antagonist.report.document import Finding
+from pam_antagonist.report.table import number, percent
+
+HONEST_COVERAGE = 0.88
+"""Least share of measured values in the 95 % interval for which the interval is called honest."""
+MARGIN = 1.05
+"""Errors within this ratio of each other are called equal."""
+NIS_HIGH, NIS_LOW = 3.0, 1.0
+"""A mean NIS of 2 is right; at these the innovations are 1.2 or 0.7 times as large as the filter expects."""
+CERTAIN = 0.01
+"""p-value below which innovations are called not white."""
+FAINT = 0.1
+"""Autocorrelation of innovations below which it is called small."""
+_ISSUES = 6
+
+DEFINITIONS = (
+    (
+        "UKF",
+        "The unscented Kalman filter. It runs the model and corrects it in every sample with the two measured "
+        "pressures. It never gets the angle or the torque.",
+    ),
+    (
+        "Model alone",
+        "The same model without correction. It starts at the first pressures and gets the valve voltages only.",
+    ),
+    (
+        "RMSE 𝕀, largest error 𝕄, ratio ℚ",
+        "Root mean square and maximum of estimate minus measurement. ℚ is 𝕄 over the range of the measured signal.",
+    ),
+    (
+        "95 % interval",
+        "Where the filter expects the measured value in 95 % of the samples: ±1.96 standard deviations. These come "
+        "from its covariance and from the noise and resolution of the validation sensor.",
+    ),
+    ("Innovation", "Measured minus predicted pressure."),
+    (
+        "NIS",
+        "Normalised innovation squared: the innovation relative to its expected covariance. With two pressures, a "
+        "consistent filter has a mean NIS of 2. In 95 % of the samples its NIS lies between 0.05 and 7.4.",
+    ),
+    (
+        "Whiteness",
+        "The innovations of a correct model are white: they do not depend on earlier ones. The p-value is the "
+        "probability of such an autocorrelation in white noise. With many samples even a small autocorrelation gives "
+        "p = 0, so the report shows the largest autocorrelation as well.",
+    ),
+    (
+        "Subsystem σ",
+        "Which of the model's 18 sets of equations is active: three flow regimes for each muscle, and a joint that "
+        "slides or sticks.",
+    ),
+)
+
+
+def _accuracy(parts: Sequence[tuple[str, str]]) -> str:
+    """'the estimator gives the angle to within 0.3° and the torque to within 0.01 N m'."""
+    return "the estimator gives " + joined([f"the {name} to within {value}" for name, value in parts])
+
+
+def verdict(report: ReplayReport) -> str:
+    """The result of one recording."""
+    held = "" if report.joint.condition == "free" else f" The joint was {joint_text(report.joint)}."
+    known = [(item.channel.name, item.channel.write(item.ukf.rmse)) for item in judged(report)]
+    if not known:
+        return "Neither angle nor torque was measured, so the estimate was compared with nothing." + held
+    return f"From the two pressures alone, {_accuracy(known)} (root mean square error).{held}"
+
+
+def overall_verdict(reports: Sequence[ReplayReport]) -> str:
+    """The result of several recordings: the worst of each channel."""
+    if len(reports) == 1:
+        return verdict(reports[0])
+    known = []
+    for channel in CHANNELS:
+        errors = [(item.ukf.rmse, r.recording.name) for r in reports for item in judged(r) if item.channel is channel]
+        if errors:
+            worst, where = max(errors, key=lambda item: item[0])
+            known.append((channel.name, f"{channel.write(worst)} ({where})"))
+    if not known:
+        return f"None of the {len(reports)} recordings has a measured angle or torque to compare the estimate with."
+    return (
+        f"From the two pressures alone, {_accuracy(known)}. These are root mean square errors, the worst of "
+        f"{len(reports)} recordings."
+    )
+
+
+def findings(report: ReplayReport) -> tuple[Finding, ...]:
+    """What a reader should take from the numbers of one recording."""
+    known = judged(report)
+    against = [_against_model(item) for item in known]
+    return (*against, *_honesty(known), *_innovations(report), *_live(report), *_quality(report))
+
+
+def _against_model(item: Judged) -> Finding:
+    channel, ukf, model = item
+    text = (
+        f"{channel.title}: the filter's error is {channel.write(ukf.rmse)} (RMS) and at most "
+        f"{channel.write(ukf.largest)}, {percent(ukf.ratio)} of the measured range. The model alone has "
+        f"{channel.write(model.rmse)} (RMS)"
+    )
+    if model.rmse > ukf.rmse * MARGIN:
+        return Finding("good", f"{text}, {number(model.rmse / ukf.rmse, 2)} × as much.")
+    if ukf.rmse > model.rmse * MARGIN:
+        return Finding("warn", f"{text}, less than the filter. Here the correction by the pressures does not help.")
+    return Finding("note", f"{text}. The correction by the pressures changes little.")
+
+
+def _honesty(known: Sequence[Judged]) -> list[Finding]:
+    if not known:
+        return []
+    text = joined([f"{percent(item.coverage)} of the measured {item.channel.name}s" for item in known])
+    if min(item.coverage for item in known) >= HONEST_COVERAGE:
+        return [Finding("good", f"The filter's covariance is honest: its 95 % interval holds {text}.")]
+    return [Finding("warn", f"The filter's covariance is too small: its 95 % interval holds {text}.")]
+
+
+def _innovations(report: ReplayReport) -> list[Finding]:
+    mean, p, out = report.innovation.nis_mean, report.innovation.whiteness_p, []
+    size = f"(mean NIS {number(mean, 2)}, 2 is right)."
+    if mean > NIS_HIGH:
+        out.append(Finding("warn", f"The innovations are larger than the filter expects {size}"))
+    elif mean < NIS_LOW:
+        out.append(Finding("note", f"The innovations are smaller than the filter expects {size}"))
+    elif math.isfinite(mean):
+        out.append(Finding("good", f"The innovations are as large as the filter expects {size}"))
+    if math.isfinite(p):
+        out.append(_whiteness(p, report.innovation.largest_correlation))
+    return out
+
+
+def _whiteness(p: float, correlation: float) -> Finding:
+    """With thousands of samples any correlation is significant, so its size decides as well."""
+    small = "p < 0.001" if p < 1e-3 else f"p = {number(p, 2)}"
+    size = f"largest autocorrelation {number(correlation, 2)}"
+    if p >= CERTAIN:
+        return Finding("good", f"The innovations are white noise ({small}): the filter has used all of the pressures.")
+    if abs(correlation) < FAINT:
+        text = f"The innovations are nearly white: their autocorrelation is significant ({small}) but small ({size})."
+        return Finding("note", text)
+    if correlation > 0.0:
+        return Finding("note", f"The innovations keep their sign for a while ({size}): the model lacks a slow effect.")
+    text = f"The innovations change sign at once ({size}): the filter follows the sensors' noise too closely."
+    return Finding("note", text)
+
+
+def _live(report: ReplayReport) -> list[Finding]:
+    live, out = report.live_equal, []
+    if live is None:
+        return []
+    if report.live_without:
+        text = f"The live filter missed part of {report.live_without} samples, which came too late. The replay leaves "
+        out.append(Finding("warn", text + "them out as well."))
+    return [*out, _equality(live, live_rig(report))]
+
+
+def live_rig(report: ReplayReport) -> str:
+    """What to add where the live filter had other values than the replay's."""
+    rig = report.recording.rigs.get("estimator")
+    if rig is None or rig.same:
+        return ""
+    return f" The live filter had other values: rig {rig.name} ({rig.fingerprint})."
+
+
+def _equality(live: LiveComparison, rig: str = "") -> Finding:
+    if live.compared == 0:
+        return Finding("warn", "The recorded live estimate has no sample in common with the replay.")
+    if live.equal == live.compared and not live.only_live and not live.only_replay:
+        text = f"The replay equals the estimate published live, bit for bit, in all {live.compared} samples."
+        return Finding("good", text)
+    return Finding(
+        "warn",
+        f"The replay equals the estimate published live in {live.equal} of {live.compared} samples "
+        f"(fields that differ: {', '.join(live.differing) or 'none'}; {live.only_live} samples only live, "
+        f"{live.only_replay} only here).{rig}",
+    )
+
+
+def _quality(report: ReplayReport) -> list[Finding]:
+    counts, issues = report.estimator.counts, report.recording.issues
+    out = [Finding("warn", f"{issue[:1].upper()}{issue[1:].rstrip('.')}.") for issue in issues[:_ISSUES]]
+    if len(issues) > _ISSUES:
+        out.append(Finding("warn", f"{len(issues) - _ISSUES} more such remarks are in report.json."))
+    events = (
+        (counts.outliers, "samples with a pressure outside the gate, which it left out"),
+        (counts.gaps, "gaps, which it bridged by prediction"),
+        (counts.repaired, "covariances that had to be repaired"),
+        (counts.restarts, "restarts after a long gap or a lost estimate"),
+    )
+    seen = [f"{count} {text}" for count, text in events if count]
+    if seen:
+        out.append(Finding("note", f"The filter met {joined(seen)}."))
+    if report.joint.told_from == "nothing":
+        out.append(Finding("note", "The recording does not say whether the joint could move. It was taken as free."))
+    return out

@@ -1,0 +1,165 @@
+"""The sentences follow the numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from pam_antagonist.estimation import Counts
+from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors, PressureErrors
+from pam_antagonist.replay.live import LiveComparison
+from pam_antagonist.replay.result import FilterFacts, Innovation, JointFacts, RecordingFacts, ReplayReport, Timing
+from pam_antagonist.report.replay import errors_table, overview, tiles
+from pam_antagonist.report.replay_findings import findings, overall_verdict, verdict
+
+NAN = float("nan")
+ANGLE, TORQUE = ChannelErrors("deg", 0.5, 2.0, 0.05, 0.97), ChannelErrors("nm", 0.1, 0.4, 0.1, 0.95)
+WORSE, SAME = ChannelErrors("deg", 1.0, 4.0, 0.1), ChannelErrors("nm", 0.1, 0.4, 0.1)
+
+
+@pytest.fixture
+def report() -> ReplayReport:
+    """A report with round numbers."""
+    return ReplayReport(
+        samples=1000,
+        duration_s=1.0,
+        realtime_factor=10.0,
+        ukf=FilterErrors(ANGLE, TORQUE, PressureErrors((500.0, 600.0), (1000.0, 1000.0), (0.1, 0.1)), None),
+        model_alone=ModelErrors(WORSE, SAME, PressureErrors((5000.0, 600.0), (1000.0, 1000.0), (0.1, 0.1))),
+        innovation=Innovation(2.0, 0.95, 0.3, 0.01, 1000),
+        recording=RecordingFacts("lab/first", "0" * 64, {}, 0, (), {}),
+        joint=JointFacts("free", None, "measured angle"),
+        estimator=FilterFacts((0,), Counts(1000, 0, 0, 0, 0, 0, 0, 0, 0)),
+        live_equal=None,
+        live_without=None,
+        timing=Timing(0.0, 0.1, 0.0, 0.1),
+    )
+
+
+def innovation(report: ReplayReport, **values: float) -> ReplayReport:
+    return replace(report, innovation=replace(report.innovation, **values))
+
+
+def said(report: ReplayReport, status: str) -> str:
+    return " ".join(item.text for item in findings(report) if item.status == status)
+
+
+def test_verdict(report: ReplayReport) -> None:
+    known = "the estimator gives the angle to within 0.50° and the torque to within 0.10 N m (root mean square error)."
+    assert verdict(report) == f"From the two pressures alone, {known}"
+
+
+def test_a_locked_joints_angle_is_no_achievement(report: ReplayReport) -> None:
+    locked = replace(report, joint=JointFacts("locked", 0.1, "measured angle"))
+    assert "the torque to within 0.10 N m" in verdict(locked)
+    assert "The joint was locked at 5.7°" in verdict(locked)
+    assert "Angle: the filter" not in said(locked, "good")
+    assert [tile.label for tile in tiles(locked)] == ["Torque error (RMS)", "Torque in the 95 % interval"]
+
+
+def test_of_several_recordings_the_worst_is_named(report: ReplayReport) -> None:
+    worse = replace(
+        report,
+        recording=replace(report.recording, name="lab/second"),
+        ukf=replace(report.ukf, angle=replace(ANGLE, rmse=0.8)),
+    )
+    text = overall_verdict([report, worse])
+    assert "the angle to within 0.80° (lab/second) and the torque to within 0.10 N m (lab/first)" in text
+    assert "the worst of 2 recordings" in text
+
+
+@pytest.mark.parametrize(
+    ("model", "status", "text"),
+    [(1.0, "good", "2.0 × as much"), (0.51, "note", "changes little"), (0.25, "warn", "does not help")],
+)
+def test_filter_and_model(report: ReplayReport, model: float, status: str, text: str) -> None:
+    report = replace(report, model_alone=replace(report.model_alone, angle=replace(WORSE, rmse=model)))
+    (finding,) = [item for item in findings(report) if item.text.startswith("Angle")]
+    assert finding.status == status
+    assert text in finding.text
+
+
+def test_honesty(report: ReplayReport) -> None:
+    assert "97.0 % of the measured angles and 95.0 % of the measured torques" in said(report, "good")
+    unsure = replace(report, ukf=replace(report.ukf, torque=replace(TORQUE, coverage95=0.87)))
+    assert "covariance is too small" in said(unsure, "warn")
+
+
+@pytest.mark.parametrize(
+    ("mean", "status", "text"),
+    [
+        (2.0, "good", "as large as the filter expects"),
+        (0.1, "note", "smaller than the filter expects"),
+        (9.0, "warn", "larger than the filter expects"),
+    ],
+)
+def test_size_of_the_innovations(report: ReplayReport, mean: float, status: str, text: str) -> None:
+    assert text in said(innovation(report, nis_mean=mean), status)
+
+
+@pytest.mark.parametrize(
+    ("p", "correlation", "text"),
+    [
+        (0.2, 0.01, "are white noise (p = 0.20)"),
+        (0.0, -0.05, "nearly white: their autocorrelation is significant (p < 0.001) but small"),
+        (0.0, 0.4, "the model lacks a slow effect"),
+        (0.0, -0.4, "follows the sensors' noise too closely"),
+    ],
+)
+def test_a_correlation_that_is_significant_is_not_called_large(
+    report: ReplayReport, p: float, correlation: float, text: str
+) -> None:
+    report = innovation(report, whiteness_p=p, largest_correlation=correlation)
+    assert text in said(report, "good") + said(report, "note")
+
+
+def test_what_is_not_known_is_not_said(report: ReplayReport) -> None:
+    report = innovation(report, nis_mean=NAN, whiteness_p=NAN, largest_correlation=NAN)
+    text = " ".join(item.text for item in findings(report))
+    assert "innovations" not in text
+    assert "nan" not in text
+
+
+def test_equality_with_the_live_estimate(report: ReplayReport) -> None:
+    live = LiveComparison(9, 9, 0, 0, None, {})
+    report = replace(report, live_equal=live, live_without=0)
+    assert "bit for bit, in all 9 samples" in said(report, "good")
+
+    def differs(**values: Any) -> str:
+        return said(replace(report, live_equal=replace(live, **values)), "warn")
+
+    assert "in 7 of 9 samples (fields that differ: torque" in differs(equal=7, differing={"torque": 2})
+    assert "no sample in common" in differs(compared=0, equal=0, only_live=4)
+    assert "missed part of 12 samples" in said(replace(report, live_without=12), "warn")
+
+
+def test_remarks_on_the_recording(report: ReplayReport) -> None:
+    issues = ("37 samples without pressure_2", *(f"remark {k}" for k in range(8)))
+    counts = replace(report.estimator.counts, outliers=3, gaps=1)
+    report = replace(
+        report,
+        recording=replace(report.recording, issues=issues),
+        estimator=replace(report.estimator, counts=counts),
+    )
+    assert "37 samples without pressure_2." in said(report, "warn")
+    assert "3 more such remarks" in said(report, "warn")
+    met = "3 samples with a pressure outside the gate, which it left out and 1 gaps, which it bridged by prediction"
+    assert met in said(report, "note")
+
+
+def test_table_marks_the_better_one_only_where_it_can_be_seen(report: ReplayReport) -> None:
+    table = errors_table(report)
+    best = {row[0].strip(): columns for row, columns in zip(table.rows, table.best, strict=True)}
+    assert best["RMSE 𝕀 [°]"] == {1}
+    assert best["RMSE 𝕀 [N m]"] == set()
+    report = replace(report, model_alone=replace(report.model_alone, angle=replace(WORSE, ratio=NAN)))
+    assert ("  𝕄 over measured range, ℚ", "5.0 %", "–") in errors_table(report).rows
+
+
+def test_overview_has_a_row_for_each_recording(report: ReplayReport) -> None:
+    silent = replace(report, ukf=replace(report.ukf, angle=None, torque=None))
+    rows = overview([report, silent]).rows
+    assert rows[0] == ("lab/first", "free", "0.500", "1.00", "97.0 %", "0.100", "0.100", "95.0 %")
+    assert rows[1][2:] == ("–",) * 6
