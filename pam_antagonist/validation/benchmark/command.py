@@ -113,8 +113,8 @@ def _soak(arguments: argparse.Namespace) -> int:
     }
     _tell(result.figures, arguments.json, {"duration_s": arguments.soak, "series": series})
     if html is not None:
-        from pam_antagonist.validation.benchmark.soak_page import page
         from pam_antagonist.report.html import render
+        from pam_antagonist.validation.benchmark.soak_page import page
 
         html.write_text(render(page(result, load_rig(arguments.rig).name)), encoding="utf-8")
         print(f"\npage: {html}")
