@@ -8,13 +8,10 @@ import numpy as np
 
 from pam_antagonist.diagnosis.heldout import Compared
 from pam_antagonist.diagnosis.result import Diagnosis
-from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.trial import BLOCK
-from pam_antagonist.report import figures
-from pam_antagonist.report.curves import Curve, chart
-from pam_antagonist.report.figures import Clock, Level, Line, Panel
-from pam_antagonist.report.html import Figure
-from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET
+from pam_antagonist.report.figure import Figure, Points
+from pam_antagonist.report.figures import profile_panel, residual_figure
+from pam_antagonist.report.style import ESTIMATE, MODEL
 
 _NEAR = 4.0
 """Standard errors that a profile shows."""
@@ -23,25 +20,19 @@ _NEAR = 4.0
 def residuals(found: Diagnosis) -> tuple[Figure, ...]:
     """Residual of every channel of every recording, recalibrated and extended."""
     out = []
+    shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if found.extended.effects else [])]
     for part in found.compared:
-        experiment = part.experiment
-        shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if found.extended.effects else [])]
+        experiment, trial = part.experiment, part.experiment.trial
         count = len(experiment.measured)
-        curves = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
-        panels = []
-        for k, (title, unit, scale) in enumerate(experiment.titles):
-            lines = [Line(name, values[:, k] * scale, color, quiet=k > 0) for name, values, color in curves]
-            noise = experiment.noise[k] * scale
-            levels = [Level(sign * 2.0 * noise, "", QUIET) for sign in (-1.0, 1.0)]
-            panels.append(Panel(f"{title} [{unit}]", [*lines, *levels], 170))
+        models = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
+        axes = [(f"{name} [{unit}]", scale) for name, unit, scale in experiment.titles]
         about = (
             f"Measurement minus model, means over {BLOCK} samples. Dashed: within these lines 95 % of the values lie "
             f"that the sensor's noise alone gives. {_held(part)}"
         )
-        plot = figures.stack(panels, _clock(experiment, len(curves[0][1])))
-        out.append(
-            Figure(f"{experiment.trial.name} (joint {experiment.trial.joint})", about, plot, experiment.trial.name)
-        )
+        x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * (BLOCK * trial.dt)
+        title = f"{trial.name} (joint {trial.joint})"
+        out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name))
     return tuple(out)
 
 
@@ -55,11 +46,6 @@ def _held(part: Compared) -> str:
     }[part.role]
 
 
-def _clock(experiment: Experiment, count: int) -> Clock:
-    step = BLOCK * experiment.trial.dt
-    return Clock(np.asarray((np.arange(count) + 0.5) * step, dtype=np.float64), np.zeros(count, dtype=np.int64))
-
-
 def profiles(document: dict[str, Any]) -> tuple[Figure, ...]:
     """Profile likelihood of each size."""
     out = []
@@ -70,16 +56,18 @@ def profiles(document: dict[str, Any]) -> tuple[Figure, ...]:
         if near.sum() < 3:
             near[:] = True
         x = np.linspace(values[near].min(), values[near].max(), 61)
-        shown = [
-            Curve("tried", values[near], rise[near], MODEL, points=True),
-            Curve("by the standard error", x, ((x - best) / std) ** 2, ESTIMATE),
-            Curve("95 %", x[[0, -1]], np.array([3.84, 3.84]), QUIET, dash="dash"),
-        ]
-        plot = chart([(f"{item['parameter']} [{item['unit']}]", "Rise of −2 log posterior [-]", shown)], 260)
+        panel = profile_panel(
+            f"{item['parameter']} [{item['unit']}]",
+            "Rise of −2 log posterior [-]",
+            [Points("tried", values[near], rise[near], MODEL)],
+            ("by the standard error", x, ((x - best) / std) ** 2, ESTIMATE),
+            3.84,
+            182,
+        )
         at = dict(zip(item["values"], item["rise"], strict=True))
         about = (
             "Everything else at its best while this number is held; below the dashed line it is as good as the best. "
             f"At half of it the rise is {at[0.5 * best]:.3g}, without it {at[0.0]:.3g}."
         )
-        out.append(Figure(f"Profile likelihood of {item['parameter']} ({item['recording']})", about, plot, ""))
+        out.append(Figure(f"Profile likelihood of {item['parameter']} ({item['recording']})", about, (panel,)))
     return tuple(out)

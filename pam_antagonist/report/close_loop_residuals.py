@@ -10,17 +10,15 @@ import numpy as np
 from pam_antagonist.diagnosis import dependence
 from pam_antagonist.diagnosis.remaining import Left
 from pam_antagonist.report.close_loop_sealed import ABOUT_RESIDUALS
-from pam_antagonist.report.curves import Curve, chart
 from pam_antagonist.report.document import Block, Finding, Findings, Text
-from pam_antagonist.report.figures import axis, base_layout
-from pam_antagonist.report.html import Figure
-from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET, SECOND
+from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
+from pam_antagonist.report.figures import matrix
+from pam_antagonist.report.style import ESTIMATE, MODEL, PAPER, QUIET, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
 
 Document = Mapping[str, Any]
-_Scale = tuple[tuple[float, str], ...]
-_SIGNED: _Scale = ((0.0, MODEL), (0.5, "#ffffff"), (1.0, ESTIMATE))
-_SHARES: _Scale = ((0.0, "#ffffff"), (1.0, MODEL))
+_SIGNED = (MODEL, PAPER, ESTIMATE)
+_SHARES = (PAPER, MODEL)
 _CERTAIN = 0.05
 _SHOWN = 5.0
 """Colours end at so many times the value that chance alone would give once in twenty."""
@@ -53,7 +51,7 @@ def statistics(document: Document, with_figures: bool) -> tuple[Block, ...]:
                 "chance. The model lacks something that the signal drives; its sign is that of the number."
             )
             title = f"What residuals go with, {part['recording']}"
-            out.append(Figure(title, about, _map(part["residuals"], models), ""))
+            out.append(Figure(title, about, _map(part["residuals"], models)))
     return tuple(out)
 
 
@@ -98,7 +96,7 @@ def _strongest(relations: Mapping[str, Mapping[str, float]]) -> str:
     return f"{name}, {lag:.2g} s"
 
 
-def _map(shown: Mapping[str, Sequence[Mapping[str, Any]]], models: Sequence[str]) -> dict[str, Any]:
+def _map(shown: Mapping[str, Sequence[Mapping[str, Any]]], models: Sequence[str]) -> tuple[Panel, ...]:
     """One map a model, above each other."""
     known = [s for s in _SIGNALS if any(s in row["relations"] for row in shown[models[0]])]
     names = [row["channel"].replace("_", " ") for row in shown[models[0]]]
@@ -106,7 +104,7 @@ def _map(shown: Mapping[str, Sequence[Mapping[str, Any]]], models: Sequence[str]
     for model in models:
         cells = [[_over_chance(row["relations"].get(signal)) for signal in known] for row in shown[model]]
         grids.append((model, np.array(cells, dtype=np.float64)))
-    return _maps(grids, names, known, (-_SHOWN, _SHOWN), _SIGNED, "×")
+    return matrix(grids, names, known, _SIGNED, (-_SHOWN, _SHOWN), "{value:.1f}×")
 
 
 def _over_chance(item: Mapping[str, float] | None) -> float:
@@ -114,63 +112,6 @@ def _over_chance(item: Mapping[str, float] | None) -> float:
     if item is None:
         return float("nan")
     return float(item["z"] / item["limit"])
-
-
-def _maps(
-    grids: Sequence[tuple[str, np.ndarray]],
-    names: Sequence[str],
-    columns: Sequence[str],
-    bounds: tuple[float, float],
-    colors: _Scale,
-    unit: str,
-) -> dict[str, Any]:
-    """Maps of the same rows and columns above each other, each cell with its number.
-
-    Args:
-        grids: title and values (rows, columns) of each.
-        names: of the rows.
-        columns: their names.
-        bounds: values at the ends of the colours.
-        colors: plotly's scale.
-        unit: behind each number.
-    """
-    each, gap = 26 * len(names), 34
-    inner = each * len(grids) + gap * (len(grids) - 1)
-    layout = base_layout(inner + 34 + 60)
-    layout["margin"] = {"l": 66, "r": 14, "t": 34, "b": 60}
-    layout["hovermode"] = "closest"
-    data, titles = [], []
-    for number_, (title, values) in enumerate(grids):
-        suffix = str(number_ + 1) if number_ else ""
-        top = inner - number_ * (each + gap)
-        layout["xaxis" + suffix] = axis(
-            tickvals=list(range(len(columns))), ticktext=list(columns), anchor="y" + suffix, zeroline=False,
-            showgrid=False, showticklabels=number_ == len(grids) - 1, fixedrange=True,
-        )  # fmt: skip
-        layout["yaxis" + suffix] = axis(
-            tickvals=list(range(len(names))), ticktext=list(names), range=[len(names) - 0.5, -0.5], zeroline=False,
-            showgrid=False, anchor="x" + suffix, domain=[max((top - each) / inner, 0.0), top / inner], automargin=True,
-            fixedrange=True,
-        )  # fmt: skip
-        text = [[f"{value:.1f}{unit}" if np.isfinite(value) else "" for value in row] for row in values]
-        data.append(
-            {
-                "type": "heatmap", "x": list(range(len(columns))), "y": list(range(len(names))),
-                "z": [[float(v) if np.isfinite(v) else None for v in row] for row in values],
-                "text": text, "texttemplate": "%{text}", "hoverinfo": "text",
-                "colorscale": [list(stop) for stop in colors],
-                "zmin": bounds[0], "zmax": bounds[1], "showscale": False, "xgap": 1, "ygap": 1,
-                "xaxis": "x" + suffix, "yaxis": "y" + suffix,
-            }
-        )  # fmt: skip
-        titles.append(
-            {
-                "text": title, "xref": f"x{suffix} domain", "yref": f"y{suffix} domain", "x": 0, "y": 1,
-                "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 12},
-            }
-        )  # fmt: skip
-    layout["annotations"] = titles
-    return {"data": data, "layout": layout}
 
 
 def left(found: Sequence[Left], with_figures: bool) -> tuple[Block, ...]:
@@ -184,13 +125,14 @@ def left(found: Sequence[Left], with_figures: bool) -> tuple[Block, ...]:
         shares = np.array([[100.0 * item.depends_on[kind] for kind in kinds] for item in mine])
         about = "Share of each residual's variance that goes with one kind of dependence alone, less what chance gives."
         rows = [item.channel for item in mine]
-        grid = _maps([("", shares)], rows, kinds, (0.0, 100.0), _SHARES, " %")
-        out.append(Figure(f"What the rest depends on, {name}", about, grid, ""))
+        grid = matrix([("", shares)], rows, kinds, _SHARES, (0.0, 100.0), "{value:.1f} %")
+        out.append(Figure(f"What the rest depends on, {name}", about, grid))
         widest = max(mine, key=lambda item: len(item.bands))
         power = np.array([[100.0 * item.bands.get(band, float("nan")) for band in widest.bands] for item in mine])
         about = "Share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz."
-        grid = _maps([("", power)], rows, [_short(band) for band in widest.bands], (0.0, 100.0), _SHARES, " %")
-        out.append(Figure(f"How fast the rest moves, {name}", about, grid, ""))
+        bands = [_short(band) for band in widest.bands]
+        grid = matrix([("", power)], rows, bands, _SHARES, (0.0, 100.0), "{value:.1f} %")
+        out.append(Figure(f"How fast the rest moves, {name}", about, grid))
         clear = sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN]
         out += [_drawn(item) for item in clear]
     return tuple(out)
@@ -212,7 +154,8 @@ def _drawn(item: Left) -> Figure:
     panels, every = [], max(1, len(item.values) // _POINTS)
     named: set[str] = set()
     for title in chosen:
-        curves = [Curve("residual", axes[title][::every], item.values[::every], QUIET, points=True, quiet=bool(named))]
+        single = Points("residual", axes[title][::every], item.values[::every], QUIET, quiet=bool(named))
+        parts: list[Series] = [single]
         groups: list[tuple[str, np.ndarray | None, str]]
         if velocity is None or title.startswith("Time"):
             groups = [("mean", None, MODEL)]
@@ -220,9 +163,10 @@ def _drawn(item: Left) -> Figure:
             groups = [("angle rising", velocity > 0.0, ESTIMATE), ("angle falling", velocity < 0.0, SECOND)]
         for name, which, color in groups:
             means = dependence.means(item.values, axes[title], which)
-            curves.append(Curve(name, means[:, 0], means[:, 1], color, quiet=name in named))
+            parts.append(Line(name, means[:, 0], means[:, 1], color, width=1.7, quiet=name in named))
             named.add(name)
-        panels.append((title, f"{item.channel.capitalize()} [{item.unit}]", curves))
+        panels.append(Panel(Axis(title), Axis(f"{item.channel.capitalize()} [{item.unit}]"), tuple(parts), 222))
     form = f" A sparse regression suggests {item.form}." if item.form.terms else ""
     about = f"The residual over what it changes with most, and means over equal numbers of values.{form}"
-    return Figure(f"{item.recording}: {item.channel} that the model lacks", about, chart(panels, 300), "")
+    title = f"{item.recording}: {item.channel} that the model lacks"
+    return Figure(title, about, tuple(panels), beside=True)

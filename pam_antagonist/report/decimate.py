@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 LIMIT = 4000
 """Most points of one trace."""
+_PAUSE = 5.0
+"""A step of more than this many median ones is a pause."""
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -92,6 +94,49 @@ def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[
     return middle, table / np.maximum(table.sum(axis=0), 1.0)
 
 
-def gap_groups(stamp_ns: NDArray[np.int64], gap_ns: int) -> IndexArray:
-    """Number of the stretch of recording that each sample belongs to; a pause longer than `gap_ns` starts a new one."""
-    return np.concatenate(([0], np.cumsum(np.diff(stamp_ns) > gap_ns))) if len(stamp_ns) else np.zeros(0, np.int64)
+def stretches(x: FloatArray) -> IndexArray:
+    """Number of the uninterrupted stretch that each sample of a recording belongs to.
+
+    Args:
+        x: (N,) increasing times; a pause of more than five median steps starts a new stretch.
+    """
+    if len(x) < 3:
+        return np.zeros(len(x), np.int64)
+    step = np.diff(x)
+    return np.concatenate(([0], np.cumsum(step > _PAUSE * np.median(step))))
+
+
+def curve(x: FloatArray, y: FloatArray, with_pauses: bool) -> tuple[FloatArray, FloatArray]:
+    """A curve with at most about `LIMIT` points.
+
+    Args:
+        x: (N,).
+        y: (N,), NaN where there is nothing.
+        with_pauses: `x` is the time of a recording, whose pauses become gaps.
+
+    Returns:
+        The points that are drawn; a gap is a NaN in both.
+    """
+    index = min_max_indices(y)
+    if not with_pauses:
+        return x[index], y[index]
+    gaps = np.flatnonzero(np.diff(stretches(x)[index]) != 0) + 1
+    return np.insert(x[index], gaps, np.nan), np.insert(y[index], gaps, np.nan)
+
+
+def band(
+    x: FloatArray, lower: FloatArray, upper: FloatArray, with_pauses: bool
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """The uninterrupted stretches of a band, thinned: place, lower and upper edge of each.
+
+    Args:
+        x: (N,).
+        lower: (N,), NaN where there is nothing.
+        upper: (N,).
+        with_pauses: `x` is the time of a recording, whose pauses become gaps.
+    """
+    index, low, high = envelope(lower, upper)
+    group = stretches(x)[index] if with_pauses else np.zeros(len(index), np.int64)
+    key = np.where(np.isfinite(low), group, -1)
+    runs = np.split(np.arange(len(index)), np.flatnonzero(np.diff(key) != 0) + 1)
+    return [(x[index[run]], low[run], high[run]) for run in runs if len(run) > 1 and key[run[0]] >= 0]

@@ -15,14 +15,15 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.replay import Replay
 from pam_antagonist.replay.accounting import Accounting, account
-from pam_antagonist.report import figures, html
+from pam_antagonist.report import html
 from pam_antagonist.report.channels import judged
 from pam_antagonist.report.document import Block, Document, Section, Text
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import Figure
+from pam_antagonist.report.figures import tracking_figure
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay import errors_table
 from pam_antagonist.report.replay import numbers as replay_numbers
-from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
+from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.table import Table, number, percent
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance reported there
@@ -194,26 +195,6 @@ def _figure(demo: Demo) -> Figure:
     measured = replay.measured_angle if mode is Mode.ANGLE else replay.measured_torque
     assert recording.reference is not None and measured is not None  # follow() has looked
     wanted = held(replay.run.stamp_ns, recording.reference.stamp_ns, recording.reference.value)
-    clock = figures.Clock.from_stamps(replay.run.stamp_ns, int(recording.stamp_ns[0]), replay.rig.sample_period)
-    panels = [
-        figures.Panel(
-            f"{name.capitalize()} [{sign}]",
-            [
-                figures.Line("measured", measured * scale, MEASURED),
-                figures.Line("UKF", rows[name] * scale, ESTIMATE),
-                figures.Line("reference", wanted * scale, MODEL, dash="dash"),
-            ],
-            250,
-        ),
-        figures.Panel(
-            f"Reference − measured [{sign}]",
-            [figures.Line("tracking error", (wanted - measured) * scale, SECOND, quiet=True)],
-            160,
-        ),
-    ]
-    return Figure(
-        f"Sensor-less {name} control",
-        "The controller sees the estimate, never the measurement.",
-        figures.stack(panels, clock),
-        replay.name,
-    )
+    signals = (measured * scale, rows[name] * scale, wanted * scale)
+    about = "The controller sees the estimate, never the measurement."
+    return tracking_figure(f"Sensor-less {name} control", about, (name, sign), time(replay), signals, replay.name)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
+from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.table import Table
 from pam_antagonist.software import versions
 
@@ -65,23 +66,6 @@ class Definitions:
 
 
 @dataclass(frozen=True)
-class FigureBlock:
-    """A plot.
-
-    Attributes:
-        title: what it shows.
-        about: how to read it, one or two sentences.
-        plot: plotly's ``data`` and ``layout``, as plain values.
-        link: figures of the same name share their time axis.
-    """
-
-    title: str
-    about: str
-    plot: dict[str, Any]
-    link: str
-
-
-@dataclass(frozen=True)
 class Columns:
     """Two blocks beside each other where the page is wide enough, else one after the other."""
 
@@ -108,7 +92,7 @@ class Section:
     folded: bool = False
 
 
-Block: TypeAlias = Text | Findings | Tiles | Definitions | Table | FigureBlock | Columns | Section
+Block: TypeAlias = Text | Findings | Tiles | Definitions | Table | Figure | Columns | Section
 
 
 def _software() -> str:

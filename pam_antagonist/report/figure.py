@@ -46,7 +46,7 @@ TIME = Axis("Time [s]", is_time=True)
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A curve.
+    """A curve. Long ones are thinned when they are drawn (:mod:`pam_antagonist.report.decimate`).
 
     Attributes:
         name: in the legend; series of one name are switched together.
@@ -128,12 +128,14 @@ class Bars:
         x: (N,) places.
         y: (N,) heights.
         color: CSS colour.
+        quiet: not in the legend.
     """
 
     name: str
     x: FloatArray
     y: FloatArray
     color: str
+    quiet: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +184,8 @@ class Region:
 
 Series = Line | Band | Points | Bars | Heatmap | Reference | Region
 """What a panel shows."""
+_BESIDE = 0.1
+"""Distance of panels that stand beside each other, as a part of the width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,3 +224,34 @@ class Figure:
     panels: tuple[Panel, ...]
     link: str = ""
     beside: bool = False
+
+    @property
+    def margins(self) -> tuple[int, int, int, int]:
+        """Left, right, upper and lower margin in pixels; the upper one holds a legend or a panel's title."""
+        named = any(not getattr(part, "quiet", True) for panel in self.panels for part in panel.series)
+        rows_only = all(panel.y.labels and not panel.title for panel in self.panels)
+        return 66, 14, 10 if rows_only and not named else 34, 44
+
+    @property
+    def height(self) -> int:
+        """Of the whole figure, in pixels."""
+        heights = [panel.height for panel in self.panels]
+        inner = max(heights) if self.beside else sum(heights) + self._gap * (len(heights) - 1)
+        return inner + self.margins[2] + self.margins[3]
+
+    def areas(self) -> list[tuple[float, float, float, float]]:
+        """Left, right, lower and upper end of each panel, as parts of the area within the margins."""
+        count = len(self.panels)
+        if self.beside:
+            width = (1.0 - _BESIDE * (count - 1)) / count
+            return [(k * (width + _BESIDE), k * (width + _BESIDE) + width, 0.0, 1.0) for k in range(count)]
+        inner = self.height - self.margins[2] - self.margins[3]
+        out, upper = [], inner
+        for panel in self.panels:
+            out.append((0.0, 1.0, (upper - panel.height) / inner, upper / inner))
+            upper -= panel.height + self._gap
+        return out
+
+    @property
+    def _gap(self) -> int:
+        return 34 if any(panel.title for panel in self.panels) else 22

@@ -13,10 +13,10 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pam_antagonist import strict_json
-from pam_antagonist.errors import BadInput
-from pam_antagonist.report.document import Block, Columns, Document, FigureBlock, Section
-
-Figure = FigureBlock
+from pam_antagonist.report import plotly_renderer
+from pam_antagonist.report.document import Block, Columns, Document, Section
+from pam_antagonist.report.figure import Figure
+from pam_antagonist.report.style import DARK
 
 
 def render(document: Document) -> str:
@@ -28,10 +28,10 @@ def render(document: Document) -> str:
     Raises:
         BadInput: the document has figures and plotly is not installed.
     """
-    library = _plotly() if any(_has_figure(block) for block in document.blocks) else ""
+    library = plotly_renderer.library() if any(_has_figure(block) for block in document.blocks) else ""
     sections = [block for block in document.blocks if isinstance(block, Section) and block.anchor]
     page = _environment().get_template("page.html.j2")
-    return page.render(document=document, sections=sections, library=library, serial=itertools.count(1))
+    return page.render(document=document, sections=sections, library=library, dark=DARK, serial=itertools.count(1))
 
 
 def write(folder: Path, document: Document, numbers: Any) -> None:
@@ -58,6 +58,8 @@ def _environment() -> Environment:
     environment.filters["unbroken"] = _unbroken
     environment.filters["kind"] = lambda block: type(block).__name__
     environment.filters["json"] = _json
+    environment.filters["packed"] = plotly_renderer.packed
+    environment.filters["plotly"] = plotly_renderer.text
     environment.globals["next"] = next
     return environment
 
@@ -77,15 +79,4 @@ def _has_figure(block: Block) -> bool:
         return any(_has_figure(inner) for inner in block.blocks)
     if isinstance(block, Columns):
         return _has_figure(block.left) or _has_figure(block.right)
-    return isinstance(block, FigureBlock)
-
-
-def _plotly() -> str:
-    """plotly's library as text, read from the installed package."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise BadInput(
-            "plotly is not installed: install python3-plotly (or plotly by pip), or give --no-figures"
-        ) from None
-    return str(get_plotlyjs()).replace("</script", "<\\/script")
+    return isinstance(block, Figure)

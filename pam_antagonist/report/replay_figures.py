@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pam_antagonist.estimation import metrics
 from pam_antagonist.replay import Replay
 from pam_antagonist.report import figures
-from pam_antagonist.report.figures import Band, Clock, Level, Line, Panel, Part
-from pam_antagonist.report.html import Figure
-from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, QUIET, SECOND
+from pam_antagonist.report.figure import TIME, Axis, Band, Figure, FloatArray, Line, Panel, Series
+from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, SECOND
 from pam_antagonist.rig import Reading
-
-FloatArray = NDArray[np.float64]
 
 _LAGS = 40
 """Samples of lag that are shown."""
@@ -37,140 +33,106 @@ def _tenth(replay: Replay) -> int:
 
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
     """All figures of one recording, the most telling first."""
-    clock = Clock.from_stamps(replay.run.stamp_ns, int(replay.recording.stamp_ns[0]), replay.rig.sample_period)
+    x = time(replay)
     link = replay.name
-    out = []
-    rows, variance = replay.run.rows, replay.run.rows["covariance"]
+    window = _tenth(replay)
+    rows, variance, reading = replay.run.rows, replay.run.rows["covariance"], replay.rig.sensors.reading
+    out: list[Figure | None] = []
     if replay.joint.condition == "free":
-        scale = np.degrees(1.0)
-        out.append(
-            _estimate_figure(
-                "Joint angle",
-                "Angle [°]",
-                (rows["angle"] * scale, variance[:, 0, 0] * scale**2, replay.model.angle * scale),
-                None if replay.measured_angle is None else replay.measured_angle * scale,
-                replay.rig.sensors.reading("angle").scaled(scale),
-                clock,
-                link,
-                _tenth(replay),
-            )
-        )
-    out.append(
-        _estimate_figure(
-            "Joint torque",
-            "Torque [N m]",
-            (rows["torque"], variance[:, 2, 2], replay.model.torque),
-            replay.measured_torque,
-            replay.rig.sensors.reading("torque"),
-            clock,
-            link,
-            _tenth(replay),
-        )
-    )
-    outside = _outside(replay, clock, link)
-    out += [*([outside] if outside else []), _pressures(replay, clock, link)]
+        scale = float(np.degrees(1.0))
+        estimate = (rows["angle"] * scale, variance[:, 0, 0] * scale**2, replay.model.angle * scale)
+        measured = None if replay.measured_angle is None else replay.measured_angle * scale
+        names = ("Joint angle", "Angle", "°")
+        out.append(_estimate_figure(names, x, estimate, measured, reading("angle").scaled(scale), window, link))
+    names = ("Joint torque", "Torque", "N m")
+    estimate = (rows["torque"], variance[:, 2, 2], replay.model.torque)
+    out.append(_estimate_figure(names, x, estimate, replay.measured_torque, reading("torque"), window, link))
+    out += [_disturbance(replay, x, link), _pressures(replay, x, link)]
     if not replay.rig.valves.sealed:
-        out.append(_voltages(replay, clock, link))
-    out.append(_nis(replay, clock, link))
-    correlation = _correlation(replay, link)
-    return (*out, *([correlation] if correlation else []), _subsystems(replay, clock, link))
+        out.append(_voltages(replay, x, link))
+    window = max(1, round(1.0 / replay.rig.sample_period))
+    out.append(figures.nis_figure(x, rows["nis"], metrics.chi_square_bounds(2), window, link))
+    out += [_correlation(replay, link), _subsystems(replay, x, link)]
+    return tuple(figure for figure in out if figure is not None)
+
+
+def time(replay: Replay) -> FloatArray:
+    """Time of a replay's samples since the recording's first one, (N,) [s]."""
+    return figures.seconds(replay.run.stamp_ns, int(replay.recording.stamp_ns[0]))
 
 
 def _estimate_figure(
-    title: str,
-    axis: str,
+    names: tuple[str, str, str],
+    x: FloatArray,
     estimate: tuple[FloatArray, FloatArray, FloatArray],
     measured: FloatArray | None,
     reference: Reading,
-    clock: Clock,
-    link: str,
     window: int,
+    link: str,
 ) -> Figure:
     """Signal above, error below; estimate is value, variance and model alone, in the axis' unit."""
+    title, quantity, unit = names
     value, variance, model = estimate
     half = metrics.interval_half_width(variance, reference)
-    signal: list[Part] = [Band("95 % interval", value - half, value + half, BAND)]
+    signal: list[Series] = [Band("95 % interval", x, value - half, value + half, BAND)]
     if measured is not None:
-        signal.append(Line("measured", measured, MEASURED))
-    signal += [Line("model alone", model, MODEL), Line("UKF", value, ESTIMATE)]
-    panels = [Panel(axis, signal, 250)]
+        signal.append(Line("measured", x, measured, MEASURED))
+    signal += [Line("model alone", x, model, MODEL), Line("UKF", x, value, ESTIMATE)]
+    panels = [Panel(TIME, Axis(f"{quantity} [{unit}]"), tuple(signal), 250)]
     if measured is None:
         about = "It was not measured, so the error is not known."
     else:
-        errors: list[Part] = [
-            Band("95 % interval", -half, half, BAND, quiet=True),
-            *figures.with_mean("model alone", model - measured, MODEL, window),
-            *figures.with_mean("UKF", value - measured, ESTIMATE, window),
-            *(Line("95 % interval", sign * half, EDGE, dash="dot", width=1.0, quiet=True) for sign in (-1.0, 1.0)),
-        ]
-        panels.append(Panel(f"Error {axis[axis.index('[') :]}", errors, 190))
+        errors: tuple[Series, ...] = (
+            Band("95 % interval", x, -half, half, BAND, quiet=True),
+            *figures.with_mean("model alone", x, model - measured, MODEL, window),
+            *figures.with_mean("UKF", x, value - measured, ESTIMATE, window),
+            *(Line("95 % interval", x, sign * half, EDGE, "dot", width=1.0, quiet=True) for sign in (-1.0, 1.0)),
+        )
+        panels.append(Panel(TIME, Axis(f"Error [{unit}]"), errors, 190))
         about = (
             "Below: estimate minus measurement, every sample faint, the mean over 0.1 s in front. An honest filter "
             "stays within its shaded interval 95 % of the time."
         )
-    return Figure(f"{title}: measured, estimated, and by the model alone", about, figures.stack(panels, clock), link)
+    return Figure(f"{title}: measured, estimated, and by the model alone", about, tuple(panels), link)
 
 
-def _outside(replay: Replay, clock: Clock, link: str) -> Figure | None:
+def _disturbance(replay: Replay, x: FloatArray, link: str) -> Figure | None:
     """The torque from outside, where the rig's filter estimates it."""
     estimate = replay.run.added.get("external_torque")
     if estimate is None:
         return None
-    parts: list[Part] = []
+    applied = replay.recording.external_torque
+    parts = [] if applied is None else [Line("applied", x, applied[replay.run.index], MEASURED)]
+    parts.append(Line("UKF", x, estimate, ESTIMATE))
     about = (
-        "What the filter takes for a torque from outside, which it is not told. Where the joint sticks, friction hides "
-        "it."
+        "What the filter takes for a torque from outside, which it is not given. Where the joint sticks, friction "
+        "hides it."
     )
-    if replay.recording.external_torque is not None:
-        parts.append(Line("applied", replay.recording.external_torque[replay.run.index], MEASURED))
-    parts.append(Line("UKF", estimate, ESTIMATE))
-    return Figure("Torque from outside", about, figures.stack([Panel("Torque [N m]", parts, 220)], clock), link)
+    return Figure("Torque from outside", about, (Panel(TIME, Axis("Torque [N m]"), tuple(parts), 220),), link)
 
 
-def _pressures(replay: Replay, clock: Clock, link: str) -> Figure:
+def _pressures(replay: Replay, x: FloatArray, link: str) -> Figure:
     measured, window = replay.measured_pressure * 1e-3, _tenth(replay)
-    panels = [
-        Panel("Pressure [kPa abs]", [Line("P1", measured[:, 0], MEASURED), Line("P2", measured[:, 1], SECOND)], 200)
-    ]
+    both = (Line("P1", x, measured[:, 0], MEASURED), Line("P2", x, measured[:, 1], SECOND))
+    panels = [Panel(TIME, Axis("Pressure [kPa abs]"), both, 200)]
     for muscle in (0, 1):
         model = replay.model.pressure[:, muscle] * 1e-3 - measured[:, muscle]
         ukf = replay.run.rows["pressure"][:, muscle] * 1e-3 - measured[:, muscle]
-        faint_model, mean_model = figures.with_mean("model alone", model, MODEL, window)
-        faint_ukf, mean_ukf = figures.with_mean("UKF", ukf, ESTIMATE, window)
+        faint_model, mean_model = figures.with_mean("model alone", x, model, MODEL, window)
+        faint_ukf, mean_ukf = figures.with_mean("UKF", x, ukf, ESTIMATE, window)
         named = [replace(line, quiet=muscle > 0) for line in (mean_model, mean_ukf)]
-        panels.append(Panel(f"P{muscle + 1} error [kPa]", [faint_model, faint_ukf, *named], 150))
+        panels.append(Panel(TIME, Axis(f"P{muscle + 1} error [kPa]"), (faint_model, faint_ukf, *named), 150))
     about = (
         "Above: the measured absolute pressures. Below: what the model alone and the filter make of them, minus the "
-        "measurement. The filter is told the pressures, so its error is what it takes for sensor noise."
+        "measurement. The filter is given the pressures, so its error is what it takes for sensor noise."
     )
-    return Figure("Muscle pressures", about, figures.stack(panels, clock), link)
+    return Figure("Muscle pressures", about, tuple(panels), link)
 
 
-def _voltages(replay: Replay, clock: Clock, link: str) -> Figure:
+def _voltages(replay: Replay, x: FloatArray, link: str) -> Figure:
     voltage = replay.recording.voltage[replay.run.index]
-    parts = [Line("u1", voltage[:, 0], MEASURED), Line("u2", voltage[:, 1], SECOND)]
-    return Figure(
-        "Valve voltages", "What drove the joint.", figures.stack([Panel("Voltage [V]", parts, 180)], clock), link
-    )
-
-
-def _nis(replay: Replay, clock: Clock, link: str) -> Figure:
-    nis = replay.run.rows["nis"]
-    lower, upper = metrics.chi_square_bounds(2)
-    window = max(1, round(1.0 / replay.rig.sample_period))
-    parts: list[Part] = [
-        Line("each sample", np.maximum(nis, 1e-3), "#c3c8ce", width=0.8),
-        Line("mean over 1 s", figures.moving_mean(nis, window), ESTIMATE, width=2.0),
-        Level(upper, "97.5 %", QUIET),
-        Level(2.0, "expected mean: 2", MEASURED),
-        Level(lower, "2.5 %", QUIET),
-    ]
-    about = (
-        "Normalised innovation squared: below the lower bound the filter is too cautious about the pressures, above "
-        "the upper one it is surprised by them. One sample in twenty may lie outside."
-    )
-    panel = Panel("NIS [-]", parts, 230, log=True, bounds=(1e-3, max(30.0, float(np.nanmax(nis, initial=0.0)) * 1.5)))
-    return Figure("Does the filter believe what it should? (NIS)", about, figures.stack([panel], clock), link)
+    parts = (Line("u1", x, voltage[:, 0], MEASURED), Line("u2", x, voltage[:, 1], SECOND))
+    return Figure("Valve voltages", "What drove the joint.", (Panel(TIME, Axis("Voltage [V]"), parts, 180),), link)
 
 
 def _correlation(replay: Replay, link: str) -> Figure | None:
@@ -184,14 +146,14 @@ def _correlation(replay: Replay, link: str) -> Figure | None:
     lag = np.arange(1.0, _LAGS + 1.0) * (replay.rig.sample_period * 1e3)
     groups = [(f"P{muscle + 1}", own[1:, muscle], (MEASURED, SECOND)[muscle]) for muscle in (0, 1)]
     about = "Correlation of the innovation with itself some time later. A right model's stays between the dashed lines."
-    plot = figures.bars(lag, groups, 1.96 / np.sqrt(present), "Lag [ms]", "Correlation [-]")
-    return Figure("Is anything left in the pressures? (innovation autocorrelation)", about, plot, f"{link} lags")
+    panel = figures.autocorrelation(lag, groups, float(1.96 / np.sqrt(present)))
+    return Figure("Is anything left in the pressures? (innovation autocorrelation)", about, (panel,), f"{link} lags")
 
 
-def _subsystems(replay: Replay, clock: Clock, link: str) -> Figure:
+def _subsystems(replay: Replay, x: FloatArray, link: str) -> Figure:
     sigma = replay.run.rows["subsystem"].astype(np.int64) - 1
     about = (
         "The model switches between 18 sets of equations. Rows are those that were active, darker where more of the "
         "time was spent; point at one to read which flows are choked and whether the joint slides."
     )
-    return Figure("Active subsystem of the model", about, figures.strip(SUBSYSTEMS, sigma, clock), link)
+    return Figure("Active subsystem of the model", about, (figures.strip(SUBSYSTEMS, sigma, x),), link)

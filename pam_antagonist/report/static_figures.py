@@ -5,18 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pam_antagonist.identification.static_force import ForceFit
 from pam_antagonist.identification.static_result import StaticResult
 from pam_antagonist.identification.static_rig import reach
 from pam_antagonist.identification.static_table import ForceMap, VolumeTable
 from pam_antagonist.identification.static_volume import VolumeFit
-from pam_antagonist.report.figures import axis, base_layout
-from pam_antagonist.report.html import Figure
-from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, QUIET, SECOND
-
-Floats = NDArray[np.float64]
+from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference, Series
+from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, SECOND
 
 COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND}
 """Of the forms of the force map, wherever they are compared."""
@@ -37,7 +33,7 @@ def static_figures(result: StaticResult) -> list[Figure]:
 
 def force_figure(table: ForceMap, fit: ForceFit) -> Figure:
     """Force over pressure, a line a length."""
-    data: list[dict[str, Any]] = []
+    parts: list[Series] = []
     grid = np.linspace(table.pressure.min(), table.pressure.max(), _POINTS)
     for group in range(table.lengths):
         inside = table.group == group
@@ -46,99 +42,59 @@ def force_figure(table: ForceMap, fit: ForceFit) -> Figure:
         name = f"{length * 1e3:.4g} mm"
         line = fit.force(np.full(_POINTS, length), grid)
         shown = np.where(line >= table.limit, line, np.nan)
-        data.append(_trace(name, grid / 1e3, shown, color, mode="lines", legendgroup=name, showlegend=False))
-        for slack, symbol in ((False, "circle"), (True, "circle-open")):
+        parts.append(Line(name, grid / 1e3, shown, color, width=1.8, quiet=True))
+        filled = bool(np.any(inside & ~table.slack))
+        for slack in (False, True):
             rows = inside & (table.slack == slack)
             if rows.any():
-                points = {"size": 7 if not slack else 6, "color": color, "symbol": symbol}
-                data.append(
-                    _trace(name, table.pressure[rows] / 1e3, table.force[rows], color, mode="markers", marker=points,
-                           legendgroup=name, showlegend=not slack or not np.any(inside & ~table.slack))
-                )  # fmt: skip
-    layout = _layout("Absolute pressure [kPa]", "Contraction force [N]", 420)
+                size = 6.0 if slack else 7.0
+                pressure, force = table.pressure[rows] / 1e3, table.force[rows]
+                parts.append(Points(name, pressure, force, color, size, hollow=slack, quiet=slack and filled))
+    panel = Panel(Axis("Absolute pressure [kPa]"), Axis("Contraction force [N]"), tuple(parts), 342)
     about = (
         f"Filled: measured; open: slack or not measured, of which the fit knows only that the force is not above "
         f"{table.limit:g} N. Lines: form {fit.form}, cut off where it falls below that."
     )
-    return Figure("Force over pressure at each length", about, {"data": data, "layout": layout}, "force")
+    return Figure("Force over pressure at each length", about, (panel,), "force")
 
 
 def form_figure(forms: dict[str, Any]) -> Figure:
     """Error at each length of a fit without it, a line a form."""
-    data = []
+    parts: list[Series] = []
     for name, fit in forms.items():
         if isinstance(fit, ForceFit):
             known = [item for item in fit.left_out if item.measured]
             lengths = np.array([item.length for item in known]) * 1e3
             errors = np.array([item.rmse for item in known])
-            data.append(
-                _trace(
-                    name, lengths, errors, COLORS[name], mode="lines+markers", marker={"size": 7, "color": COLORS[name]}
-                )
-            )
-    layout = _layout("Length left out [mm]", "RMS error there [N]", 300)
-    layout["yaxis"]["rangemode"] = "tozero"
+            parts.append(Line(name, lengths, errors, COLORS[name], width=1.8))
+            parts.append(Points(name, lengths, errors, COLORS[name], 7.0, quiet=True))
+    panel = Panel(Axis("Length left out [mm]"), Axis("RMS error there [N]", from_zero=True), tuple(parts), 222)
     about = (
         "Each form was fitted without one length and then asked for the forces measured at it. At the ends that is "
         "extrapolation. A length at which every point was slack has no value here."
     )
-    return Figure(
-        "How wrong each form is at a length it has not seen", about, {"data": data, "layout": layout}, "forms"
-    )
+    return Figure("How wrong each form is at a length it has not seen", about, (panel,), "forms")
 
 
 def volume_figure(table: VolumeTable, fit: VolumeFit, result: StaticResult) -> Figure:
     """Volume over length with the fitted parabola and its 95 % interval."""
     low, high = float(table.length.min()), float(table.length.max())
-    shapes = []
+    edges: list[Reference] = []
     if result.fitted is not None:
         span = reach(result.rig)
         low, high = min(low, span.shortest), max(high, span.longest)
-        for edge in (span.shortest, span.longest):
-            shapes.append({"type": "line", "xref": "x", "yref": "y domain", "x0": edge * 1e3, "x1": edge * 1e3,
-                           "y0": 0, "y1": 1, "line": {"color": QUIET, "width": 1.4, "dash": "dash"}})  # fmt: skip
+        edges = [Reference(edge * 1e3, vertical=True) for edge in (span.shortest, span.longest)]
     grid = np.linspace(low, high, _POINTS)
     volume, _ = fit.volume(grid)
     half = fit.interval(grid)
-    data = []
+    parts: list[Series] = [*edges]
     if np.all(np.isfinite(half)):
-        outline = np.concatenate([volume - half, (volume + half)[::-1]]) * 1e6
-        data.append(
-            _trace("95 % interval", np.concatenate([grid, grid[::-1]]) * 1e3, outline, BAND, mode="lines",
-                   fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip")
-        )  # fmt: skip
-    data.append(_trace("fitted parabola", grid * 1e3, volume * 1e6, ESTIMATE, mode="lines"))
-    data.append(
-        _trace(
-            "measured",
-            table.length * 1e3,
-            table.volume * 1e6,
-            MEASURED,
-            mode="markers",
-            marker={"size": 7, "color": MEASURED},
-        )
-    )
-    layout = _layout("Length [mm]", "Volume [cm³]", 340)
-    layout["shapes"] = shapes
-    about = "Equation (3)." + (
-        " Dashed: the lengths between which the rig's joint takes its muscles." if shapes else ""
-    )
-    return Figure("Volume over length", about, {"data": data, "layout": layout}, "volume")
-
-
-def _trace(name: str, x: Floats, y: Floats, color: str, **more: Any) -> dict[str, Any]:
-    values = [None if not np.isfinite(value) else float(f"{value:.6g}") for value in y]
-    places = [float(f"{value:.6g}") for value in x]
-    line = {"color": color, "width": 1.8}
-    return {"type": "scatter", "name": name, "x": places, "y": values, "line": line, **more}
-
-
-def _layout(x_title: str, y_title: str, height: int) -> dict[str, Any]:
-    layout = base_layout(height)
-    layout["hovermode"] = "closest"
-    layout["xaxis"] = axis(title={"text": x_title, "standoff": 6}, zeroline=False)
-    layout["yaxis"] = axis(title={"text": y_title, "standoff": 4})
-    return layout
+        parts.append(Band("95 % interval", grid * 1e3, (volume - half) * 1e6, (volume + half) * 1e6, BAND))
+    parts.append(Line("fitted parabola", grid * 1e3, volume * 1e6, ESTIMATE, width=1.8))
+    parts.append(Points("measured", table.length * 1e3, table.volume * 1e6, MEASURED, 7.0))
+    panel = Panel(Axis("Length [mm]"), Axis("Volume [cm³]"), tuple(parts), 262)
+    about = "Equation (3)." + (" Dashed: the lengths between which the rig's joint takes its muscles." if edges else "")
+    return Figure("Volume over length", about, (panel,), "volume")
 
 
 def _color(number: int, count: int) -> str:

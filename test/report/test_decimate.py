@@ -57,5 +57,5 @@ def test_shares_of_a_category() -> None:
 
 def test_a_pause_starts_a_new_stretch() -> None:
     stamps = np.array([0, 1, 2, 50, 51]) * 1_000_000
-    assert list(decimate.gap_groups(stamps, 5_000_000)) == [0, 0, 0, 1, 1]
-    assert len(decimate.gap_groups(stamps[:0], 5_000_000)) == 0
+    assert list(decimate.stretches(stamps * 1e-9)) == [0, 0, 0, 1, 1]
+    assert len(decimate.stretches(stamps[:0] * 1e-9)) == 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import builtins
+import gzip
 import json
 import re
 from html.parser import HTMLParser
@@ -12,9 +14,10 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report import decimate, figures
+from pam_antagonist.report import decimate, figures, plotly_renderer, style
 from pam_antagonist.report.document import Columns, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
-from pam_antagonist.report.html import Figure, render
+from pam_antagonist.report.figure import TIME, Axis, Band, Bars, Figure, Line, Panel, Points, Reference, Region
+from pam_antagonist.report.html import render
 from pam_antagonist.report.table import Table
 
 
@@ -39,14 +42,18 @@ class Reader(HTMLParser):
     def handle_data(self, data: str) -> None:
         self.texts[self._open] = self.texts.get(self._open, "") + data
 
+    def unpacked(self, name: str) -> str:
+        """What the page's script finds in an element."""
+        return gzip.decompress(base64.b64decode(self.texts[name])).decode()
 
-def _clock(count: int) -> figures.Clock:
-    return figures.Clock.from_stamps(np.arange(count) * 1_000_000, 0, 1e-3)
+
+def _time(count: int) -> np.ndarray:
+    return figures.seconds(np.arange(count) * 1_000_000, 0)
 
 
 def _figure(values: np.ndarray, title: str = "Angle") -> Figure:
-    panel = figures.Panel("Angle [°]", [figures.Line("UKF", values, "#d55e00")])
-    return Figure(title, "About", figures.stack([panel], _clock(len(values))), "one")
+    line = Line("UKF", _time(len(values)), values, "#d55e00")
+    return Figure(title, "About", (Panel(TIME, Axis("Angle [°]"), (line,)),), "one")
 
 
 def test_a_page_loads_nothing_from_elsewhere() -> None:
@@ -62,17 +69,25 @@ def test_a_page_loads_nothing_from_elsewhere() -> None:
 
 
 def test_the_library_is_there_once_and_only_for_figures() -> None:
-    with_two = render(Document("k", "t", (_figure(np.arange(10.0)), _figure(np.arange(10.0)))))
-    assert len(re.findall(r"plotly\.js v\d", with_two)) == 1
+    read = Reader(render(Document("k", "t", (_figure(np.arange(10.0)), _figure(np.arange(10.0))))))
+    assert sum(found.get("id") == "plotly" for _, found in read.tags) == 1
+    assert len(re.findall(r"plotly\.js v\d", read.unpacked("plotly"))) == 1
+    assert len(re.findall(r"plotly\.js v\d", "".join(read.texts.values()))) == 0
     without = render(Document("k", "t", (Text("nothing to draw"),)))
     assert len(without) < 20_000
     assert "<script" not in without
 
 
 def test_figure_data_can_be_read_back_and_cannot_end_the_script() -> None:
-    figure = Figure("</script><b>", "About & <i>", {"data": [{"name": "</script>"}], "layout": {"height": 99}}, 'a"b')
+    line = Line("</script><b>", np.arange(2.0), np.array([0.5, np.nan]), "#000000")
+    panel = Panel(Axis(), Axis("<i> [V]"), (line,))
+    figure = Figure("</script><b>", "About & <i>", (panel,), 'a"b')
     read = Reader(render(Document("k", "t", (figure,))))
-    assert json.loads(read.texts["figure-1-data"])["data"] == [{"name": "</script>"}]
+    plot = json.loads(read.unpacked("figure-1-data"))
+    assert plot["data"][0]["y"] == [0.5, None]
+    # The library would obey HTML.
+    assert plot["data"][0]["name"] == "&lt;/script&gt;&lt;b&gt;"
+    assert plot["layout"]["yaxis"]["title"]["text"] == "&lt;i&gt; [V]"
     assert not any(tag in ("b", "i") for tag, _ in read.tags)
 
 
@@ -115,7 +130,7 @@ def test_without_plotly_a_page_with_figures_says_what_to_do(monkeypatch: pytest.
 def test_a_trace_has_few_points_and_keeps_its_spike() -> None:
     values = np.sin(np.arange(60_000) / 1000.0)
     values[12_345] = 7.0
-    trace = _figure(values).plot["data"][0]
+    trace = plotly_renderer.plot(_figure(values))["data"][0]
     assert len(trace["x"]) == len(trace["y"]) <= decimate.LIMIT
     assert max(trace["y"]) == 7.0
     assert trace["x"][int(np.argmax(trace["y"]))] == pytest.approx(12.345)
@@ -123,14 +138,12 @@ def test_a_trace_has_few_points_and_keeps_its_spike() -> None:
 
 def test_a_pause_in_the_recording_is_a_gap_in_the_line_and_in_the_band() -> None:
     stamps = np.concatenate((np.arange(50), np.arange(200, 250))) * 1_000_000
-    clock = figures.Clock.from_stamps(stamps, 0, 1e-3)
-    ones = np.ones(100)
-    parts = [figures.Line("a", ones, "#000"), figures.Band("b", -ones, ones, "#111")]
-    line, band = figures.stack([figures.Panel("x [V]", parts)], clock)["data"]
-    assert np.isnan(line["y"]).sum() == 1
-    assert np.isnan(band["y"]).sum() == 2  # one closed outline for each stretch
-    first = np.array(band["x"])[: int(np.flatnonzero(np.isnan(band["x"]))[0])]
-    assert first.max() == pytest.approx(0.049)
+    x, ones = figures.seconds(stamps, 0), np.ones(100)
+    parts = (Line("a", x, ones, "#000"), Band("b", x, -ones, ones, "#111"))
+    line, band = plotly_renderer.plot(Figure("t", "", (Panel(TIME, Axis("x [V]"), parts),)))["data"]
+    assert line["y"].count(None) == 1
+    assert band["y"].count(None) == 2  # one closed outline for each stretch
+    assert max(band["x"][: band["x"].index(None)]) == pytest.approx(0.049)
 
 
 def test_a_moving_mean_by_hand() -> None:
@@ -140,7 +153,43 @@ def test_a_moving_mean_by_hand() -> None:
 
 
 def test_a_strip_shows_the_categories_that_occur() -> None:
-    plot = figures.strip(("1: a", "2: b", "3: c"), np.array([0, 0, 2, 2]), _clock(4), columns=2)
-    assert plot["data"][0]["y"] == ["1", "3"]
-    assert plot["data"][0]["z"][0][0] == 1.0
-    assert np.isnan(plot["data"][0]["z"][0][1])
+    panel = figures.strip(("1: a", "2: b", "3: c"), np.array([0, 0, 2, 2]), _time(4), columns=2)
+    plot = plotly_renderer.plot(Figure("t", "", (panel,)))
+    assert plot["layout"]["yaxis"]["ticktext"] == ["1", "3"]
+    assert plot["data"][0]["z"] == [[1.0, None], [None, 1.0]]
+    assert [row[0] for row in plot["data"][0]["text"]] == ["1: a", "3: c"]
+    assert plot["data"][0]["hovertemplate"] == "%{text}<br>%{x} s: %{z:.0%} of the time<extra></extra>"
+
+
+def test_every_kind_of_series_has_its_trace_or_shape() -> None:
+    x = np.array([1.0, 2.0])
+    parts = (
+        Line("line", x, x, "#000000", "dash"),
+        Points("points", x, x, "#000000", hollow=True, half_width=0.1 * x),
+        Bars("bars", x, x, "#000000"),
+        Reference(1.5, "level"),
+        Reference(1.0, vertical=True),
+        Region(1.0, 2.0),
+    )
+    plot = plotly_renderer.plot(Figure("t", "", (Panel(Axis("x [m]"), Axis("y [m]", log=True), parts),)))
+    line, points, bars = plot["data"]
+    assert line["line"]["dash"] == "dash" and line["mode"] == "lines"
+    assert points["marker"]["symbol"] == "circle-open" and points["error_x"]["array"] == [0.1, 0.2]
+    assert bars["type"] == "bar"
+    level, vertical, region = plot["layout"]["shapes"]
+    assert (level["xref"], level["y0"], level["y1"]) == ("x domain", 1.5, 1.5)
+    assert (vertical["yref"], vertical["x0"], vertical["x1"]) == ("y domain", 1.0, 1.0)
+    assert (region["type"], region["x0"], region["x1"], region["layer"]) == ("rect", 1.0, 2.0, "below")
+    # plotly gives logarithms for texts on such an axis, but not for lines.
+    assert plot["layout"]["annotations"][0]["y"] == pytest.approx(np.log10(1.5))
+
+
+def test_every_colour_of_the_light_theme_that_a_dark_page_would_hide_has_a_dark_one() -> None:
+    def brightness(color: str) -> float:
+        parts = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
+        return float(np.dot(parts, (0.3, 0.59, 0.11))) / 255.0
+
+    named = [value for value in vars(style).values() if isinstance(value, str) and value.startswith("#")]
+    background = brightness(style.DARK[style.PAPER])
+    for color in {*named, *style.PALETTE} - {style.PAPER, style.PALE, style.GRID, style.EDGE}:
+        assert brightness(style.DARK.get(color, color)) - background > 0.2, color

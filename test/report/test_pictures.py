@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import io
 import subprocess
 import sys
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,21 @@ import pytest
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report import curves, figures, pictures
-from pam_antagonist.report.curves import Curve
-from pam_antagonist.report.figures import Band, Clock, Level, Line, Panel
-from pam_antagonist.report.pictures import SHARPNESS, WIDTH, made_here, picture
+from pam_antagonist.report import figures, matplotlib_renderer
+from pam_antagonist.report.figure import (
+    TIME,
+    Axis,
+    Band,
+    Figure,
+    Heatmap,
+    Line,
+    Panel,
+    Points,
+    Reference,
+    Region,
+    Series,
+)
+from pam_antagonist.report.matplotlib_renderer import SHARPNESS, WIDTH, made_here, picture
 
 Pixels = NDArray[np.int64]
 RED, GREEN, BLUE = "#d01010", "#10a010", "#1010d0"
@@ -25,9 +35,9 @@ LEFT, RIGHT, TOP, BOTTOM = 66, 14, 34, 44
 """Margins of time series [px]."""
 
 
-def pixels(plot: dict[str, Any]) -> Pixels:
+def pixels(figure: Figure) -> Pixels:
     """(rows, columns, 3), from above."""
-    image = pytest.importorskip("PIL.Image").open(io.BytesIO(picture(plot)))
+    image = pytest.importorskip("PIL.Image").open(io.BytesIO(picture(figure)))
     return np.asarray(image.convert("RGB"), dtype=np.int64)
 
 
@@ -47,13 +57,24 @@ def row(share: float, height: int) -> int:
     return round((TOP + (1.0 - share) * height) * SHARPNESS)
 
 
-def clock(count: int) -> Clock:
-    return Clock(np.linspace(0.0, 1.0, count), np.zeros(count, dtype=np.int64))
+def time(count: int) -> NDArray[np.float64]:
+    return np.linspace(0.0, 1.0, count)
 
 
-def series(*parts: Line | Band | Level, **options: Any) -> dict[str, Any]:
-    return figures.stack([Panel("y [V]", parts, height=200, bounds=options.pop("bounds", (0.0, 1.0)), **options)],
-                         clock(101))  # fmt: skip
+def line(name: str, y: NDArray[np.float64], color: str, **style: Any) -> Line:
+    return Line(name, time(len(y)), y, color, **style)
+
+
+def band(name: str, lower: NDArray[np.float64], upper: NDArray[np.float64], color: str, quiet: bool = False) -> Band:
+    return Band(name, time(len(lower)), lower, upper, color, quiet)
+
+
+def alone(*panels: Panel, beside: bool = False) -> Figure:
+    return Figure("title", "about", panels, "", beside)
+
+
+def series(*parts: Series, bounds: tuple[float, float] | None = (0.0, 1.0), log: bool = False) -> Figure:
+    return alone(Panel(TIME, Axis("y [V]", log=log, bounds=bounds), parts, 200))
 
 
 def level(value: float, count: int = 101) -> NDArray[np.float64]:
@@ -61,7 +82,7 @@ def level(value: float, count: int = 101) -> NDArray[np.float64]:
 
 
 def test_a_line_lies_where_its_values_are() -> None:
-    image = pixels(series(Line("a", level(0.25), RED, quiet=True)))
+    image = pixels(series(line("a", level(0.25), RED, quiet=True)))
     red = found(image, RED)
     assert set(np.flatnonzero(red.any(axis=1))) <= set(range(row(0.25, 200) - 3, row(0.25, 200) + 4))
     columns = np.flatnonzero(red.any(axis=0))
@@ -73,7 +94,7 @@ def test_a_line_lies_where_its_values_are() -> None:
 def test_a_gap_is_left_white() -> None:
     values = level(0.5)
     values[40:61] = np.nan
-    image = pixels(series(Line("a", values, RED, quiet=True)))
+    image = pixels(series(line("a", values, RED, quiet=True)))
     red = found(image, RED).any(axis=0)
     assert not red[column(0.41) : column(0.59)].any()
     assert red[column(0.05) : column(0.38)].all() and red[column(0.62) : column(0.95)].all()
@@ -81,7 +102,7 @@ def test_a_gap_is_left_white() -> None:
 
 def test_width_dash_and_opacity_are_seen() -> None:
     thin, wide, dotted, dashed, faint = (
-        pixels(series(Line("a", level(0.5), RED, quiet=True, **style)))
+        pixels(series(line("a", level(0.5), RED, quiet=True, **style)))
         for style in ({"width": 2.0}, {"width": 6.0}, {"dash": "dot"}, {"dash": "dash"}, {"opacity": 0.3, "width": 4.0})
     )
     assert found(wide, RED).sum() == pytest.approx(3 * found(thin, RED).sum(), rel=0.2)
@@ -97,7 +118,7 @@ def test_width_dash_and_opacity_are_seen() -> None:
 def test_a_band_is_filled_and_its_gaps_are_not() -> None:
     lower, upper = level(0.2), level(0.6)
     upper[30:51] = np.nan
-    image = pixels(series(Band("b", lower, upper, "rgba(208, 16, 16, 0.5)", quiet=True)))
+    image = pixels(series(band("b", lower, upper, "rgba(208, 16, 16, 0.5)", quiet=True)))
     pink = found(image, "#e78787", 12)
     assert pink[row(0.5, 200) : row(0.3, 200), column(0.6) : column(0.9)].mean() > 0.9, "all but the grid"
     assert not pink[:, column(0.32) : column(0.48)].any()
@@ -105,13 +126,13 @@ def test_a_band_is_filled_and_its_gaps_are_not() -> None:
 
 
 def test_what_is_given_later_lies_in_front() -> None:
-    one, other = Line("a", level(0.5), RED, width=6.0, quiet=True), Line("b", level(0.5), BLUE, width=6.0, quiet=True)
+    one, other = line("a", level(0.5), RED, width=6.0, quiet=True), line("b", level(0.5), BLUE, width=6.0, quiet=True)
     assert not found(pixels(series(one, other)), RED).any()
     assert not found(pixels(series(other, one)), BLUE).any()
 
 
 def test_a_logarithmic_axis_has_equal_decades() -> None:
-    lines = [Line(str(value), level(value), color, quiet=True)
+    lines = [line(str(value), level(value), color, quiet=True)
              for value, color in ((1.0, RED), (10.0, GREEN), (100.0, BLUE))]  # fmt: skip
     image = pixels(series(*lines, log=True, bounds=(0.1, 1000.0)))
     for share, color in ((0.25, RED), (0.5, GREEN), (0.75, BLUE)):
@@ -121,7 +142,7 @@ def test_a_logarithmic_axis_has_equal_decades() -> None:
 def test_what_a_logarithm_does_not_have_is_a_gap() -> None:
     values = level(1.0)
     values[40:61] = 0.0
-    red = found(pixels(series(Line("a", values, RED, quiet=True), log=True, bounds=(0.1, 10.0))), RED)
+    red = found(pixels(series(line("a", values, RED, quiet=True), log=True, bounds=(0.1, 10.0))), RED)
     assert not red[:, column(0.42) : column(0.58)].any()
     assert np.ptp(np.flatnonzero(red.any(axis=1))) < 6, "no line runs down to nothing"
 
@@ -129,44 +150,44 @@ def test_what_a_logarithm_does_not_have_is_a_gap() -> None:
 def test_panels_lie_above_each_other_over_one_time_axis() -> None:
     late = level(0.5)
     late[:80] = np.nan
-    panels = [Panel("a", [Line("a", level(0.5), RED, quiet=True)], height=100, bounds=(0.0, 1.0)),
-              Panel("b", [Line("b", late, BLUE, quiet=True)], height=200, bounds=(0.0, 1.0))]  # fmt: skip
-    image = pixels(figures.stack(panels, clock(101)))
+    panels = (Panel(TIME, Axis("a", bounds=(0.0, 1.0)), (line("a", level(0.5), RED, quiet=True),), 100),
+              Panel(TIME, Axis("b", bounds=(0.0, 1.0)), (line("b", late, BLUE, quiet=True),), 200))  # fmt: skip
+    image = pixels(alone(*panels))
     assert np.flatnonzero(found(image, RED).any(axis=1)).mean() == pytest.approx(row(0.5, 100), abs=2)
     assert np.flatnonzero(found(image, BLUE).any(axis=1)).mean() == pytest.approx((34 + 100 + 22 + 100) * 1.5, abs=2)
     assert np.flatnonzero(found(image, BLUE).any(axis=0))[0] == pytest.approx(column(0.8), abs=3)
 
 
 def test_a_level_has_a_line_and_a_label_unless_it_is_out_of_range() -> None:
-    nothing = Line("a", level(np.nan), RED, quiet=True)
-    image = pixels(series(nothing, Level(0.5, "limit", GREEN)))
+    nothing = line("a", level(np.nan), RED, quiet=True)
+    image = pixels(series(nothing, Reference(0.5, "limit", GREEN)))
     green = found(image, GREEN, 60)
     on_line = green[row(0.5, 200) - 1 : row(0.5, 200) + 1]
     assert 0.4 < on_line.any(axis=0)[column(0.0) : column(1.0)].mean() < 0.6, "dashed, over the whole width"
     label = green[row(0.6, 200) : row(0.5, 200) - 3]
     assert label[:, column(0.9) :].any() and not label[:, : column(0.9)].any()
-    assert not found(pixels(series(nothing, Level(1.05, "limit", GREEN))), GREEN, 60).any()
-    free = pixels(series(nothing, Level(2.0, "limit", GREEN), bounds=None))
+    assert not found(pixels(series(nothing, Reference(1.05, "limit", GREEN))), GREEN, 60).any()
+    free = pixels(series(nothing, Reference(2.0, "limit", GREEN), bounds=None))
     assert found(free, GREEN, 60).any(), "where nothing bounds it, the axis reaches to its level lines"
 
 
 def test_a_label_is_at_its_line_on_a_logarithmic_axis() -> None:
-    nothing = Line("a", level(np.nan), RED, quiet=True)
-    image = pixels(series(nothing, Level(10.0, "limit", GREEN), log=True, bounds=(0.1, 1000.0)))
+    nothing = line("a", level(np.nan), RED, quiet=True)
+    image = pixels(series(nothing, Reference(10.0, "limit", GREEN), log=True, bounds=(0.1, 1000.0)))
     rows = np.flatnonzero(found(image, GREEN, 60).any(axis=1))
     assert rows[0] > row(0.6, 200) and rows[-1] == pytest.approx(row(0.5, 200), abs=3)
 
 
 def test_a_dollar_is_a_dollar() -> None:
     one, two = (
-        pixels(series(Line(name, level(0.5), RED)))[: row(1.0, 200) - 2, column(0.0) + 2 :] for name in ("a$b$", "ab")
+        pixels(series(line(name, level(0.5), RED)))[: row(1.0, 200) - 2, column(0.0) + 2 :] for name in ("a$b$", "ab")
     )
     wide, narrow = (np.ptp(np.flatnonzero((image.max(axis=2) < 100).any(axis=0))) for image in (one, two))
     assert wide > 1.8 * narrow, "two letters, two signs; no formula"
 
 
 def test_the_legend_names_what_is_not_quiet() -> None:
-    image = pixels(series(Line("a", level(0.5), RED, width=3.0), Line("b", level(0.4), BLUE, width=3.0, quiet=True)))
+    image = pixels(series(line("a", level(0.5), RED, width=3.0), line("b", level(0.4), BLUE, width=3.0, quiet=True)))
     above = image[: row(1.0, 200) - 2]
     assert found(above, RED).any() and not found(above, BLUE).any()
     assert (above.max(axis=2) < 100).any(), "its name"
@@ -175,7 +196,7 @@ def test_the_legend_names_what_is_not_quiet() -> None:
 def test_a_long_legend_makes_the_picture_taller_and_hides_nothing() -> None:
     colors = [f"#{20 * k:02x}40a0" for k in range(12)]
     short, long = (
-        pixels(series(*(Line(f"{word} {k}", level(0.5), color) for k, color in enumerate(colors))))
+        pixels(series(*(line(f"{word} {k}", level(0.5), color) for k, color in enumerate(colors))))
         for word in ("a", "a name of some length")
     )
     assert short.shape[0] == round((TOP + 200 + BOTTOM) * SHARPNESS)
@@ -189,10 +210,10 @@ def test_a_long_legend_makes_the_picture_taller_and_hides_nothing() -> None:
 
 def test_a_strip_has_a_row_a_category() -> None:
     category = np.array([0] * 50 + [2] * 50)
-    plot = figures.strip(("1: a", "2: b", "3: c"), category, clock(100), columns=10)
-    image = pixels(plot)
+    figure = alone(figures.strip(("1: a", "2: b", "3: c"), category, time(100), columns=10))
+    image = pixels(figure)
     dark = found(image, "#0b5c8a", 12)
-    top, inner = 10, plot["layout"]["height"] - 10 - 44
+    top, inner = 10, figure.height - 10 - 44
     lower, upper = (round((top + share * inner) * SHARPNESS) for share in (0.75, 0.25))
     middle = column(0.5)
     assert dark[lower, column(0.02) : middle - 4].all() and not dark[lower, middle + 4 :].any()
@@ -202,14 +223,14 @@ def test_a_strip_has_a_row_a_category() -> None:
 
 def test_cells_are_shaded_by_their_value() -> None:
     # Every second sample is of the first category.
-    image = pixels(figures.strip(("1: a", "2: b"), np.arange(400) % 2, clock(400), columns=10))
+    image = pixels(alone(figures.strip(("1: a", "2: b"), np.arange(400) % 2, time(400), columns=10)))
     assert found(image, "#6da0be", 12).mean() > 0.4
     assert not found(image, "#0b5c8a", 12).any()
 
 
 def test_bars_stand_beside_each_other_on_zero() -> None:
     groups = [("one", np.array([0.5, 0.5]), RED), ("two", np.array([-0.5, 0.5]), BLUE)]
-    image = pixels(figures.bars(np.array([1.0, 2.0]), groups, 0.2, "Lag [ms]", "Correlation [-]"))
+    image = pixels(alone(figures.autocorrelation(np.array([1.0, 2.0]), groups, 0.2)))
     area = image[row(1.0, 180) + 2 :]
     red, blue = found(area, RED), found(area, BLUE)
     height = 260 - TOP - BOTTOM
@@ -227,9 +248,9 @@ def test_bars_stand_beside_each_other_on_zero() -> None:
 
 def test_charts_lie_beside_each_other_with_points_and_lines() -> None:
     x = np.linspace(0.0, 1.0, 5)
-    plot = curves.chart([("x [m]", "y [N]", [Curve("points", x, x, RED, points=True)]),
-                         ("x [m]", "y [N]", [Curve("line", x, x, BLUE)])])  # fmt: skip
-    image = pixels(plot)[row(1.0, 200) :]
+    shown = (Points("points", x, x, RED), Line("line", x, x, BLUE, width=1.7))
+    panels = (Panel(Axis("x [m]"), Axis("y [N]"), (part,), 252) for part in shown)
+    image = pixels(alone(*panels, beside=True))[row(1.0, 200) :]
     red, blue = found(image, RED).any(axis=0), found(image, BLUE).any(axis=0)
     assert not red[column(0.45) :].any() and not blue[: column(0.55)].any()
     assert np.sum(np.diff(red.astype(int)) == 1) == 5
@@ -239,8 +260,8 @@ def test_charts_lie_beside_each_other_with_points_and_lines() -> None:
 @pytest.mark.parametrize("log", [False, True])
 def test_spreads_go_from_top_to_bottom_and_their_names_fit(log: bool) -> None:
     names = ["short", "a name that is much longer than the margin of the figure"]
-    plot = curves.spreads([(names[0], np.array([1.0, 2.0, 4.0]), RED), (names[1], np.array([3.0]), BLUE)], "q [%]", log)
-    image = pixels(plot)
+    rows = [(names[0], np.array([1.0, 2.0, 4.0]), RED), (names[1], np.array([3.0]), BLUE)]
+    image = pixels(alone(figures.spreads(rows, "q [%]", log)))
     height = image.shape[0]
     red, blue = found(image, RED), found(image, BLUE)
     assert red.any() and not red[height // 2 :].any()
@@ -252,58 +273,76 @@ def test_spreads_go_from_top_to_bottom_and_their_names_fit(log: bool) -> None:
     assert (bars[1] - bars[0]) / np.ptp(points) == pytest.approx(expected, abs=0.03)
 
 
-Change = Callable[[dict[str, Any], dict[str, Any]], object]
-UNKNOWN: dict[str, Change] = {
-    "pie": lambda trace, layout: trace.update(type="pie"),
-    "error_y": lambda trace, layout: trace.update(error_y={"array": [1.0]}),
-    "text": lambda trace, layout: trace.update(mode="lines+text"),
-    "tozeroy": lambda trace, layout: trace.update(fill="tozeroy"),
-    "shape": lambda trace, layout: trace["line"].update(shape="hv"),
-    "wavy": lambda trace, layout: trace["line"].update(dash="wavy"),
-    "reddish": lambda trace, layout: trace["line"].update(color="reddish"),
-    "HTML": lambda trace, layout: trace.update(name="a<sub>1</sub>"),
-    "trace 0": lambda trace, layout: trace.update(xaxis="x7"),
-    "updatemenus": lambda trace, layout: layout.update(updatemenus=[]),
-    "paper_bgcolor": lambda trace, layout: layout.update(paper_bgcolor="black"),
-    "legend": lambda trace, layout: layout.update(legend={"orientation": "v"}),
-    "date": lambda trace, layout: layout["xaxis"].update(type="date"),
-    "tickangle": lambda trace, layout: layout["yaxis"].update(tickangle=90),
-    "matches": lambda trace, layout: layout["yaxis"].update(matches="y9"),
-    "anchor": lambda trace, layout: layout["yaxis"].update(anchor="free"),
-    "rect": lambda trace, layout: layout["shapes"][0].update(type="rect"),
-    "paper": lambda trace, layout: layout["shapes"][0].update(xref="paper"),
-    "showarrow": lambda trace, layout: layout["annotations"][0].update(showarrow=True),
-    "textangle": lambda trace, layout: layout["annotations"][0].update(textangle=90),
-    "letters": lambda trace, layout: layout["yaxis"]["title"].update(text="\u6f22 [V]"),
-    "pairs": lambda trace, layout: layout.update(yaxis2=layout["yaxis"]),
+def test_a_region_is_shaded_behind_everything_and_does_not_widen_the_axis() -> None:
+    image = pixels(
+        series(Region(0.5, 2.0, "rgba(16, 16, 208, 0.5)"), line("a", level(0.5), RED, width=3.0, quiet=True))
+    )
+    shaded, red = found(image, "#8787e7", 12), found(image, RED)
+    assert shaded[row(0.9, 200) : row(0.7, 200), column(0.52) : column(0.98)].mean() > 0.85, "all but the grid"
+    assert not shaded[:, : column(0.48)].any()
+    assert red.any(axis=0)[column(0.02) : column(0.98)].all()
+
+
+def test_an_interval_is_a_bar_around_its_point_and_rows_have_names() -> None:
+    points = Points("p", np.array([0.0]), np.array([0.0]), RED, half_width=np.array([1.0]), quiet=True)
+    image = pixels(alone(Panel(Axis("x [%]", bounds=(-2.0, 2.0)), Axis(labels=("gain", "offset")), (points,), 200)))
+    red = found(image, RED)
+    columns = np.flatnonzero(red.any(axis=0))
+    area = (WIDTH - LEFT - RIGHT) * SHARPNESS
+    assert np.ptp(columns) == pytest.approx(area / 2, rel=0.02), "from -1 to 1 on an axis from -2 to 2"
+    assert np.flatnonzero(red.any(axis=1)).mean() == pytest.approx((10 + 50) * SHARPNESS, abs=3), "the upper row"
+
+
+def test_cells_have_their_numbers_and_a_panel_its_title() -> None:
+    values = np.array([[1.0, np.nan]])
+
+    def drawn(cell: str, title: str) -> Pixels:
+        part = Heatmap(np.arange(2.0), values, ("r",), ("#ffffff", "#cfe3f1"), (0.0, 1.0), "{value}", cell)
+        return pixels(alone(Panel(Axis(labels=("a", "b")), Axis(labels=("r",)), (part,), 60, title)))
+
+    with_number, without = drawn("{value:.1f}×", ""), drawn("", "")
+    dark = (with_number.max(axis=2) < 100) & ~(without.max(axis=2) < 100)
+    middle = column(0.5)
+    assert dark[10:90, column(0.15) : column(0.35)].any() and not dark[10:90, middle + 4 :].any()
+    titled = drawn("", "recalibrated")
+    assert (titled[: round(32 * SHARPNESS), column(0.0) :].max(axis=2) < 100).any()
+
+
+GOOD = series(line("a", level(0.5), RED), Reference(0.5, "limit"))
+PANEL = GOOD.panels[0]
+UNKNOWN: dict[str, Panel] = {
+    "pie": replace(PANEL, series=("pie",)),  # type: ignore[arg-type]
+    "wavy": replace(PANEL, series=(line("a", level(0.5), RED, dash="wavy"),)),
+    "reddish": replace(PANEL, series=(line("a", level(0.5), "reddish"),)),
+    "bluish": replace(PANEL, series=(Points("a", level(0.5), level(0.5), "bluish"),)),
+    "greenish": replace(PANEL, series=(Reference(0.5, "limit", "greenish"),)),
+    "letters": replace(PANEL, y=Axis("\u6f22 [V]")),
 }
 
 
 @pytest.mark.parametrize("word", UNKNOWN)
 def test_what_a_picture_cannot_show_is_refused(word: str) -> None:
-    plot = copy.deepcopy(series(Line("a", level(0.5), RED), Level(0.5, "limit")))
-    picture(plot)
-    UNKNOWN[word](plot["data"][0], plot["layout"])
-    with pytest.raises(BadInput, match=word) as caught:
-        picture(plot)
+    picture(GOOD)
+    with pytest.raises(BadInput, match="str" if word == "pie" else word) as caught:
+        picture(alone(UNKNOWN[word]))
     assert "expected" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_equal_figures_give_equal_bytes_whatever_the_users_settings() -> None:
     matplotlib = pytest.importorskip("matplotlib")
-    plot = series(Line("a", level(0.5), RED), Band("b", level(0.2), level(0.3), "rgba(0,0,0,0.2)"))
-    first = picture(plot)
+    figure = series(line("a", level(0.5), RED), band("b", level(0.2), level(0.3), "rgba(0,0,0,0.2)"))
+    first = picture(figure)
     with matplotlib.rc_context({"font.size": 30.0, "axes.facecolor": "black", "lines.antialiased": False}):
-        assert picture(plot) == first
+        assert picture(figure) == first
         assert matplotlib.rcParams["font.size"] == 30.0
-    assert picture(series(Line("a", level(0.6), RED))) != first
+    assert picture(series(line("a", level(0.6), RED))) != first
 
 
 def test_a_picture_is_known_by_its_mark() -> None:
     image = pytest.importorskip("PIL.Image").new("RGB", (8, 8))
     other = io.BytesIO()
     image.save(other, "png")
-    assert made_here(picture(series(Line("a", level(0.5), RED))))
+    assert made_here(picture(series(line("a", level(0.5), RED))))
     assert not made_here(other.getvalue())
     assert not made_here(b"tEXtSoftware\0pam_antagonist")
 
@@ -312,8 +351,8 @@ def test_colours_are_kept_where_a_palette_would_lose_one() -> None:
     # A short line among thousands of shades of others.
     rng = np.random.default_rng(1)
     shades = [f"#{40 + 9 * k:02x}{200 - 8 * k:02x}{30 + 7 * k:02x}" for k in range(20)]
-    many = [Line(shade, rng.random(101), shade, opacity=0.5, quiet=True) for shade in shades]
-    image = pixels(series(*many, Line("one", level(np.nan), "#ff00ff", width=2.0)))
+    many = [line(shade, rng.random(101), shade, opacity=0.5, quiet=True) for shade in shades]
+    image = pixels(series(*many, line("one", level(np.nan), "#ff00ff", width=2.0)))
     assert found(image[: row(1.0, 200)], "#ff00ff", 25).sum() > 50
     assert (image[0] == 255).all()
 
@@ -321,10 +360,10 @@ def test_colours_are_kept_where_a_palette_would_lose_one() -> None:
 def test_where_a_palette_would_be_off_all_colours_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     image = pytest.importorskip("PIL.Image")
     rng = np.random.default_rng(1)
-    plot = series(*(Line(color, rng.random(101), color, quiet=True) for color in (RED, GREEN, BLUE)))
-    small = picture(plot)
-    monkeypatch.setattr(pictures, "_TOLERANCE", 0)
-    large = picture(plot)
+    figure = series(*(line(color, rng.random(101), color, quiet=True) for color in (RED, GREEN, BLUE)))
+    small = picture(figure)
+    monkeypatch.setattr(matplotlib_renderer, "_TOLERANCE", 0)
+    large = picture(figure)
     assert len(large) > 2 * len(small)
     few, all_ = (image.open(io.BytesIO(content)) for content in (small, large))
     assert (few.mode, all_.mode) == ("P", "RGB")
@@ -335,13 +374,14 @@ def test_where_a_palette_would_be_off_all_colours_are_kept(monkeypatch: pytest.M
 def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:
     code = (
         "import sys\n"
-        "from pam_antagonist.report import curves, pictures\n"
+        "from pam_antagonist.report import figure, figures, matplotlib_renderer\n"
         "import importlib.util, pam_antagonist.validation.paper.command, pam_antagonist.cli.replay\n"
         "if importlib.util.find_spec('rclpy'):\n"
         "    from pam_antagonist.nodes import bridge, controller, estimator, plant, recorder\n"
         "assert not {'matplotlib', 'PIL'} & set(sys.modules)\n"
         "import numpy as np\n"
-        "pictures.picture(curves.spreads([('a', np.ones(3), '#000000')], 'x'))\n"
+        "panel = figures.spreads([('a', np.ones(3), '#000000')], 'x')\n"
+        "matplotlib_renderer.picture(figure.Figure('t', '', (panel,)))\n"
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)

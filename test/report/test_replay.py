@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import gzip
 import hashlib
 import json
 import math
@@ -272,7 +274,8 @@ def test_the_page_shows_every_figure_with_units(rig: Rig, free: Recording, locke
         found = [line for line in html.split("<figcaption>")[1:] if title in line.split("</figcaption>")[0]]
         assert len(found) == count, title
         for figure in found:
-            data = json.loads(figure.split('type="application/json"')[1].split(">", 1)[1].split("</script>")[0])
+            packed = figure.split('type="application/gzip"')[1].split(">", 1)[1].split("</script>")[0]
+            data = json.loads(gzip.decompress(base64.b64decode(packed)))
             axes = [axis for key, axis in data["layout"].items() if key.startswith(("xaxis", "yaxis"))]
             titles = [axis["title"]["text"] for axis in axes if "title" in axis]
             assert titles and all("[" in text for text in titles), titles

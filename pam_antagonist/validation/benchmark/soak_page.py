@@ -7,10 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.report.curves import PALETTE
 from pam_antagonist.report.document import Block, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
-from pam_antagonist.report.figures import Clock, Level, Line, Panel, stack
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import TIME, Axis, Figure, Panel, Reference
+from pam_antagonist.report.figures import lines
 from pam_antagonist.report.table import number
 from pam_antagonist.validation.benchmark.figure import Figure as Measured
 from pam_antagonist.validation.benchmark.soak import BLOCK, WARM_UP, Soak
@@ -92,27 +91,17 @@ def _finding(figure: Measured) -> Finding:
     return Finding("warn", f"{figure.meaning}: {number(figure.value)} {figure.unit}, expected {figure.wanted}.")
 
 
-def _clock(seconds: Floats) -> Clock:
-    return Clock(seconds, np.zeros(len(seconds), dtype=np.int64))
-
-
-def _lines(values: dict[str, Floats], quiet: bool = False) -> list[Line]:
-    return [
-        Line(name, line, color, quiet=quiet, width=1.7)
-        for (name, line), color in zip(values.items(), PALETTE, strict=False)
-    ]
-
-
 def _memory(soak: Soak) -> Figure:
     usage = soak.usage
     warm = int(np.searchsorted(usage.time, min(WARM_UP, usage.time[-1] / 3.0)))
     grown = {name: values - np.median(values[warm : warm + 10]) for name, values in usage.resident.items()}
-    panels = [
-        Panel("Resident [MB]", _lines(usage.resident), 200),
-        Panel("Growth [MB]", [*_lines(grown, quiet=True), Level(2.0, "bound of a node")], 200, bounds=_around(grown)),
-    ]
+    bound = Reference(2.0, "bound of a node")
+    panels = (
+        Panel(TIME, Axis("Resident [MB]"), lines(usage.time, usage.resident), 200),
+        Panel(TIME, Axis("Growth [MB]", bounds=_around(grown)), (*lines(usage.time, grown, quiet=True), bound), 200),
+    )
     about = "Above, what each process has; below, against what it had after the warm-up. A leak is a line that climbs."
-    return Figure("Memory", about, stack(panels, _clock(usage.time)), _LINK)
+    return Figure("Memory", about, panels, _LINK)
 
 
 def _around(grown: dict[str, Floats]) -> tuple[float, float]:
@@ -126,17 +115,18 @@ def _processor(soak: Soak) -> Figure:
     span = min(_SMOOTH, len(usage.time) - 1)
     passed = usage.time[span:] - usage.time[:-span]
     share = {name: 100.0 * (cpu[span:] - cpu[:-span]) / passed for name, cpu in usage.cpu.items()}
-    panel = Panel("Of one core [%]", _lines(share), 200)
+    panel = Panel(TIME, Axis("Of one core [%]"), lines(usage.time[span:], share), 200)
     about = f"Share of one core over the last {span} seconds."
-    return Figure("Processor", about, stack([panel], _clock(usage.time[span:])), _LINK)
+    return Figure("Processor", about, (panel,), _LINK)
 
 
 def _losses(soak: Soak) -> Figure:
     samples = soak.samples
     most = max(float(values.max()) for values in samples.lost.values())
-    panel = Panel("Lost [samples]", _lines(dict(samples.lost)), 180, bounds=(-0.02 * max(most, 5.0), max(most, 5.0)))
+    axis = Axis("Lost [samples]", bounds=(-0.02 * max(most, 5.0), max(most, 5.0)))
+    panel = Panel(TIME, axis, lines(samples.time, samples.lost), 180)
     about = f"Samples without a message of a topic, in blocks of {BLOCK:g} s."
-    return Figure("Losses", about, stack([panel], _clock(samples.time)), _LINK)
+    return Figure("Losses", about, (panel,), _LINK)
 
 
 def _round_trip(soak: Soak) -> Figure:
@@ -146,14 +136,14 @@ def _round_trip(soak: Soak) -> Figure:
     known = known[np.isfinite(known) & (known > 0.0)]
     decades = (math.floor(math.log10(known.min())), math.ceil(math.log10(known.max()))) if len(known) else (-1, 1)
     bounds = (10.0 ** decades[0], 10.0 ** max(decades[1], decades[0] + 1))
-    panel = Panel("Round trip [ms]", _lines(trips), 230, log=True, bounds=bounds)
+    panel = Panel(TIME, Axis("Round trip [ms]", log=True, bounds=bounds), lines(samples.time, trips), 230)
     about = f"The time from a pressure to the command that answers it, in blocks of {BLOCK:g} s."
-    return Figure("Round trip", about, stack([panel], _clock(samples.time)), _LINK)
+    return Figure("Round trip", about, (panel,), _LINK)
 
 
 def _drift(soak: Soak) -> Figure:
     count = len(soak.drift)
     seconds = np.linspace(0.5, count - 0.5, count) * BLOCK
-    panel = Panel("Drift [ms]", _lines({"quickest delivery": soak.drift}), 180)
+    panel = Panel(TIME, Axis("Drift [ms]"), lines(seconds, {"quickest delivery": soak.drift}), 180)
     about = "Device time against the machine's; a straight slope would be clocks that run apart."
-    return Figure("Drift", about, stack([panel], _clock(seconds)), _LINK)
+    return Figure("Drift", about, (panel,), _LINK)

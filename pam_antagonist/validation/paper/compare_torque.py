@@ -13,9 +13,8 @@ from pam_antagonist.identification.static_force import ForceFit, compare_forms
 from pam_antagonist.identification.static_regression import Undetermined
 from pam_antagonist.identification.static_table import ForceMap, read_force_map
 from pam_antagonist.model.parameters import FORCE_FORMS
-from pam_antagonist.report.curves import PALETTE, Curve, chart
-from pam_antagonist.report.html import Figure
-from pam_antagonist.report.style import MEASURED, QUIET
+from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
+from pam_antagonist.report.style import MEASURED, PALETTE, QUIET
 from pam_antagonist.report.table import MISSING, Table, number
 from pam_antagonist.validation.paper.bench import static_fits, with_fits
 from pam_antagonist.validation.paper.comparison import COMPARED_S, Model, comparison_figure, comparison_table, ranked
@@ -239,11 +238,11 @@ def _real_numbers(real: ForceMap, fits: Mapping[str, ForceFit | str]) -> dict[st
 
 
 def _real_figure(real: ForceMap, fits: Mapping[str, ForceFit | str]) -> Figure:
-    panels: list[tuple[str, str, list[Curve]]] = []
+    panels: list[Panel] = []
     for form, fit in fits.items():
         if not isinstance(fit, ForceFit):
             continue
-        curves: list[Curve] = []
+        parts: list[Series] = []
         for group in range(real.lengths):
             inside = (real.group == group) & ~real.slack
             if not inside.any():
@@ -254,22 +253,22 @@ def _real_figure(real: ForceMap, fits: Mapping[str, ForceFit | str]) -> Figure:
             pressure = np.linspace(real.pressure.min(), real.pressure.max(), 40)
             name = f"{1e3 * length:.0f} mm"
             fitted = np.maximum(fit.force(np.full(40, length), pressure), 0.0)
-            curves.append(Curve(name, pressure / 1e3, fitted, color, quiet=quiet))
-            curves.append(Curve(name, real.pressure[inside] / 1e3, real.force[inside], color, points=True, quiet=True))
-        panels.append(("P [kPa abs]", f"F [N], {form}", curves))
+            parts.append(Line(name, pressure / 1e3, fitted, color, width=1.7, quiet=quiet))
+            parts.append(Points(name, real.pressure[inside] / 1e3, real.force[inside], color, quiet=True))
+        panels.append(Panel(Axis("P [kPa abs]"), Axis(f"F [N], {form}"), tuple(parts), 242))
     about = "Points: measured. Lines: the form fitted to all of them, cut off at 0 N."
-    return Figure("A real muscle's force map and the four forms", about, chart(panels, 320), "real map")
+    return Figure("A real muscle's force map and the four forms", about, tuple(panels), "real map", beside=True)
 
 
 def _left_out_figure(fits: Mapping[str, ForceFit | str]) -> Figure:
-    curves = []
+    parts: list[Series] = []
     colors = (MEASURED, *PALETTE[:2], QUIET)
     for k, (form, fit) in enumerate(fits.items()):
         if isinstance(fit, ForceFit):
             length = np.array([item.length for item in fit.left_out if np.isfinite(item.rmse)])
             rmse = np.array([item.rmse for item in fit.left_out if np.isfinite(item.rmse)])
-            curves.append(Curve(_labels()[form], 1e3 * length, rmse, colors[k]))
-            curves.append(Curve(_labels()[form], 1e3 * length, rmse, colors[k], points=True, quiet=True))
+            parts.append(Line(_labels()[form], 1e3 * length, rmse, colors[k], width=1.7))
+            parts.append(Points(_labels()[form], 1e3 * length, rmse, colors[k], quiet=True))
     about = "Each length predicted from the others; the two ends are extrapolation."
-    plot = chart([("Length that was left out [mm]", "RMSE there [N]", curves)], 300)
-    return Figure("Error at a length that the fit had not seen", about, plot, "real map left out")
+    panel = Panel(Axis("Length that was left out [mm]"), Axis("RMSE there [N]"), tuple(parts), 222)
+    return Figure("Error at a length that the fit had not seen", about, (panel,), "real map left out")

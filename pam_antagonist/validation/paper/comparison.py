@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pam_antagonist.report.curves import PALETTE, spreads
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import Figure
+from pam_antagonist.report.figures import spreads
+from pam_antagonist.report.style import PALETTE
 from pam_antagonist.report.table import MISSING, Table, number
 from pam_antagonist.validation.paper.result import Context
 from pam_antagonist.validation.paper.seed_work import TUNINGS
@@ -93,7 +94,8 @@ def comparison_figure(context: Context, models: Sequence[Model], quantity: str) 
             values = 100.0 * np.array(context.values(model.name, tuning, "ratio"))
             rows.append((f"{_short(model.label)} · {tuning}", values, PALETTE[k % len(PALETTE)]))
     about = "Each point is a virtual rig, the bar their median. Lower is better."
-    return Figure(f"ℚ of the {quantity} by model", about, spreads(rows, "ℚ [%]", log=True), f"models {quantity}")
+    panel = spreads(rows, "ℚ [%]", log=True)
+    return Figure(f"ℚ of the {quantity} by model", about, (panel,), f"models {quantity}")
 
 
 def _short(label: str) -> str:

@@ -13,10 +13,8 @@ from pam_antagonist.control import Mode, PiController
 from pam_antagonist.control.tracking import SHORTEST_STEP, STEADY_PART, Tracking, held, tracking
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.recording import Recording
-from pam_antagonist.report import figures
-from pam_antagonist.report.figures import Clock, Line, Panel
-from pam_antagonist.report.html import Figure
-from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
+from pam_antagonist.report.figure import Figure
+from pam_antagonist.report.figures import seconds, tracking_figure
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.validation.paper import live
 from pam_antagonist.validation.paper.result import Beside, Context, Result, Spread
@@ -231,18 +229,7 @@ def _figure(recording: Recording, mode: Mode, context: Context) -> Figure:
     estimated = np.full(len(measured), np.nan)
     _, ours, theirs = np.intersect1d(recording.stamp_ns, estimate.stamp_ns, return_indices=True)
     estimated[ours] = getattr(estimate, name)[theirs] * _SCALE[mode]
-    clock = Clock.from_stamps(recording.stamp_ns, int(recording.stamp_ns[0]), context.work.rig.declared.sample_period)
-    panels = [
-        Panel(
-            f"{name.capitalize()} [{unit}]",
-            [
-                Line("measured", measured, MEASURED),
-                Line("UKF", estimated, ESTIMATE),
-                Line("reference", wanted, MODEL, dash="dash"),
-            ],
-            240,
-        ),
-        Panel(f"Reference − measured [{unit}]", [Line("tracking error", wanted - measured, SECOND, quiet=True)], 160),
-    ]
+    x = seconds(recording.stamp_ns, int(recording.stamp_ns[0]))
     about = "The controller sees the estimate, never the measurement. Simulated joint, live nodes."
-    return Figure(f"Sensor-less {name} control, live", about, figures.stack(panels, clock), f"control {name}")
+    title = f"Sensor-less {name} control, live"
+    return tracking_figure(title, about, (name, unit), x, (measured, estimated, wanted), f"control {name}")

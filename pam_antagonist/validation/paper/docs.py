@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report import pictures
+from pam_antagonist.report.matplotlib_renderer import made_here, picture
 from pam_antagonist.validation.paper import page
 from pam_antagonist.validation.paper.result import Result
 from pam_antagonist.validation.paper.scenario import Scenario
@@ -63,7 +63,7 @@ def write(path: Path, results: Sequence[Result], scenario: Scenario, seeds: Sequ
     folder = folder_of(path)
     names = {result.name: file_names(result) for result in results}
     drawn = {
-        name: pictures.picture(figure.plot)
+        name: picture(figure)
         for result in results
         for name, figure in zip(names[result.name], result.figures, strict=True)
     }
@@ -95,4 +95,4 @@ def file_names(result: Result) -> list[str]:
 def _own(folder: Path) -> list[Path]:
     """Pictures in a folder that this package has made."""
     files = sorted(folder.glob("*.png")) if folder.is_dir() else []
-    return [file for file in files if file.is_file() and pictures.made_here(file.read_bytes())]
+    return [file for file in files if file.is_file() and made_here(file.read_bytes())]

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.model import dynamics, rest
-from pam_antagonist.report import figures
-from pam_antagonist.report.curves import PALETTE
-from pam_antagonist.report.figures import Clock, Line, Panel
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import TIME, Axis, Figure, Panel
+from pam_antagonist.report.figures import lines
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
 from pam_antagonist.simulation.excitation import Span
@@ -224,19 +222,18 @@ def _findings(changed: dict[str, Response], base: Response) -> tuple[str, ...]:
 def _figures(rig: Rig) -> tuple[Figure, ...]:
     abrupt, _, _ = drives(rig)
     until = round(12.0 / rig.sample_period)
-    stamps = np.arange(until, dtype=np.int64) * round(rig.sample_period * 1e9)
-    clock = Clock.from_stamps(stamps, 0, rig.sample_period)
+    x = np.arange(until, dtype=np.float64) * rig.sample_period
     out = []
     shown = {"T_p'": ("T_p'",), "μ_s": ("μ_s",), "A_0": ("A_0",), "k_1 and k_2": ("k_1", "k_2")}
     for title, labels in shown.items():
         panels: list[Panel] = []
         for label in labels:
-            lines = []
-            for k, factor in enumerate(_SHOWN):
+            angles = {}
+            for factor in _SHOWN:
                 states = run(rig, abrupt[:until], dict.fromkeys(PARAMETERS[label], factor))
-                line = Line(f"× {factor:g}", np.degrees(states[:, 0]), PALETTE[k], quiet=bool(panels))
-                lines.append(line)
-            panels.append(Panel(f"ψ [°], {label}" if len(labels) > 1 else "ψ [°]", lines, 200))
+                angles[f"× {factor:g}"] = np.degrees(states[:, 0])
+            axis = Axis(f"ψ [°], {label}" if len(labels) > 1 else "ψ [°]")
+            panels.append(Panel(TIME, axis, lines(x, angles, quiet=bool(panels), width=1.3), 200))
         about = "A step of both valves at 2 s, declared model."
-        out.append(Figure(f"Influence of {title}", about, figures.stack(panels, clock), "influence"))
+        out.append(Figure(f"Influence of {title}", about, tuple(panels), "influence"))
     return tuple(out)

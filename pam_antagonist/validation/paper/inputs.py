@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.report import figures
-from pam_antagonist.report.figures import Clock, Line, Panel
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel
 from pam_antagonist.report.replay_figures import SUBSYSTEMS
 from pam_antagonist.report.style import MEASURED, SECOND
 from pam_antagonist.report.table import Table, number, percent
@@ -33,18 +32,15 @@ def profile_result(context: Context) -> Result:
     work = context.work
     figure: tuple[Figure, ...] = ()
     if context.with_figures:
-        clock = Clock.from_stamps(work.free.stamp_ns, int(work.free.stamp_ns[0]), work.rig.declared.sample_period)
-        colors = (MEASURED, SECOND)
-        panels = [
-            Panel("u [V]", [Line(f"valve {i + 1}", work.voltage[:, i], colors[i]) for i in (0, 1)], 170),
-            Panel(
-                "P [kPa abs]",
-                [Line(f"P{i + 1}", work.free.pressure[:, i] / 1e3, colors[i], quiet=True) for i in (0, 1)],
-                190,
-            ),
-        ]
+        x = figures.seconds(work.free.stamp_ns, int(work.free.stamp_ns[0]))
+        muscles = ((0, MEASURED), (1, SECOND))
+        voltages = tuple(Line(f"valve {i + 1}", x, work.voltage[:, i], color) for i, color in muscles)
+        pressures = tuple(
+            Line(f"P{i + 1}", x, work.free.pressure[:, i] / 1e3, color, quiet=True) for i, color in muscles
+        )
+        panels = (Panel(TIME, Axis("u [V]"), voltages, 170), Panel(TIME, Axis("P [kPa abs]"), pressures, 190))
         about = "Voltages on the valves, and what pressures they make in the virtual rig with its joint free."
-        figure = (Figure("Input profile", about, figures.stack(panels, clock), "profile"),)
+        figure = (Figure("Input profile", about, panels, "profile"),)
     return Result(
         name="profile",
         title="Input profile",
@@ -98,11 +94,10 @@ def subsystems_result(context: Context) -> Result:
         )
     figure: tuple[Figure, ...] = ()
     if context.with_figures:
-        clock = Clock.from_stamps(work.free.stamp_ns, int(work.free.stamp_ns[0]), period)
+        x = figures.seconds(work.free.stamp_ns, int(work.free.stamp_ns[0]))
         about = "Rows are the subsystems that were active, darker where more of the time was spent."
-        figure = (
-            Figure("Active subsystem over the profile", about, figures.strip(SUBSYSTEMS, sigma - 1, clock), "sigma"),
-        )
+        panel = figures.strip(SUBSYSTEMS, sigma - 1, x)
+        figure = (Figure("Active subsystem over the profile", about, (panel,), "sigma"),)
     missing = [str(k) for k in range(1, 19) if not np.any(sigma == k)]
     return Result(
         name="subsystems",

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pam_antagonist.identification.valve_curve import SteadyPoints, steady_open_rate, steady_points, valve_curve
 from pam_antagonist.model import dynamics, flow, rest
 from pam_antagonist.recording import Recording
-from pam_antagonist.report.curves import Curve, chart
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig.schema import Curve as ValveCurve
@@ -165,26 +164,28 @@ def _figures(
     color = (MODEL, ESTIMATE)
     smooth = np.linspace(150e3, 705e3, 120)
     closed = steady_open_rate(smooth, work.rig.declared.parameters("locked"))
-    first = [
-        Curve("closed form", closed, smooth / 1e3, SECOND),
-        Curve("simulated", _SIMULATED, simulated / 1e3, MEASURED, points=True),
+    first: list[Series] = [
+        Line("closed form", closed, smooth / 1e3, SECOND, width=1.7),
+        Points("simulated", _SIMULATED, simulated / 1e3, MEASURED),
     ]
-    second, third = [], []
+    second: list[Series] = []
+    third: list[Series] = []
     for valve in (0, 1):
         points, voltage, rate = curves[valve]
         name = f"valve {valve + 1}, found"
-        second.append(Curve(name, points.voltage, points.pressure / 1e3, color[valve], points=True, quiet=True))
+        second.append(Points(name, points.voltage, points.pressure / 1e3, color[valve], quiet=True))
         fine = np.linspace(voltage[0], voltage[-1], 200)
-        third.append(Curve(f"valve {valve + 1}, true", fine, true_rates(work, valve, fine), color[valve]))
-        third.append(Curve(name, voltage, rate, color[valve], points=True))
+        third.append(Line(f"valve {valve + 1}, true", fine, true_rates(work, valve, fine), color[valve], width=1.7))
+        third.append(Points(name, voltage, rate, color[valve]))
     p = work.rig.declared.parameters()
     fine = np.linspace(LEVELS[0], LEVELS[-1], 200)
     declared = np.array([flow.open_rate(0, value, p) for value in fine])
-    third.append(Curve("declared", fine, declared, MEASURED, dash="dot"))
-    panels = [
-        ("Open rate α [-]", "Steady P [kPa abs]", first),
-        ("u [V]", "Steady P [kPa abs]", second),
-        ("u [V]", "κ [-]", third),
-    ]
+    third.append(Line("declared", fine, declared, MEASURED, "dot", width=1.7))
+    panels = (
+        Panel(Axis("Open rate α [-]"), Axis("Steady P [kPa abs]"), tuple(first), 262),
+        Panel(Axis("u [V]"), Axis("Steady P [kPa abs]"), tuple(second), 262),
+        Panel(Axis("u [V]"), Axis("κ [-]"), tuple(third), 262),
+    )
     about = "From left: step one (model), step two (recording), step three: the curve found and the true one."
-    return (Figure(f"The three steps to κ(u), virtual rig of seed {work.seed}", about, chart(panels, 340), "kappa"),)
+    title = f"The three steps to κ(u), virtual rig of seed {work.seed}"
+    return (Figure(title, about, panels, "kappa", beside=True),)

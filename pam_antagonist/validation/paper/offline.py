@@ -11,11 +11,9 @@ import numpy as np
 
 from pam_antagonist.estimation import metrics
 from pam_antagonist.recording import Recording
-from pam_antagonist.report import figures
-from pam_antagonist.report.curves import PALETTE, spreads
-from pam_antagonist.report.figures import Band, Clock, Line, Panel, Part
-from pam_antagonist.report.html import Figure
-from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, SECOND
+from pam_antagonist.report.figure import TIME, Axis, Band, Figure, Line, Panel, Series
+from pam_antagonist.report.figures import seconds, spreads
+from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, PALETTE, SECOND
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.validation.paper.result import Beside, Context, Result
 from pam_antagonist.validation.paper.seed_work import TUNINGS, SeedWork, Track, judged, measured_of
@@ -186,56 +184,49 @@ def _figures(context: Context) -> tuple[Figure, ...]:
         work = context.work
         recording = work.recording(joint)
         tracks = {method: work.track(joint, method) for method in METHODS}
-        out.append(estimate_figure(quantity, recording, tracks, work.rig.declared.sample_period, f"seed {work.seed}"))
+        out.append(estimate_figure(quantity, recording, tracks, f"seed {work.seed}"))
         rows = [
             (METHODS[method], 100.0 * np.array(context.values(quantity, method, "ratio")), PALETTE[k])
             for k, method in enumerate(METHODS)
         ]
         about = "Each point is a virtual rig, the bar their median."
-        out.append(Figure(f"ℚ of the {quantity} over the virtual rigs", about, spreads(rows, "ℚ [%]"), f"q {quantity}"))
+        title = f"ℚ of the {quantity} over the virtual rigs"
+        out.append(Figure(title, about, (spreads(rows, "ℚ [%]"),), f"q {quantity}"))
     return tuple(out)
 
 
-def estimate_figure(
-    quantity: str, recording: Recording, tracks: Mapping[str, Track], period: float, which: str
-) -> Figure:
+def estimate_figure(quantity: str, recording: Recording, tracks: Mapping[str, Track], which: str) -> Figure:
     """Pressures, signal and error over time, as in the paper's figures.
 
     Args:
         quantity: ``angle`` or ``torque``.
         recording: what was measured.
         tracks: the model alone and the filter by the names of ``METHODS``.
-        period: sample period [s].
         which: rig, for the title.
     """
-    clock = Clock.from_stamps(recording.stamp_ns, int(recording.stamp_ns[0]), period)
+    x = seconds(recording.stamp_ns, int(recording.stamp_ns[0]))
     color = {"model": MODEL, "published": SECOND, "default": ESTIMATE}
     measured, unit = measured_of(recording, quantity), UNITS[quantity]
     values = {name: track.angle if quantity == "angle" else track.torque for name, track in tracks.items()}
     panels = []
     for i in (0, 1):
-        lines: list[Part] = [Line("measured", recording.pressure[:, i] / 1e3, MEASURED, quiet=True)]
-        lines += [
-            Line(METHODS[name], track.pressure[:, i] / 1e3, color[name], quiet=True) for name, track in tracks.items()
-        ]
-        panels.append(Panel(f"P{i + 1} [kPa abs]", lines, 140))
-    signal: list[Part] = []
-    errors: list[Part] = []
+        pressures = [Line("measured", x, recording.pressure[:, i] / 1e3, MEASURED, quiet=True)]
+        for name, track in tracks.items():
+            pressures.append(Line(METHODS[name], x, track.pressure[:, i] / 1e3, color[name], quiet=True))
+        panels.append(Panel(TIME, Axis(f"P{i + 1} [kPa abs]"), tuple(pressures), 140))
+    signal: list[Series] = []
+    errors: list[Series] = []
     if "default" in tracks:
         variance = tracks["default"].angle_variance if quantity == "angle" else tracks["default"].torque_variance
         assert variance is not None
         half = metrics.interval_half_width(variance)
-        signal.append(Band("95 % interval of default", values["default"] - half, values["default"] + half, BAND))
-        errors.append(Band("95 % interval of default", -half, half, BAND, quiet=True))
-    signal.append(Line("measured", measured, MEASURED))
-    signal += [Line(METHODS[name], value, color[name]) for name, value in values.items()]
+        signal.append(Band("95 % interval of default", x, values["default"] - half, values["default"] + half, BAND))
+        errors.append(Band("95 % interval of default", x, -half, half, BAND, quiet=True))
+    signal.append(Line("measured", x, measured, MEASURED))
     for name, value in values.items():
-        errors.append(Line(METHODS[name], value - measured, color[name], width=1.0, quiet=True))
-    panels += [Panel(f"{quantity.capitalize()} [{unit}]", signal, 240), Panel(f"Error [{unit}]", errors, 180)]
+        signal.append(Line(METHODS[name], x, value, color[name]))
+        errors.append(Line(METHODS[name], x, value - measured, color[name], width=1.0, quiet=True))
+    panels.append(Panel(TIME, Axis(f"{quantity.capitalize()} [{unit}]"), tuple(signal), 240))
+    panels.append(Panel(TIME, Axis(f"Error [{unit}]"), tuple(errors), 180))
     about = "From above: both pressures, the signal, estimate minus measurement. Simulated joint."
-    return Figure(
-        f"{quantity.capitalize()} over the profile, virtual rig of {which}",
-        about,
-        figures.stack(panels, clock),
-        quantity,
-    )
+    return Figure(f"{quantity.capitalize()} over the profile, virtual rig of {which}", about, tuple(panels), quantity)

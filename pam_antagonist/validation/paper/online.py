@@ -15,8 +15,7 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.replay.accounting import STAGES
 from pam_antagonist.replay.live import compare_with_live
 from pam_antagonist.report import figures
-from pam_antagonist.report.figures import Clock, Level, Line, Panel
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel, Reference
 from pam_antagonist.report.style import ESTIMATE, MODEL
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig
@@ -279,38 +278,23 @@ def _statistics(values: Floats) -> dict[str, float]:
 
 
 def _figures(runs: dict[str, Run], context: Context) -> tuple[Figure, ...]:
-    period = context.work.rig.declared.sample_period
     out = []
     for quantity, run in runs.items():
-        out.append(estimate_figure(quantity, run.recording, run.tracks, period, f"seed {context.work.seed}, live"))
+        out.append(estimate_figure(quantity, run.recording, run.tracks, f"seed {context.work.seed}, live"))
     run = runs["angle"]
     stamps = run.recording.stamp_ns
-    clock = Clock.from_stamps(stamps, int(stamps[0]), period)
+    x = figures.seconds(stamps, int(stamps[0]))
     pipeline = np.full(len(stamps), np.nan)
     pipeline[: min(len(stamps), len(run.pipeline_ms))] = run.pipeline_ms[: len(stamps)]
-    panels = [
-        Panel(
-            "Step of the filter [ms]",
-            [
-                Line("step", run.step_ms, ESTIMATE, quiet=True),
-                Level(1.0, "sample period"),
-                Level(_PAPER_STEP_MS, "the paper's mean"),
-            ],
-            200,
-            log=True,
-            bounds=(1e-3, max(3.0, float(run.step_ms.max()) * 1.2)),
-        ),
-        Panel(
-            "Messages → estimate [ms]",
-            [Line("pipeline", np.maximum(pipeline, 1e-3), MODEL, quiet=True), Level(1.0, "sample period")],
-            200,
-            log=True,
-            bounds=(1e-2, max(3.0, float(np.nanmax(pipeline)) * 1.2)),
-        ),
-    ]
+    sample = Reference(1.0, "sample period")
+    step = (Line("step", x, run.step_ms, ESTIMATE, quiet=True), sample, Reference(_PAPER_STEP_MS, "the paper's mean"))
+    whole = (Line("pipeline", x, np.maximum(pipeline, 1e-3), MODEL, quiet=True), sample)
+    of_step = Axis("Step of the filter [ms]", True, (1e-3, max(3.0, float(run.step_ms.max()) * 1.2)))
+    of_whole = Axis("Messages → estimate [ms]", True, (1e-2, max(3.0, float(np.nanmax(pipeline)) * 1.2)))
+    panels = (Panel(TIME, of_step, step, 200), Panel(TIME, of_whole, whole, 200))
     about = (
         "Above: each step of the filter by itself. Below: from the reception of a sample's last message to that of "
         "its estimate, with the transport there and back in it. Joint free."
     )
-    out.append(Figure("Processing time per step", about, figures.stack(panels, clock), "time"))
+    out.append(Figure("Processing time per step", about, panels, "time"))
     return tuple(out)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.validation.paper.seed_work import SeedWork
 

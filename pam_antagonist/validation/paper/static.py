@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from pam_antagonist.identification.static_force import fit_force
 from pam_antagonist.identification.static_table import ForceMap
-from pam_antagonist.report.curves import PALETTE, Curve, chart
-from pam_antagonist.report.html import Figure
-from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL
+from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
+from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, PALETTE
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.validation.paper.bench import static_test, true_map
 from pam_antagonist.validation.paper.result import Beside, Context, Result, Spread
@@ -139,31 +138,24 @@ def _figures(work: SeedWork) -> tuple[Figure, ...]:
     for which in (1, 2):
         test = static_test(work, which)
         length, slope, intercept = lines(test)
-        curves = []
+        parts: list[Series] = []
         for group in range(test.lengths):
             inside = test.group == group
             ends = np.array([test.pressure.min(), test.pressure.max()])
             color = PALETTE[group % len(PALETTE)]
-            curves.append(
-                Curve(f"{1e3 * length[group]:.1f} mm", ends / 1e3, slope[group] * ends + intercept[group], color)
-            )
-            curves.append(
-                Curve("data", test.pressure[inside] / 1e3, test.force[inside], MEASURED, points=True, quiet=True)
-            )
-        panels: list[tuple[str, str, list[Curve]]] = [("P [kPa abs]", "F [N]", curves)]
+            fitted = slope[group] * ends + intercept[group]
+            parts.append(Line(f"{1e3 * length[group]:.1f} mm", ends / 1e3, fitted, color, width=1.7))
+            parts.append(Points("data", test.pressure[inside] / 1e3, test.force[inside], MEASURED, quiet=True))
+        panels = [Panel(Axis("P [kPa abs]"), Axis("F [N]"), tuple(parts), 242)]
         for values, title in ((slope * 1e6, "v [N/MPa]"), (intercept, "w [N]")):
             line = np.asarray(np.polyval(np.polyfit(length, values, 1), length), dtype=np.float64)
-            panels.append(
-                (
-                    "l [mm]",
-                    title,
-                    [
-                        Curve("fit (7)", 1e3 * length, line, ESTIMATE, quiet=len(panels) > 1),
-                        Curve("of each line", 1e3 * length, values, MODEL, points=True, quiet=len(panels) > 1),
-                    ],
-                )
+            again = len(panels) > 1
+            shown = (
+                Line("fit (7)", 1e3 * length, line, ESTIMATE, width=1.7, quiet=again),
+                Points("of each line", 1e3 * length, values, MODEL, quiet=again),
             )
+            panels.append(Panel(Axis("l [mm]"), Axis(title), shown, 242))
         about = "Left: test and line (6) at each length. Middle and right: slope and intercept against length (7)."
         title = f"Static characteristics of muscle {which}, virtual rig of seed {work.seed}"
-        out.append(Figure(title, about, chart(panels, 320), "static"))
+        out.append(Figure(title, about, tuple(panels), "static", beside=True))
     return tuple(out)

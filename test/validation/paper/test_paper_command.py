@@ -9,11 +9,11 @@ import shutil
 from html import unescape
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report.curves import Curve, chart
-from pam_antagonist.report.html import Figure
+from pam_antagonist.report.figure import Axis, Figure, Line, Panel
 from pam_antagonist.validation.paper import docs, page
 from pam_antagonist.validation.paper.command import main
 from pam_antagonist.validation.paper.experiments import EXPERIMENTS
@@ -101,9 +101,10 @@ def test_markdown_shows_every_figure_where_the_page_has_it(report: Path) -> None
         assert content.startswith(b"\x89PNG") and 5_000 < len(content) < 120_000, file
 
 
-def _result(title: str, *links: str) -> Result:
-    plot = chart([("x [m]", "y [N]", [Curve("a", [0.0, 1.0], [1.0, 2.0], "#000000")])])
-    figures = tuple(Figure(title, "About it.", plot, link) for link in links)
+def _result(title: str, *links: str, color: str = "#000000") -> Result:
+    line = Line("a", np.array([0.0, 1.0]), np.array([1.0, 2.0]), color)
+    panel = Panel(Axis("x [m]"), Axis("y [N]"), (line,))
+    figures = tuple(Figure(title, "About it.", (panel,), link) for link in links)
     return Result(name="static", title="Static", question="What?", figures=figures)
 
 
@@ -136,9 +137,8 @@ def test_a_figure_that_cannot_be_drawn_leaves_everything_as_it_was(scenario: Sce
     path = tmp_path / "paper.md"
     docs.write(path, [_result("First", "one")], scenario, (0,))
     before = path.read_text(encoding="utf-8")
-    broken = _result("Second", "two")
-    broken.figures[0].plot["data"][0]["type"] = "pie"
-    with pytest.raises(BadInput, match="pie"):
+    broken = _result("Second", "two", color="reddish")
+    with pytest.raises(BadInput, match="reddish"):
         docs.write(path, [broken], scenario, (0,))
     assert path.read_text(encoding="utf-8") == before
     assert [file.name for file in (tmp_path / "paper").iterdir()] == ["static_one.png"]
