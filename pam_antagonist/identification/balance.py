@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pam_antagonist.identification.between import USUAL_SPREAD, Variation
-from pam_antagonist.identification.prediction import BLOCK, blocks
 from pam_antagonist.inference.free_parameters import FreeParameter
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.spread import USUAL_SPREAD, Variation
+from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE, Trial, blocks
 from pam_antagonist.model import dynamics, joint, sensor
 from pam_antagonist.model import parameters as par
 

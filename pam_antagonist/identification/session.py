@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,14 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.agreement import Difference, check_same_rig, differences
-from pam_antagonist.identification.between import Variation, deviations, variations
-from pam_antagonist.identification.calibration import INNER_SHARE
-from pam_antagonist.identification.fit import Fit, fit
-from pam_antagonist.identification.profile import Profile, profiles
 from pam_antagonist.identification.stages import Stage, run_stages
-from pam_antagonist.identification.tuning import Tuned, own_tuning, tune
+from pam_antagonist.identification.tuning import INNER_SHARE, Tuned, own_tuning, tune
 from pam_antagonist.inference.free_parameters import FreeParameter, free_parameters, moved
+from pam_antagonist.inference.joint_fit import Difference, JointFit, check_same_rig, differences, joint_fit
+from pam_antagonist.inference.profile import Profile, shared_profiles
+from pam_antagonist.inference.spread import Variation, deviations, variations
 from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial, check, make_trial
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
@@ -93,7 +92,7 @@ class Identified:
     held_from: tuple[float, ...]
     free: tuple[FreeParameter, ...]
     stages: tuple[Stage, ...]
-    fit: Fit
+    fit: JointFit
     ways: tuple[Variation, ...]
     differences: tuple[Difference, ...]
     profiles: tuple[Profile, ...]
@@ -146,7 +145,7 @@ def identify(
     found, starts = _further_starts(found, ways, options, tell)
     check_same_rig(found, ways)
     chosen = _worth_a_profile(found)
-    drawn = profiles(found, chosen, options.jobs, tell)
+    drawn = shared_profiles(found, chosen, options.jobs, tell)
     result = moved(found.problem.rig, found.values)
     inner = _inner(found, fitted, ways, tell)
     tuned = tune(result, fitted, found, inner, options.jobs, tell)
@@ -173,12 +172,14 @@ def identify(
     )
 
 
-def _inner(found: Fit, trials: Sequence[Trial], ways: tuple[Variation, ...], tell: Callable[[str], None]) -> Fit:
+def _inner(
+    found: JointFit, trials: Sequence[Trial], ways: tuple[Variation, ...], tell: Callable[[str], None]
+) -> JointFit:
     """The joint refinement of the first share of each part, from where the whole ended."""
     begin = [trial.part(0.0, round(INNER_SHARE * len(trial)) * trial.dt) for trial in trials]
     problem = dataclasses.replace(found.problem, trials=begin, between=None)
     own = deviations(ways, problem.free)
-    return fit(problem, found.theta, 2, own, progress=lambda text: tell(f"inner fit, {text}"))
+    return joint_fit(problem, found.theta, 2, own, progress=lambda text: tell(f"inner fit, {text}"))
 
 
 def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[FreeParameter], list[str]]:
@@ -204,8 +205,8 @@ def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[
 
 
 def _further_starts(
-    found: Fit, ways: tuple[Variation, ...], options: Options, tell: Callable[[str], None]
-) -> tuple[Fit, list[Start]]:
+    found: JointFit, ways: tuple[Variation, ...], options: Options, tell: Callable[[str], None]
+) -> tuple[JointFit, list[Start]]:
     """The joint refinement again from scattered places; the best is kept."""
     rng = np.random.default_rng(options.seed)
     fits = [("from the steps", found)]
@@ -214,13 +215,14 @@ def _further_starts(
     for number in range(1, options.starts):
         begin = found.theta[: len(plain.free)] + _START_STD * rng.standard_normal(len(plain.free))
         name = f"scattered start {number}"
-        fits.append((name, fit(plain, begin, deviations=own, progress=lambda text, name=name: tell(f"{name}, {text}"))))  # type: ignore[misc]
+        told = functools.partial(lambda name, text: tell(f"{name}, {text}"), name)
+        fits.append((name, joint_fit(plain, begin, deviations=own, progress=told)))
     best = min(range(len(fits)), key=lambda k: fits[k][1].cost)
     starts = [Start(name, item.cost, k == best) for k, (name, item) in enumerate(fits)]
     return fits[best][1], starts
 
 
-def _worth_a_profile(found: Fit) -> list[str]:
+def _worth_a_profile(found: JointFit) -> list[str]:
     """The worst and the best determined parameters, and those that move furthest: a handful."""
     deviations_ = np.sqrt(np.diag(found.covariance))
     order = np.argsort(deviations_)

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.balance import Balance, fit_force_map, fit_friction
-from pam_antagonist.identification.between import Variation, deviations
-from pam_antagonist.identification.curve_stage import CurveFinding, identify_curves
-from pam_antagonist.identification.fit import Fit, fit
-from pam_antagonist.identification.prediction import BLOCK, Problem
+from pam_antagonist.identification.valve_curve import CurveFinding, identify_curves
 from pam_antagonist.inference.free_parameters import FreeParameter, moved
-from pam_antagonist.inference.trial import CHANNELS, PRESSURE_1, Trial
+from pam_antagonist.inference.joint_fit import JointFit, joint_fit
+from pam_antagonist.inference.joint_problem import JointProblem
+from pam_antagonist.inference.spread import Variation, deviations
+from pam_antagonist.inference.trial import BLOCK, CHANNELS, PRESSURE_1, Trial
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -73,7 +73,7 @@ class Stage:
 class _Progress:
     """Where the identification stands."""
 
-    whole: Problem
+    whole: JointProblem
     theta: Floats
     stages: list[Stage] = field(default_factory=list)
 
@@ -105,7 +105,7 @@ def run_stages(
     jobs: int = 1,
     ways: Sequence[Variation] = (),
     progress: Callable[[str], None] | None = None,
-) -> tuple[list[Stage], Fit]:
+) -> tuple[list[Stage], JointFit]:
     """Identify step by step, then by one joint refinement.
 
     Args:
@@ -120,7 +120,7 @@ def run_stages(
         The steps, the joint refinement last, and its fit; its problem holds the rig with the curves that were found.
     """
     tell = progress or (lambda text: None)
-    whole = Problem(rig, trials, free, jobs=jobs)
+    whole = JointProblem(rig, trials, free, jobs=jobs)
     state = _Progress(whole, np.zeros(whole.size))
     tell("force map")
     _force_map(state, ways)
@@ -133,7 +133,7 @@ def run_stages(
     earlier = padded(state.whole, state.theta)
     before = state.whole.values(state.theta)
     own = deviations(ways, state.whole.free)
-    final = fit(state.whole, state.theta, deviations=own, progress=lambda text: tell(f"joint refinement, {text}"))
+    final = joint_fit(state.whole, state.theta, deviations=own, progress=lambda text: tell(f"joint refinement, {text}"))
     later = padded(final.problem, final.theta)
     values = {name: (before[name], value) for name, value in final.values.items()}
     traces = tuple(zip(earlier, later, strict=True))
@@ -172,7 +172,7 @@ def _curves(state: _Progress) -> None:
         return state.end("valve curve", source, earlier, {}, "skipped: the chambers are sealed")
     changed, findings = identify_curves(rig, state.whole.trials)
     if any(finding.replaced for finding in findings):
-        whole = Problem(changed, state.whole.trials, state.whole.free, jobs=state.whole.jobs)
+        whole = JointProblem(changed, state.whole.trials, state.whole.free, jobs=state.whole.jobs)
         state.whole = whole
     note = "; ".join(finding.note for finding in findings)
     return state.end("valve curve", source, earlier, {}, note, curves=tuple(findings))
@@ -200,7 +200,7 @@ def _flow(state: _Progress, ways: Sequence[Variation]) -> None:
     if not chosen:
         return state.end("flow", source, earlier, {}, "skipped: no parameter of it is free")
     now = state.whole.values(state.theta)
-    part = Problem(
+    part = JointProblem(
         state.rig,
         state.whole.trials,
         [_from_here(state.whole.free[k], now) for k in chosen],
@@ -209,14 +209,14 @@ def _flow(state: _Progress, ways: Sequence[Variation]) -> None:
     )
     names = {item.name for item in part.free}
     own = deviations([way for way in ways if names.issuperset(way.changes)], part.free)
-    return state.end("flow", source, earlier, state.put(fit(part, rounds=2, deviations=own).values))
+    return state.end("flow", source, earlier, state.put(joint_fit(part, rounds=2, deviations=own).values))
 
 
 def _from_here(item: FreeParameter, values: dict[str, float]) -> FreeParameter:
     return FreeParameter(item.name, values[item.name], item.prior_std, item.low, item.high)
 
 
-def padded(problem: Problem, theta: Floats) -> list[Floats]:
+def padded(problem: JointProblem, theta: Floats) -> list[Floats]:
     """Block residuals of all four channels, one (B, 4) a trial; NaN where a channel says nothing."""
     out = []
     for trial, part in zip(problem.trials, problem.residuals(theta), strict=True):

@@ -1,4 +1,4 @@
-"""A muscle's static measurements in CSV files: which column is what, in which unit, and whether that can be.
+"""Static measurements of one muscle from a table: its force by length and pressure, its volume by length.
 
 Nothing is guessed: a column without a unit, and a pressure that is not said to be gauge or absolute, are refused.
 """
@@ -6,8 +6,11 @@ Nothing is guessed: a column without a unit, and a pressure that is not said to 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,11 +18,183 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.static_columns import Choice, advised, candidates, column_of, opening
 from pam_antagonist.identification.static_regression import bands
+from pam_antagonist.recording.csv_map import Delimiter, Layout
 from pam_antagonist.recording.csv_table import Table, read_table
-from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.csv_text import Line, Lines, check_file, opened, split
+from pam_antagonist.recording.units import UNITS, canonical
 from pam_antagonist.recording.wrong_unit import Signal, check_pressures, pascal
+
+_WORDS = {
+    "length": ("length", "l", "len"),
+    "pressure": ("pressure", "p"),
+    "force": ("force", "f"),
+    "volume": ("volume", "v", "vol"),
+}
+QUANTITIES = tuple(_WORDS)
+"""What a column may hold; with ``_std`` behind it, its standard deviation."""
+_DEVIATION = ("std", "sigma", "sd")
+_REFERENCES = {"gauge": "gauge", "g": "gauge", "rel": "gauge", "relative": "gauge",
+               "absolute": "absolute", "abs": "absolute", "a": "absolute"}  # fmt: skip
+_PEEKED = 50
+_DELIMITERS: tuple[Delimiter, ...] = (";", "\t", "|", ",")
+_ADVICE = {
+    "skip_after_header": "a line of units? units belong into the columns' names",
+    "decimal": "decimals after a comma need cells that are parted by a semicolon or a tab",
+    "encoding": "save the file as UTF-8",
+    "delimiter": "cells may be parted by a comma, semicolon, tab, | or spaces",
+    "header": "the first line has to name the columns, with their units",
+    "missing": "a cell without a value has to be empty",
+}
+"""What to do about a file, by the entry of a map that would say how it is written."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A column as the user named it.
+
+    Attributes:
+        column: its name in the file's first line.
+        unit: its unit, empty where the name tells it.
+        reference: of a pressure: gauge, absolute or empty.
+    """
+
+    column: str
+    unit: str = ""
+    reference: str = ""
+
+
+def column_of(path: Path, header: Sequence[str], quantity: str, given: Choice | None, reference: str) -> Choice:
+    """Column, unit and reference of a quantity, complete.
+
+    Args:
+        path: the file, for messages.
+        header: names of its columns.
+        quantity: one of ``QUANTITIES``, or with ``_std`` behind it.
+        given: what the user said about it; what is missing there has to be in the column's name.
+        reference: gauge or absolute, for a pressure whose column does not tell.
+
+    Raises:
+        BadInput: no such column or several, no unit, or no reference of a pressure.
+    """
+    base = quantity.removesuffix("_std")
+    where = f"{path}: {quantity}"
+    if given is None:
+        found = candidates(header, quantity)
+        if len(found) != 1:
+            listed = ", ".join(header)
+            what = f"{len(found)} columns are called so" if found else "no column is called so"
+            raise BadInput(
+                f"{where}: {what} among {listed}, expected one such as {_example(quantity)}; else give "
+                f'--column "{quantity}=NAME:UNIT"'
+            )
+        given = Choice(found[0])
+    tokens = _tokens(given.column)
+    unit, told = given.unit, given.reference
+    if not unit:
+        in_name = [pair for token in tokens if (pair := _unit(base, token))]
+        if len(in_name) != 1:
+            raise BadInput(
+                f"{where}: column {given.column!r} does not tell its unit, expected one of {', '.join(UNITS[base])} in "
+                f'its name ({_example(quantity)}); else give --column "{quantity}={given.column}:UNIT"'
+            )
+        unit = in_name[0][0]
+        told = told or in_name[0][1]
+    unit = canonical(f"{where}: column {given.column!r}", base, unit)
+    if quantity != "pressure":
+        return Choice(given.column, unit)
+    said = {_REFERENCES[token.lower()] for token in tokens if token.lower() in _REFERENCES} | (
+        {told} if told else set()
+    )
+    said |= {reference} if reference else set()
+    if len(said) != 1:
+        what = "is said to be gauge and absolute" if said else "does not tell whether it is gauge or absolute pressure"
+        raise BadInput(
+            f"{where}: column {given.column!r} {what}, expected one of them, in its name (pressure_{unit}_gauge) or by "
+            "--pressure gauge|absolute"
+        )
+    return Choice(given.column, unit, said.pop())
+
+
+def _example(quantity: str) -> str:
+    return {"length": "length_mm", "pressure": "pressure_kPa_gauge", "force": "force_N", "volume": "volume_cm3",
+            "force_std": "force_std_N", "volume_std": "volume_std_cm3"}[quantity]  # fmt: skip
+
+
+def _tokens(name: str) -> list[str]:
+    return [token for token in re.split(r"[\s_\[\](){},/;:]+", name) if token]
+
+
+def candidates(header: Sequence[str], quantity: str) -> list[str]:
+    """Columns whose first word is a name of the quantity, or of its standard deviation (``force_std``)."""
+    base, _, deviation = quantity.partition("_")
+    out = []
+    for name in header:
+        words = [token.lower() for token in _tokens(name)]
+        if words and words[0] in _WORDS[base] and any(word in _DEVIATION for word in words[1:]) == bool(deviation):
+            out.append(name)
+    return out
+
+
+def _unit(quantity: str, token: str) -> tuple[str, str] | None:
+    """Unit and, of barg and psia, reference that a word of a column's name tells."""
+    for text, reference in ((token, ""), (token[:-1], {"g": "gauge", "a": "absolute"}.get(token[-1:], "-"))):
+        if reference == "-" or (reference and quantity != "pressure"):
+            continue
+        try:
+            return canonical("", quantity, text.replace("^", "")), reference
+        except BadInput:
+            continue
+    return None
+
+
+def opening(path: Path) -> tuple[Layout, list[str]]:
+    """How a file is written, and the names of its columns.
+
+    Raises:
+        BadInput: no text file, or nothing in it but comments.
+    """
+    check_file(path)
+    layout = Layout(comment=None)
+    start: list[Line] = []
+    with opened(path, layout) as stream:
+        lines = Lines(path, layout, stream)
+        for line in lines:
+            start.append(line)
+            if not line.text.lstrip().startswith("#"):
+                break
+        after = "".join(line.text for line in itertools.islice(lines, _PEEKED))
+    first = start[-1] if start else Line(0, "#")
+    if first.text.lstrip().startswith("#"):
+        raise BadInput(f"{path}: no rows in it, only comments")
+    delimiter: Delimiter = next((mark for mark in _DELIMITERS if mark in first.text), "space")
+    # Where commas do not part the cells, they may stand before the decimals.
+    comma = delimiter != "," and re.search(r"\d,\d", after) and not re.search(r"\d\.\d", after)
+    layout = Layout(comment="#", delimiter=delimiter, decimal="," if comma else ".")
+    names = _names(path, layout, first)
+    if all(re.fullmatch(r"[-+.,\deE]+", name) for name in names) and len(start) > 1:
+        # numpy.savetxt writes the names as a comment before the first row.
+        head = start[-2]
+        layout = layout.replaced(comment=None, skip_lines=head.number - 1)
+        names = [name for name in (cell.lstrip("# ") for cell in _names(path, layout, head)) if name]
+    return layout, names
+
+
+def _names(path: Path, layout: Layout, line: Line) -> list[str]:
+    return [cell.strip() for cell in split(path, layout, [line])[0]]
+
+
+@contextmanager
+def advised() -> Iterator[None]:
+    """Advice that fits a table: the reader's own is about maps of columns, which tables do not have."""
+    try:
+        yield
+    except BadInput as error:
+        text = str(error)
+        entry = re.search(rf"file\.({'|'.join(_ADVICE)})\b", text)
+        cut = text.rfind("; ", 0, entry.start()) if entry else -1
+        raise BadInput(f"{text[:cut]}; {_ADVICE[entry[1]]}" if entry and cut > 0 else text) from None
+
 
 Floats = NDArray[np.float64]
 

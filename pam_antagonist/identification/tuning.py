@@ -1,9 +1,11 @@
 """Noise and tuning of the filter from the recordings that the parameters came from.
 
-The sensors' noise is what of the measurements no model could follow, sample by sample; R is its variance. What is left
-in the innovations beyond it is process noise: Q is the one under which the innovations are most likely. What the
-parameters are not known to becomes a few directions that the filter considers (Schmidt-Kalman). How large all this has
-to be for the errors of the measured angle and torque is told by :mod:`calibration`.
+- R: the sensors' noise is what of the measurements no model could follow, sample by sample.
+- Q: what is left in the innovations beyond that is process noise, of the size under which they are most likely.
+- Considered directions (Schmidt-Kalman): what a fit does not know of the parameters, as a few directions.
+- Scale of these directions: how wrong the estimate is where nothing was fitted, by the errors of the measured angle and
+  torque beyond the part that an inner fit had. A process noise of the angle was tried beside it: such errors gave it no
+  size.
 """
 
 from __future__ import annotations
@@ -15,25 +17,211 @@ from dataclasses import dataclass
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
-from pam_antagonist.estimation import EstimateRun
-from pam_antagonist.identification.calibration import calibrate
-from pam_antagonist.identification.directions import (
-    SETTLE_S,
-    Direction,
-    considered_directions,
-    run_filter,
-    short_part,
-    with_directions,
-)
-from pam_antagonist.identification.fit import Fit
-from pam_antagonist.identification.sensor_noise import with_noise
-from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.inference.trial import Trial
+from pam_antagonist.estimation import EstimateRun, Estimator
+from pam_antagonist.inference.free_parameters import Direction, FreeParameter, moved
+from pam_antagonist.inference.joint_fit import JointFit
+from pam_antagonist.inference.noise import converter_step, white_std
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.model import rest
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
+
+
+def with_noise(rig: Rig, trials: Sequence[Trial]) -> Rig:
+    """The rig with the sensors' noise and R of the tuning ``default`` as the recordings show them."""
+
+    def of(channel: int) -> float:
+        stds = [white_std(trial.measured[:, channel]) for trial in trials if trial.has(channel)]
+        known = [std for std in stds if math.isfinite(std)]
+        return float(np.sqrt(np.mean(np.square(known)))) if known else float("nan")
+
+    def less_step(std: float, step: float) -> float:
+        return float(np.sqrt(max(std**2 - step**2 / 12.0, 0.0)))
+
+    sensors = rig.sensors
+    pressure = [max(of(PRESSURE_1 + i), sensors.pressure_step / np.sqrt(12.0), 10.0) for i in (0, 1)]
+    changes = {"pressure_std": max(less_step(float(np.hypot(*pressure)) / np.sqrt(2.0), sensors.pressure_step), 10.0)}
+    for channel, name in ((ANGLE, "angle"), (TORQUE, "torque")):
+        std = of(channel)
+        if math.isfinite(std):
+            seen = [converter_step(trial.measured[:, channel]) for trial in trials if trial.has(channel)]
+            step = max(*seen, getattr(sensors, f"{name}_step"))
+            changes |= {f"{name}_std": less_step(std, step), f"{name}_step": step}
+    tuning = rig.tuning("default").replaced(measurement=tuple(float(std**2) for std in pressure), consider=True)
+    return rig.replaced(sensors=sensors.replaced(**changes), tunings={**rig.tunings, "default": tuning}, directions={})
+
+
+SETTLE_S = 1.0
+"""[s] after the start of the filter that are not judged: its first covariance is a guess."""
+_PART_S = 20.0
+_MOST_CONSIDERED = 10
+"""Directions, with the single parameters that were declared uncertain and not fitted: each is two sigma points more."""
+_EXPLAINED = 0.99
+_GRID = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+"""Of what the supply has beyond the atmosphere: pressures at which the joint may come to rest."""
+
+
+@dataclass(frozen=True)
+class ConsideredDirection(Direction):
+    """Parameters that are uncertain together; its amount counts in standard deviations.
+
+    Attributes:
+        angle: RMS effect on the estimated angle [rad].
+        torque: RMS effect on the estimated torque [N m].
+        share: of the whole effect.
+    """
+
+    angle: float
+    torque: float
+    share: float
+
+
+def with_directions(rig: Rig, directions: Sequence[ConsideredDirection], scale: float) -> Rig:
+    """The rig with these directions, all of them times a scale."""
+    scaled = {item.name: {name: scale * step for name, step in item.changes.items()} for item in directions}
+    return rig.replaced(directions=scaled)
+
+
+def run_filter(rig: Rig, trial: Trial) -> EstimateRun:
+    """The estimator over a trial."""
+    estimator = Estimator(rig, joint=trial.joint, lock_angle=trial.lock_angle)
+    stamps = np.arange(1, len(trial) + 1, dtype=np.int64) * round(trial.dt * 1e9)
+    return estimator.run(stamps, trial.measured[:, PRESSURE_1:], trial.voltage)
+
+
+def short_part(trial: Trial) -> Trial:
+    """As much of a recording as is used to look for Q and for directions."""
+    return trial.part(0.0, min(_PART_S, len(trial) * trial.dt))
+
+
+def considered_directions(
+    rig: Rig, trials: Sequence[Trial], free: Sequence[FreeParameter], covariance: Floats, jobs: int
+) -> tuple[ConsideredDirection, ...]:
+    """The combinations of parameters whose uncertainty moves the estimate most, beside what the filter does not know.
+
+    The estimate is run anew with each eigenvector of the parameters' covariance added; a singular value decomposition
+    of what that does to angle and torque, in standard deviations of the estimate at that moment, gives independent
+    combinations in the order of their effect. What they do to the angle of rest at other pressures counts as much: a
+    joint goes on to where it never was, and there other combinations matter.
+
+    Args:
+        rig: with the fitted values and noise.
+        trials: recordings; parts of them will do.
+        free: the parameters that were fitted.
+        covariance: theirs (F, F), in units of the priors.
+        jobs: threads.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))
+    plain = rig.replaced(tunings={**rig.tunings, "default": rig.tuning("default").replaced(consider=False)})
+    settle = round(SETTLE_S / rig.sample_period)
+
+    def changed(step: Floats) -> Rig:
+        values = {i.name: rig.value(i.name) + i.prior_std * float(s) for i, s in zip(free, step, strict=True)}
+        return moved(plain, values)
+
+    def estimate(step: Floats) -> tuple[Floats, Floats]:
+        now = changed(step)
+        rows = np.concatenate([run_filter(now, trial).rows[settle::10] for trial in trials])
+        variances = rows["covariance"][:, (0, 2), (0, 2)]
+        return np.column_stack([rows["angle"], rows["torque"]]), variances
+
+    low, high = rig.value("atmosphere.pressure"), rig.value("supply.pressure")
+    grid = [low + share * (high - low) for share in _GRID]
+
+    def at_rest(step: Floats) -> Floats:
+        p = changed(step).parameters("free", 0.0)
+        return np.array([rest.rest_angle(first, second, p) for first in grid for second in grid])
+
+    # A tenth of a standard deviation: far enough for the slope, near enough to stay with it.
+    near = 0.1
+    steps = [np.zeros(len(free)), *(near * roots.T)]
+    runs = Parallel(n_jobs=jobs, prefer="threads")(delayed(estimate)(step) for step in steps)
+    effect = np.stack([(run - runs[0][0]) / near for run, _ in runs[1:]], axis=2)
+    before = at_rest(steps[0])
+    stands = np.stack([(at_rest(step) - before) / near for step in steps[1:]], axis=1)
+    scaled = np.vstack(
+        [
+            _relative(effect.reshape(-1, len(free)), np.maximum(runs[0][1], 0.0).ravel()),
+            _relative(stands, np.zeros(len(stands))),
+        ]
+    )
+    _, strength, turned = np.linalg.svd(scaled, full_matrices=False)
+    share = strength**2 / max(float(np.sum(strength**2)), 1e-300)
+    count = min(int(np.searchsorted(np.cumsum(share), _EXPLAINED)) + 1, max(_MOST_CONSIDERED - len(rig.uncertainty), 1))
+    out = []
+    for k in range(count):
+        if share[k] <= 1e-6:
+            break
+        step = roots @ turned[k]
+        moves = np.sqrt(np.nanmean((effect @ turned[k]) ** 2, axis=0))
+        changes = {item.name: float(item.prior_std * s) for item, s in zip(free, step, strict=True)}
+        out.append(ConsideredDirection(f"mode_{k + 1}", changes, float(moves[0]), float(moves[1]), float(share[k])))
+    return tuple(out)
+
+
+def _relative(effect: Floats, variance: Floats) -> Floats:
+    """Effects (K, F) in standard deviations of what they make together with a variance (K,) beside them.
+
+    The whole counts as one, however many rows it has.
+    """
+    total = np.sqrt(variance + np.sum(effect**2, axis=1))
+    known = np.isfinite(total) & (total > 0.0)
+    out = effect[known] / total[known, None]
+    return np.asarray(out / math.sqrt(max(float(np.sum(out**2)), 1e-300)))
+
+
+INNER_SHARE = 2.0 / 3.0
+"""Of the fitted part, what an inner fit gets; the rest tells how wrong such a fit is where it was not fitted."""
+_SCALES = (1.0, 8.0)
+"""Not below 1: a handful of slow errors can show that the parameters' covariance is too small, but not that it is too
+large."""
+_CALIBRATIONS = 12
+
+
+def calibrate(rig: Rig, trials: Sequence[Trial], inner: JointFit, covariance: Floats, jobs: int) -> tuple[float, bool]:
+    """The scale under which the errors of measured angles and torques are most likely, and whether there were any.
+
+    They are those after the part that ``inner`` was fitted to: in that part a fit comes nearer to what was measured
+    than to the truth, by as much as it is uncertain.
+
+    Args:
+        rig: with the values of ``inner``, noise and Q.
+        trials: recordings beyond the part that ``inner`` was fitted to.
+        inner: a fit of their beginnings.
+        covariance: of its parameters (F, F), in units of the priors.
+        jobs: threads.
+    """
+    fields = {ANGLE: ("angle", 0), TORQUE: ("torque", 2)}
+    judged = [(k, channel) for k, trial in enumerate(trials) for channel in fields if trial.has(channel)]
+    parts = [short_part(trial) for trial in trials]
+    directions = considered_directions(rig, parts, inner.problem.free, covariance, jobs)
+    if not judged or not directions:
+        return 1.0, False
+    noise = {ANGLE: rig.sensors.error("angle") ** 2, TORQUE: rig.sensors.error("torque") ** 2}
+
+    def against(logarithm: float) -> float:
+        now = with_directions(rig, directions, math.exp(logarithm))
+        runs = Parallel(n_jobs=jobs, prefer="threads")(delayed(run_filter)(now, trial) for trial in trials)
+        total = 0.0
+        for k, channel in judged:
+            name, place = fields[channel]
+            begin = round(INNER_SHARE * len(runs[k].rows))
+            rows, index = runs[k].rows[begin:], runs[k].index[begin:]
+            error = rows[name] - trials[k].measured[index, channel]
+            variance = rows["covariance"][:, place, place] + max(noise[channel], 1e-12)
+            good = np.isfinite(error)
+            total += float(np.mean(0.5 * error[good] ** 2 / variance[good] + 0.5 * np.log(variance[good])))
+        return total
+
+    bounds = (math.log(_SCALES[0]), math.log(_SCALES[1]))
+    options = {"xatol": 0.05, "maxiter": _CALIBRATIONS}
+    found = minimize_scalar(against, bounds=bounds, method="bounded", options=options)
+    return float(math.exp(found.x)), True
+
 
 _EVALUATIONS = 40
 
@@ -52,7 +240,7 @@ class Tuned:
     """
 
     rig: Rig
-    directions: tuple[Direction, ...]
+    directions: tuple[ConsideredDirection, ...]
     scale: float
     likelihood: tuple[float, float]
     evaluations: int
@@ -62,8 +250,8 @@ class Tuned:
 def tune(
     rig: Rig,
     trials: Sequence[Trial],
-    found: Fit,
-    inner: Fit,
+    found: JointFit,
+    inner: JointFit,
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> Tuned:
@@ -95,7 +283,7 @@ def tune(
     return Tuned(with_directions(rig, directions, scale), directions, scale, likelihood, evaluations, calibrated)
 
 
-def own_tuning(rig: Rig, trial: Trial, found: Fit, inner: Fit, index: int, jobs: int = 1) -> Rig:
+def own_tuning(rig: Rig, trial: Trial, found: JointFit, inner: JointFit, index: int, jobs: int = 1) -> Rig:
     """The rig with one recording's own values, with what these are not known to in place of the common ones', and Q.
 
     The Q of the common values covers what these miss in a single recording: for its own values it is too large.

@@ -1,4 +1,9 @@
-"""Which parameters may move in a fit, by how much they are expected to, and within what bounds."""
+"""Which parameters may move in a fit, by how much they are expected to, and within what bounds.
+
+There is one concept, the :class:`Direction`: parameters that move together. A fit of several recordings moves single
+parameters (:class:`FreeParameter`), a fit of one recording moves what the data can tell apart (:class:`FreeDirection`),
+and a model with effects moves those effects' numbers beside them (:class:`FreeEffectParameter`).
+"""
 
 from __future__ import annotations
 
@@ -20,25 +25,38 @@ RELATIVE_PRIOR = 0.05
 """Standard deviation before identification of a parameter for which the rig file gives none."""
 _GAUGE_PRIOR = {"supply.pressure": 0.01}
 """What a gauge shows is known better than what is not measured; a regulator holds it to about a per cent."""
-
 _FLOW = (
     "valve_1.inflow_area", "valve_1.outflow_area", "valve_2.inflow_area", "valve_2.outflow_area",
     "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure",
 )  # fmt: skip
 _MOTION = ("joint.inertia", "joint.viscous_friction")
-_FORCE = {"linear": ("v1", "v2", "w1", "w2")}
+LINEAR_FORCE = ("v1", "v2", "w1", "w2")
+"""Coefficients of the paper's force map F = v(l) P + w(l)."""
 _FRICTION = {
-    "kikuuwe": ("shaft", "muscle"),
-    "simple": ("lever_force",),
-    "tondu": ("static", "kinetic"),
+    "kikuuwe": ("friction.shaft", "friction.muscle"),
+    "simple": ("friction.lever_force",),
+    "tondu": ("friction.static", "friction.kinetic"),
     "none": (),
 }
 _EFFECTS = {parameter_path(effect.name, item.name): item for effect in CATALOGUE.values() for item in effect.parameters}
 
 
 @dataclass(frozen=True)
+class Direction:
+    """Parameters that move together.
+
+    Attributes:
+        name: what it is.
+        changes: change of each parameter for an amount of 1, by dotted path.
+    """
+
+    name: str
+    changes: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class FreeParameter:
-    """A parameter that a fit may move.
+    """A parameter that a fit may move: a direction of its own, whose amount counts in standard deviations of its prior.
 
     Attributes:
         name: its dotted path.
@@ -96,9 +114,10 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
 
 
 def _by_default(rig: Rig) -> set[str]:
-    coefficients = _FORCE.get(rig.model.force, tuple(f"c{k}" for k in range(1, par.COEFFICIENTS + 1)))
+    linear = rig.model.force == "linear"
+    coefficients = LINEAR_FORCE if linear else tuple(f"c{k}" for k in range(1, par.COEFFICIENTS + 1))
     names = {f"muscle_{i}.force.{c}" for i in (1, 2) for c in coefficients if rig.value(f"muscle_{i}.force.{c}")}
-    names |= {f"friction.{name}" for name in _FRICTION[rig.model.friction]}
+    names |= set(_FRICTION[rig.model.friction])
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
     present = {name for name, item in _EFFECTS.items() if item.is_size and rig.value(name)}
     return {name for name in names if rig.value(name)} | present
@@ -107,7 +126,11 @@ def _by_default(rig: Rig) -> set[str]:
 def _prior(name: str, start: float) -> float:
     if start == 0.0 and name in _EFFECTS:
         return _EFFECTS[name].scale
-    return _GAUGE_PRIOR.get(name, RELATIVE_PRIOR) * abs(start)
+    return _relative_prior(name) * abs(start)
+
+
+def _relative_prior(name: str) -> float:
+    return _GAUGE_PRIOR.get(name, RELATIVE_PRIOR)
 
 
 def _matches(name: str, word: str) -> bool:
@@ -124,18 +147,14 @@ def _bounds(name: str, start: float, std: float) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class FreeDirection:
-    """One direction in which the base model may differ from its file.
+class FreeDirection(Direction):
+    """One direction in which the base model may differ from its file; its amount is a relative change.
 
     Attributes:
-        name: what it is.
-        changes: change of each parameter for a relative change of 1 of the quantity.
-        prior: standard deviation of the relative change.
+        prior: standard deviation of the amount.
         free_only: a locked joint does not depend on it.
     """
 
-    name: str
-    changes: Mapping[str, float]
     prior: float = RELATIVE_PRIOR
     free_only: bool = False
 
@@ -155,10 +174,8 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
     for i in (1, 2):
         found += _force_map(rig, f"muscle_{i}.force.")
     found.append(_single(rig, "gas.polytropic_volume", free_only=True))
-    found.append(
-        FreeDirection("supply.pressure", {"supply.pressure": rig.supply.pressure}, _GAUGE_PRIOR["supply.pressure"])
-    )
-    for path in ("joint.inertia", "joint.viscous_friction", *_friction(rig)):
+    found.append(_single(rig, "supply.pressure"))
+    for path in (*_MOTION, *_FRICTION[rig.model.friction]):
         found.append(_single(rig, path, free_only=True))
     return tuple(direction for direction in found if any(direction.changes.values()))
 
@@ -166,21 +183,14 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
 def _single(rig: Rig, path: str, free_only: bool = False) -> FreeDirection:
     value = rig.value(path)
     prior = rig.priors.get(path)
-    return FreeDirection(path, {path: value}, prior / abs(value) if prior and value else RELATIVE_PRIOR, free_only)
-
-
-def _friction(rig: Rig) -> tuple[str, ...]:
-    return {
-        "kikuuwe": ("friction.shaft", "friction.muscle"),
-        "simple": ("friction.lever_force",),
-        "tondu": ("friction.static", "friction.kinetic"),
-        "none": (),
-    }[rig.model.friction]
+    return FreeDirection(
+        path, {path: value}, prior / abs(value) if prior and value else _relative_prior(path), free_only
+    )
 
 
 def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
     if rig.model.force != "linear":
-        return [_single(rig, f"{path}c{k}") for k in range(1, 8)]
+        return [_single(rig, f"{path}c{k}") for k in range(1, par.COEFFICIENTS + 1)]
     middle = rig.geometry.length
     directions = []
     for slope, intercept in (("v1", "v2"), ("w1", "w2")):

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 _START_SAMPLES = 20
 _START_ANGLE = 1.7e-3
 """[rad] How well a measured start angle is known, stiction and encoder step together."""
-_STARTS = 3
+STARTS = 3
 """Start values: the angle and both pressures."""
 _STRIDES = (4, 2)
 """[samples] Steps in which derivatives are simulated, the longest first that goes the model's way."""

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pam_antagonist.identification.advice import advice
-from pam_antagonist.identification.directions import Direction
 from pam_antagonist.identification.session import Identified, Start, relative
 from pam_antagonist.identification.stages import Stage
+from pam_antagonist.identification.tuning import ConsideredDirection
 from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replay.result import JointFacts
@@ -345,7 +345,7 @@ def _tuning(found: Identified) -> TuningEntry:
     )
 
 
-def _largest(found: Identified, direction: Direction) -> tuple[RelativeChange, ...]:
+def _largest(found: Identified, direction: ConsideredDirection) -> tuple[RelativeChange, ...]:
     """The parameters that a direction moves most, relative to their values."""
     moves = [
         RelativeChange(name, found.tuned.scale * relative(found.fitted.value(name) + step, found.fitted.value(name)))

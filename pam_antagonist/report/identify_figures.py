@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from pam_antagonist.estimation import metrics
-from pam_antagonist.identification.prediction import BLOCK
 from pam_antagonist.identification.session import Identified
 from pam_antagonist.identification.stages import Stage
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.report import figures
 from pam_antagonist.report.figure import (
     TIME,

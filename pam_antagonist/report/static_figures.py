@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.identification.static_force import ForceFit
-from pam_antagonist.identification.static_result import StaticResult
-from pam_antagonist.identification.static_rig import reach
+from pam_antagonist.identification.static_rig import StaticResult, reach
 from pam_antagonist.identification.static_table import ForceMap, VolumeTable
 from pam_antagonist.identification.static_volume import VolumeFit
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference, Series

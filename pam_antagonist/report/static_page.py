@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.identification.static_force import ForceFit
 from pam_antagonist.identification.static_regression import Undetermined
-from pam_antagonist.identification.static_result import StaticResult
-from pam_antagonist.identification.static_rig import reach
+from pam_antagonist.identification.static_rig import StaticResult, reach
 from pam_antagonist.identification.static_volume import COEFFICIENTS as VOLUME_COEFFICIENTS
 from pam_antagonist.report import html
 from pam_antagonist.report.document import Block, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles

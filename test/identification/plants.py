@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pam_antagonist.identification.between import variations
 from pam_antagonist.inference.free_parameters import free_parameters, moved
+from pam_antagonist.inference.spread import variations
 from pam_antagonist.inference.trial import Trial, make_trial
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.identification.directions import considered_directions
+from pam_antagonist.identification.tuning import considered_directions
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.model import rest

@@ -10,12 +10,12 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.balance import fit_force_map
-from pam_antagonist.identification.fit import fit
-from pam_antagonist.identification.prediction import Problem, blocks, first_state, simulate
-from pam_antagonist.identification.slopes import step_directions
-from pam_antagonist.identification.stages import moved, run_stages
-from pam_antagonist.inference.free_parameters import free_parameters
-from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, check, make_trial
+from pam_antagonist.identification.stages import run_stages
+from pam_antagonist.inference.free_parameters import free_parameters, moved
+from pam_antagonist.inference.joint_fit import joint_fit
+from pam_antagonist.inference.joint_problem import JointProblem, step_directions
+from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, blocks, check, make_trial
+from pam_antagonist.inference.valve_driven import predict, start_of
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording
@@ -53,15 +53,15 @@ def trials(seed: int) -> list[Trial]:
     return [make_trial(record(joint, seed), RIG, joint, 0.0, joint) for joint in ("free", "locked")]
 
 
-def problem(rig: Rig = RIG, seed: int = 1, **options: object) -> Problem:
+def problem(rig: Rig = RIG, seed: int = 1, **options: object) -> JointProblem:
     chosen = [item for item in free_parameters(rig) if item.name in TRUE]
-    return Problem(rig, trials(seed), chosen, **options)  # type: ignore[arg-type]
+    return JointProblem(rig, trials(seed), chosen, **options)  # type: ignore[arg-type]
 
 
 def test_true_parameters_come_back_with_error_bars_of_the_right_size() -> None:
     deviations = []
     for seed in (1, 3):
-        found = fit(problem(seed=seed), rounds=3)
+        found = joint_fit(problem(seed=seed), rounds=3)
         assert all(found.determined.values())
         for name, true in TRUE.items():
             assert found.values[name] == pytest.approx(true, rel=2e-3)
@@ -73,7 +73,7 @@ def test_true_parameters_come_back_with_error_bars_of_the_right_size() -> None:
 def test_a_parameter_that_the_recordings_do_not_tell_stays_at_its_prior() -> None:
     chosen = [item for item in free_parameters(RIG) if item.name in ("friction.shaft", "valve_1.inflow_area")]
     locked = [trial for trial in trials(1) if trial.joint == "locked"]
-    found = fit(Problem(RIG, locked, chosen), rounds=2)
+    found = joint_fit(JointProblem(RIG, locked, chosen), rounds=2)
     assert found.determined == {"valve_1.inflow_area": True, "friction.shaft": False}
     assert found.values["friction.shaft"] == pytest.approx(RIG.friction.shaft, rel=1e-6)
     assert found.std["friction.shaft"] == pytest.approx(0.05 * RIG.friction.shaft, rel=0.01)
@@ -153,7 +153,7 @@ def test_a_torque_from_outside_reaches_the_model() -> None:
     external = 0.5 * np.sin(np.arange(len(quiet)) * 1e-3)
     pushed = make_trial(_changed(record("free", 1), external_torque=external), RIG, "free", 0.0, "bag")
     p = RIG.parameters()
-    angles = [simulate(trial, p, first_state(trial, p))[:, 0] for trial in (quiet, pushed)]
+    angles = [predict(trial, p, start_of(trial))[:, 0] for trial in (quiet, pushed)]
     assert np.abs(angles[1] - angles[0]).max() > np.radians(1.0)
 
 

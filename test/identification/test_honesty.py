@@ -9,13 +9,13 @@ import pytest
 from plants import scattered, trial
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.agreement import check_same_rig, differences
-from pam_antagonist.identification.between import deviations, variations
-from pam_antagonist.identification.fit import Fit, fit, memory
-from pam_antagonist.identification.prediction import Problem
-from pam_antagonist.identification.profile import profiles
 from pam_antagonist.identification.stages import run_stages
 from pam_antagonist.inference.free_parameters import free_parameters
+from pam_antagonist.inference.joint_fit import JointFit, check_same_rig, differences, joint_fit
+from pam_antagonist.inference.joint_problem import JointProblem
+from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.inference.profile import shared_profiles
+from pam_antagonist.inference.spread import deviations, variations
 from pam_antagonist.rig import Rig, load_rig
 
 RIG = load_rig("shin2022")
@@ -25,7 +25,7 @@ WAYS = variations(RIG, FREE)
 SEEDS = int(os.environ.get("PAM_SEEDS", "2"))
 
 
-def identified(free_rig: Rig, locked_rig: Rig, seed: int, seconds: float = 15.0) -> Fit:
+def identified(free_rig: Rig, locked_rig: Rig, seed: int, seconds: float = 15.0) -> JointFit:
     trials = [
         trial(free_rig, RIG, "free", 10 * seed, seconds),
         trial(locked_rig, RIG, "locked", 10 * seed + 1, seconds),
@@ -58,11 +58,11 @@ def test_each_recording_gets_its_own_values_where_the_rig_has_changed() -> None:
     check_same_rig(found, WAYS)
 
 
-def locked_fit(second: Rig, names: tuple[str, ...]) -> Fit:
+def locked_fit(second: Rig, names: tuple[str, ...]) -> JointFit:
     """Two locked recordings, a few parameters: enough to compare two rigs, and quick."""
     free = [item for item in FREE if item.name in names]
     trials = [trial(RIG, RIG, "locked", 1, 8.0), trial(second, RIG, "locked", 2, 8.0)]
-    return fit(Problem(RIG, trials, free, jobs=2), deviations=deviations(variations(RIG, free), free))
+    return joint_fit(JointProblem(RIG, trials, free, jobs=2), deviations=deviations(variations(RIG, free), free))
 
 
 AREAS = ("valve_1.inflow_area", "valve_1.outflow_area")
@@ -83,7 +83,7 @@ def test_recordings_of_two_rigs_are_refused_with_what_differs() -> None:
 
 def test_a_profile_is_the_parabola_where_the_model_is_nearly_linear() -> None:
     found = locked_fit(RIG, AREAS)
-    (profile,) = profiles(found, ["valve_1.inflow_area"], 2)
+    (profile,) = shared_profiles(found, ["valve_1.inflow_area"], 2)
     assert np.allclose(profile.loss, profile.parabola, atol=0.5)
     assert profile.low is not None and profile.high is not None
     half = 0.5 * (profile.high - profile.low)
@@ -96,8 +96,8 @@ def test_samples_that_remember_count_for_fewer() -> None:
     slow = np.zeros_like(white)
     for k in range(1, len(white)):
         slow[k] = 0.9 * slow[k - 1] + white[k]
-    assert memory(white) == pytest.approx(1.0, abs=0.1)
+    assert correlation_length(white) == pytest.approx(1.0, abs=0.1)
     # (1 + ρ)/(1 − ρ) of a first-order process.
-    assert memory(slow) == pytest.approx(19.0, rel=0.25)
+    assert correlation_length(slow) == pytest.approx(19.0, rel=0.25)
     gappy = np.where(rng.random(len(slow)) < 0.1, np.nan, slow)
-    assert memory(gappy) == pytest.approx(19.0, rel=0.3)
+    assert correlation_length(gappy) == pytest.approx(19.0, rel=0.3)

@@ -14,7 +14,7 @@ from pam_antagonist.cli.identify import main as identify_command
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.identification import sealed
-from pam_antagonist.identification.stages import moved
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import dynamics, muscle, rest
 from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv

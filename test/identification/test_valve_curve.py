@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.curve_stage import identify_curves
-from pam_antagonist.identification.valve_curve import SteadyPoints, steady_open_rate, steady_points, valve_curve
+from pam_antagonist.identification.valve_curve import (
+    SteadyPoints,
+    identify_curves,
+    steady_open_rate,
+    steady_points,
+    valve_curve,
+)
 from pam_antagonist.inference.trial import Trial, make_trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording

@@ -1,4 +1,9 @@
-"""How much recordings of one rig deviate from each other: the spread under which all of them are most likely.
+"""How one and the same rig may differ from one recording to the next, and by how much recordings do.
+
+A rig is not quite the same on two days: valves warm up, muscles settle, the air is damper. Two recordings that are
+forced to share every parameter then fight for it, and the one with more samples wins. So each recording may deviate
+from the rig's common values by a little, along the directions that are listed here. How much the recordings do deviate
+(one number, relative) is the spread under which all of them are most likely: a random-effects model.
 
 Near the fit each trial's likelihood is a Gaussian in the parameters that it sees. With standard normal common
 parameters, deviations and starts the evidence of a spread is a Gaussian integral,
@@ -18,16 +23,99 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from pam_antagonist.identification.between import Deviations
+from pam_antagonist.inference.free_parameters import LINEAR_FORCE, Direction, FreeParameter
+from pam_antagonist.model import dynamics
+from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
-LEAST, LARGEST = 1e-4, 0.5
+USUAL_SPREAD = 0.01
+"""A relative deviation that does not surprise."""
+_LEAST, _LARGEST = 1e-4, 0.5
 """Spreads that are considered, relative."""
 _ALIKE = 1.0
 """Standard deviation of the logarithm of a group's spread about the common one."""
 _USUAL = 0.02
 """A spread that would not surprise; larger ones have to be shown by the data (half Cauchy)."""
+
+
+@dataclass(frozen=True)
+class Variation(Direction):
+    """One way in which recordings of a rig may differ; its amount is a relative deviation.
+
+    Attributes:
+        group: ``force``, ``flow`` or ``joint``: what tends to deviate by the same amount.
+    """
+
+    group: str
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Variations as the fit sees them.
+
+    Attributes:
+        shape: what a relative deviation of 1 does to the free parameters (F, G), in units of their priors.
+        group: number of the group that each belongs to (G,).
+    """
+
+    shape: Floats
+    group: NDArray[np.int64]
+
+
+def variations(rig: Rig, free: Sequence[FreeParameter]) -> tuple[Variation, ...]:
+    """The ways in which recordings may differ in the parameters that are free.
+
+    The coefficients of a force map nearly cancel each other: scattered one by one by a per cent they would change the
+    force by ten. A muscle deviates by the gain of its map and by an offset instead.
+
+    Args:
+        rig: whose values the relative deviations refer to.
+        free: parameters of the fit.
+    """
+    names = {item.name for item in free}
+    out = []
+    maps = set()
+    if rig.model.force == "linear":
+        middle = 0.5 * (rig.supply.pressure + rig.atmosphere.pressure)
+        force = dynamics.forces(np.array([0.0, 0.0, middle, middle]), rig.parameters())
+        for i in (1, 2):
+            own = {f"muscle_{i}.force.{c}" for c in LINEAR_FORCE}
+            maps |= own
+            if own <= names:
+                out.append(
+                    Variation(f"force of muscle {i}, gain", {name: rig.value(name) for name in sorted(own)}, "force")
+                )
+            if f"muscle_{i}.force.w2" in names:
+                out.append(
+                    Variation(f"force of muscle {i}, offset", {f"muscle_{i}.force.w2": float(force[i - 1])}, "force")
+                )
+    for item in free:
+        if item.name not in maps:
+            out.append(Variation(item.name, {item.name: item.start or item.prior_std}, _group(item.name)))
+    return tuple(out)
+
+
+def _group(name: str) -> str:
+    if ".force." in name:
+        return "force"
+    return "flow" if name.startswith(("valve_", "gas.", "supply.", "atmosphere.")) or ".volume." in name else "joint"
+
+
+def deviations(ways: Sequence[Variation], free: Sequence[FreeParameter]) -> Deviations:
+    """Variations in the units of the priors.
+
+    Args:
+        ways: the variations.
+        free: parameters of the fit.
+    """
+    place = {item.name: k for k, item in enumerate(free)}
+    shape = np.zeros((len(free), len(ways)))
+    for g, way in enumerate(ways):
+        for name, change in way.changes.items():
+            shape[place[name], g] = change / free[place[name]].prior_std
+    groups = sorted({way.group for way in ways})
+    return Deviations(shape, np.array([groups.index(way.group) for way in ways], dtype=np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +171,7 @@ def most_likely_spread(trials: Sequence[Local], deviations: Deviations) -> tuple
         than without any.
     """
     groups = int(deviations.group.max()) + 1
-    low, high = np.log(LEAST), np.log(LARGEST)
+    low, high = np.log(_LEAST), np.log(_LARGEST)
 
     def spread(unknown: Floats) -> Floats:
         return np.asarray(np.exp(np.clip(unknown[0] + _ALIKE * unknown[1:], low, high))[deviations.group])
@@ -101,5 +189,5 @@ def most_likely_spread(trials: Sequence[Local], deviations: Deviations) -> tuple
     options = {"xatol": 0.02, "fatol": 0.01, "maxfev": 400, "initial_simplex": simplex}
     found = minimize(against, start, method="Nelder-Mead", options=options)
     best = spread(found.x)
-    none = log_evidence(trials, LEAST * deviations.shape)
+    none = log_evidence(trials, _LEAST * deviations.shape)
     return best, log_evidence(trials, best * deviations.shape) - none

@@ -1,4 +1,11 @@
-"""What the model says about a trial, and how that moves with the parameters."""
+"""Several recordings of one rig as one problem: what the model says of them, and how that moves with the parameters.
+
+The recordings share the free parameters, and each may deviate from them a little, see
+:mod:`~pam_antagonist.inference.spread`. The coefficients of a force map nearly cancel each other: moved one by one,
+each throws a joint out of stiction, and the differences of such slopes claim to know what the data do not tell. So the
+map's coefficients are moved along combinations that change the force in independent ways, and each by a thousandth of
+the force.
+"""
 
 from __future__ import annotations
 
@@ -8,74 +15,32 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.slopes import STEP, step_directions
+from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.free_parameters import FreeParameter
-from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
-from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.inference.trial import CHANNELS, Trial, blocks
+from pam_antagonist.inference.valve_driven import STARTS, ValveDriven, predict
+from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
-BLOCK = 20
-"""Samples that are averaged to one residual: errors of a simulation are slow, and noise averages out."""
-STARTS = 3
-"""Values of a trial's start that are fitted with the parameters: angle and both pressures."""
-_START_SAMPLES = 20
-_START_ANGLE_STD = 1.7e-3
-"""[rad] How well a measured start angle is known, stiction and encoder step together."""
-
-
-def simulate(trial: Trial, p: Floats, start: Floats) -> Floats:
-    """Predict all channels of a trial by the model alone.
-
-    Args:
-        trial: its voltages are used, and its external torque.
-        p: parameter vector.
-        start: angle [rad] and pressure readings [Pa] at the first sample (3,).
-
-    Returns:
-        (N, 4) in the order of ``CHANNELS``.
-    """
-    behind = [sensor.pressure_behind(i, start[1 + i], p) for i in (0, 1)]
-    x0 = rest.initial_state(start[0], behind[0], behind[1], trial.given[0], p)
-    states, torque = dynamics.course(x0, trial.given, p, trial.dt, 1)
-    shown = [sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)]
-    return np.column_stack([states[:, 0], torque, *shown])
-
-
-def first_state(trial: Trial, p: Floats) -> Floats:
-    """Angle [rad] and pressure readings [Pa] (3,) at the start, from the first samples."""
-    first = trial.measured[:_START_SAMPLES]
-    pressure = np.nanmean(first[:, PRESSURE_1:], axis=0)
-    if trial.joint == "locked":
-        angle = trial.lock_angle
-    elif np.isfinite(first[:, ANGLE]).any():
-        angle = float(np.nanmean(first[:, ANGLE]))
-    else:
-        angle = float(rest.rest_angle(pressure[0], pressure[1], p))
-    return np.array([angle, *pressure])
-
-
-def blocks(values: Floats, size: int = BLOCK) -> Floats:
-    """Means over blocks of samples, (N // size, C); NaN where a block has less than half of its samples."""
-    count = len(values) // size
-    cut = values[: count * size].reshape(count, size, values.shape[1])
-    known = np.isfinite(cut)
-    total = np.where(known, cut, 0.0).sum(axis=1)
-    number = known.sum(axis=1)
-    return np.where(number >= size / 2, total / np.maximum(number, 1), np.nan)
+_STEP = 0.02
+"""Step of the central differences in standard deviations of the prior."""
+_FORCE_STEP = 1e-3
+"""Change of the force that a step of a map's coefficients makes, relative."""
+_RANGE = 0.35
+"""[rad] Angles at which the maps are looked at, either way."""
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class JointProblem:
     """A fit: trials, free parameters, and the channels that count.
 
     The vector that is fitted holds standard normal values: the free parameters in units of their priors, then for each
-    trial its deviations from them (:mod:`pam_antagonist.identification.between`) and those of its start from the
+    trial its deviations from them (:mod:`pam_antagonist.inference.spread`) and those of its start from the
     measured one (pressures, and the angle of a free joint).
 
     Attributes:
@@ -106,14 +71,15 @@ class Problem:
         return STARTS + (0 if self.between is None else self.between.shape[1])
 
     @cached_property
-    def _parameters(self) -> list[Floats]:
-        return [self.rig.parameters(trial.joint, trial.lock_angle) for trial in self.trials]
+    def experiments(self) -> tuple[ValveDriven, ...]:
+        """The trials as experiments, all of each to be fitted."""
+        return tuple(ValveDriven(self.rig, trial, len(trial)) for trial in self.trials)
 
     @cached_property
     def _steps(self) -> Floats:
         return step_directions(self.rig, self.free)
 
-    def with_between(self, between: Floats | None) -> Problem:
+    def with_between(self, between: Floats | None) -> JointProblem:
         """The same with other deviations of the trials."""
         return dataclasses.replace(self, between=between)
 
@@ -142,11 +108,9 @@ class Problem:
 
     def predict_local(self, local: Floats, index: int) -> Floats:
         """Prediction of one trial (N, 4) at what it sees of a fitted vector (F + 3,)."""
-        trial = self.trials[index]
-        p = par.changed(self._parameters[index], self.values(local))
-        pressure_std = self.rig.sensors.pressure_std / np.sqrt(_START_SAMPLES)
-        scale = np.array([0.0 if trial.joint == "locked" else _START_ANGLE_STD, pressure_std, pressure_std])
-        return simulate(trial, p, first_state(trial, p) + scale * local[len(self.free) :])
+        experiment = self.experiments[index]
+        p = par.changed(experiment.vector, self.values(local))
+        return predict(experiment.trial, p, experiment.first, experiment.start_std * local[len(self.free) :])
 
     def predict(self, theta: Floats, index: int) -> Floats:
         """Prediction of one trial (N, 4) at a fitted vector."""
@@ -158,9 +122,7 @@ class Problem:
 
     def residuals(self, theta: Floats) -> list[Floats]:
         """Prediction minus measurement in blocks, one array (B, counted channels) a trial."""
-        predicted = Parallel(n_jobs=self.jobs, prefer="threads")(
-            delayed(self.predict)(theta, index) for index in range(len(self.trials))
-        )
+        predicted = side_by_side(lambda index: self.predict(theta, index), range(len(self.trials)), self.jobs)
         return [
             blocks((values - trial.measured)[:, self.counted(trial)])
             for trial, values in zip(self.trials, predicted, strict=True)
@@ -171,18 +133,18 @@ class Problem:
         seen = [self.map(index) @ theta for index in range(len(self.trials))]
 
         width = len(self.free) + STARTS
-        steps = STEP * np.eye(width)
+        steps = _STEP * np.eye(width)
         steps[: len(self.free), : len(self.free)] = self._steps
         back = np.linalg.inv(steps)
 
-        def column(index: int, k: int) -> Floats:
+        def column(task: tuple[int, int]) -> Floats:
+            index, k = task
             counted = self.counted(self.trials[index])
             up, down = (self.predict_local(seen[index] + sign * steps[:, k], index) for sign in (1.0, -1.0))
             return blocks((up - down)[:, counted]) / 2.0
 
-        # The compiled simulation runs without the interpreter's lock: threads do.
         tasks = [(index, k) for index in range(len(self.trials)) for k in range(width)]
-        columns = Parallel(n_jobs=self.jobs, prefer="threads")(delayed(column)(*task) for task in tasks)
+        columns = side_by_side(column, tasks, self.jobs)
         return [
             np.stack(columns[index * width : (index + 1) * width], axis=2) @ back for index in range(len(self.trials))
         ]
@@ -207,3 +169,41 @@ def stacked(parts: Sequence[Floats], weights: Sequence[Floats]) -> Floats:
         scaled = np.nan_to_num(part / weight.reshape(-1, *[1] * (part.ndim - 2)))
         rows.append(scaled.reshape(-1, *part.shape[2:]))
     return np.concatenate(rows)
+
+
+def step_directions(rig: Rig, free: Sequence[FreeParameter]) -> Floats:
+    """Steps as columns (F, F), in units of the priors.
+
+    Args:
+        rig: start values.
+        free: parameters of the fit.
+    """
+    steps = _STEP * np.eye(len(free))
+    for number in (1, 2):
+        own = [k for k, item in enumerate(free) if item.name.startswith(f"muscle_{number}.force.")]
+        if len(own) > 1:
+            steps[np.ix_(own, own)] = _force_steps(rig, [free[k] for k in own], number - 1)
+    return steps
+
+
+def _force_steps(rig: Rig, free: Sequence[FreeParameter], muscle: int) -> Floats:
+    p = rig.parameters()
+    stop = min(p[par.STOP], _RANGE)
+    low = 0.5 * (rig.supply.pressure + rig.atmosphere.pressure) - 0.4 * (rig.supply.pressure - rig.atmosphere.pressure)
+    states = [
+        np.array([angle, 0.0, pressure, pressure])
+        for angle in np.linspace(-stop, stop, 5)
+        for pressure in np.linspace(low, rig.supply.pressure, 5)
+    ]
+
+    def forces(q: Floats) -> Floats:
+        return np.array([dynamics.forces(state, q)[muscle] for state in states])
+
+    base = forces(p)
+    design = np.column_stack(
+        [forces(par.changed(p, {item.name: item.start + 0.01 * item.prior_std})) - base for item in free]
+    ) / (0.01 * np.sqrt(len(states)))
+    _, strength, turned = np.linalg.svd(design, full_matrices=False)
+    wanted = _FORCE_STEP * float(np.sqrt(np.mean(base**2)))
+    # A combination that hardly moves the force is moved by a standard deviation at most.
+    return np.asarray(turned.T * np.minimum(wanted / np.maximum(strength, 1e-300), 1.0))

@@ -1,4 +1,7 @@
-"""Maximum a posteriori by Gauss-Newton, and what its answer is worth."""
+"""The most probable parameters of one rig from several recordings, by Gauss-Newton, and what the answer is worth.
+
+The recordings may deviate from each other a little. How far they do tells whether they are of one rig at all.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pam_antagonist.identification.between import USUAL_SPREAD, Deviations
-from pam_antagonist.identification.evidence import Local, most_likely_spread
-from pam_antagonist.identification.prediction import BLOCK, Problem, stacked
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
+from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.joint_problem import JointProblem, stacked
+from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.inference.spread import USUAL_SPREAD, Deviations, Local, Variation, most_likely_spread
+from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, PRESSURE_2, TORQUE
+from pam_antagonist.inference.valve_driven import STARTS
+from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
@@ -21,12 +27,16 @@ _DETERMINED = 0.5
 """A posterior that is narrower than this share of the prior was learnt from the data."""
 _NEAR = 0.15
 """Distance in standard deviations of the prior within which slopes are used again."""
-_FAINT = 0.05
-"""Correlation of residuals below which they are taken to be independent."""
+_LEAST_NOISE = {ANGLE: 1e-5, TORQUE: 1e-4, PRESSURE_1: 10.0, PRESSURE_2: 10.0}
+"""A sensor without noise still has some: nothing is known to a part in a million."""
+_IMPLAUSIBLE = 3.0
+"""Standard deviations of the prior by which one and the same rig does not differ between two recordings."""
+_CERTAIN = 2.0
+"""Standard errors from which on a difference is called one."""
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class JointFit:
     """The answer of a fit.
 
     Attributes:
@@ -41,7 +51,7 @@ class Fit:
         evidence_gain: logarithm of how much more likely the data are with that spread than with none.
     """
 
-    problem: Problem
+    problem: JointProblem
     theta: Floats
     full: Floats
     weights: tuple[Floats, ...]
@@ -102,19 +112,19 @@ class Fit:
         return self.covariance / np.outer(deviations, deviations)
 
 
-def fit(
-    problem: Problem,
+def joint_fit(
+    problem: JointProblem,
     start: Floats | None = None,
     rounds: int = _ROUNDS,
     deviations: Deviations | None = None,
     progress: Callable[[str], None] | None = None,
-) -> Fit:
+) -> JointFit:
     """Fit by prediction error with the prior of the free parameters.
 
     The standard deviation of each channel is estimated with the parameters, from all trials together: a model that is
     right to the noise is weighted by the noise, one that is not by what it misses, and no trial can buy a better fit
     of one channel by giving up another trial's. Where there are several trials and they may deviate from their common
-    parameters, how much they do is estimated as well, by the evidence (:mod:`pam_antagonist.identification.evidence`).
+    parameters, how much they do is estimated as well, by the evidence (:mod:`pam_antagonist.inference.spread`).
 
     Args:
         problem: the trials and free parameters, without deviations.
@@ -150,7 +160,7 @@ def fit(
     for index, part in enumerate(parts):
         seen = problem.map(index)
         information += seen.T @ part.information @ seen
-    return Fit(
+    return JointFit(
         problem,
         theta,
         np.asarray(np.linalg.inv(information), dtype=np.float64),
@@ -172,8 +182,8 @@ class _Slopes:
         self._seen: list[Floats] = []
         self._parts: list[Floats] = []
 
-    def at(self, problem: Problem, theta: Floats, near: float = _NEAR) -> list[Floats]:
-        """Derivatives by what each trial sees, as :meth:`Problem.local_jacobians`."""
+    def at(self, problem: JointProblem, theta: Floats, near: float = _NEAR) -> list[Floats]:
+        """Derivatives by what each trial sees, as :meth:`JointProblem.local_jacobians`."""
         seen = [problem.map(index) @ theta for index in range(len(problem.trials))]
         stands = self._parts and all(
             np.max(np.abs(old - new)) <= near for old, new in zip(self._seen, seen, strict=True)
@@ -184,7 +194,7 @@ class _Slopes:
 
 
 def _minimise(
-    problem: Problem, theta: Floats, weights: Sequence[Floats], loss: str, slopes: _Slopes
+    problem: JointProblem, theta: Floats, weights: Sequence[Floats], loss: str, slopes: _Slopes
 ) -> tuple[Floats, float]:
     def jacobian(t: Floats) -> Floats:
         parts = [part @ problem.map(index) for index, part in enumerate(slopes.at(problem, t))]
@@ -205,36 +215,40 @@ def _minimise(
     return solution.x, float(solution.cost)
 
 
-def _rescaled(problem: Problem, theta: Floats, factor: Floats) -> Floats:
+def _rescaled(problem: JointProblem, theta: Floats, factor: Floats) -> Floats:
     """The same deviations in units of another spread."""
     result = theta.copy()
     own = 0 if problem.between is None else problem.between.shape[1]
     for index in range(len(problem.trials)):
-        first = len(problem.free) + index * (own + 3)
+        first = len(problem.free) + index * (own + STARTS)
         result[first : first + own] *= factor
     return result
 
 
-def _first_weights(problem: Problem) -> list[Floats]:
+def _first_weights(problem: JointProblem) -> list[Floats]:
     """Deviations of a model that is off by a per cent: wide enough that no channel is taken at its word yet."""
-    wide = {ANGLE: np.radians(0.2), TORQUE: 0.03, PRESSURE_1: 2e3, PRESSURE_1 + 1: 2e3}
+    wide = {ANGLE: np.radians(0.2), TORQUE: 0.03, PRESSURE_1: 2e3, PRESSURE_2: 2e3}
     return [np.array([wide[channel] for channel in problem.counted(trial)]) for trial in problem.trials]
 
 
-def noise_floor(problem: Problem) -> dict[int, float]:
-    """Standard deviations of the channels' block means by sensor noise alone."""
-    sensors = problem.rig.sensors
-    angle, torque = sensors.error("angle"), sensors.error("torque")
+def noise_floor(rig: Rig) -> dict[int, float]:
+    """Standard deviations of the channels' block means by the sensors' declared errors, which average out in a block.
+
+    The step of a converter does not where its noise is smaller (:func:`~pam_antagonist.inference.noise.block_noise`).
+    Here that would take weight from an angle that a joint fit follows to a fraction of such a step.
+
+    Args:
+        rig: with its sensors.
+    """
+    sensors = rig.sensors
     pressure = np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))
-    raw = {ANGLE: angle, TORQUE: torque, PRESSURE_1: pressure, PRESSURE_1 + 1: pressure}
-    # A sensor that is declared without noise still has some: nothing is known to a part in a million.
-    least = {ANGLE: 1e-5, TORQUE: 1e-4, PRESSURE_1: 10.0, PRESSURE_1 + 1: 10.0}
-    return {channel: max(value / np.sqrt(BLOCK), least[channel]) for channel, value in raw.items()}
+    raw = {ANGLE: sensors.error("angle"), TORQUE: sensors.error("torque"), PRESSURE_1: pressure, PRESSURE_2: pressure}
+    return {channel: max(value / np.sqrt(BLOCK), _LEAST_NOISE[channel]) for channel, value in raw.items()}
 
 
-def _weights(problem: Problem, residuals: Sequence[Floats]) -> list[Floats]:
+def _weights(problem: JointProblem, residuals: Sequence[Floats]) -> list[Floats]:
     """RMS of each channel's residuals, pooled over the trials that have it, and never below the noise."""
-    floor = noise_floor(problem)
+    floor = noise_floor(problem.rig)
     total: dict[int, list[float]] = {}
     for trial, part in zip(problem.trials, residuals, strict=True):
         for column, channel in enumerate(problem.counted(trial)):
@@ -243,38 +257,96 @@ def _weights(problem: Problem, residuals: Sequence[Floats]) -> list[Floats]:
     return [np.array([pooled[channel] for channel in problem.counted(trial)]) for trial in problem.trials]
 
 
-def memory(series: Floats) -> float:
-    """How many samples of a series tell as much as one of independent ones, at least 1.
-
-    The integrated autocorrelation 1 + 2 Σ ρ_k up to the first lag at which the correlation is faint.
-
-    Args:
-        series: (B,), NaN where there is nothing.
-    """
-    known = np.isfinite(series)
-    values = np.where(known, series, 0.0)
-    power = float(np.sum(values * values))
-    total = 1.0
-    if power <= 0.0:
-        return total
-    for lag in range(1, len(values) // 4):
-        pairs = int(np.count_nonzero(known[lag:] & known[:-lag]))
-        rho = float(np.sum(values[lag:] * values[:-lag])) / power * (known.sum() / max(pairs, 1))
-        if rho < _FAINT:
-            break
-        total += 2.0 * rho
-    return total
-
-
-def _locals(problem: Problem, theta: Floats, weights: Sequence[Floats], slopes: _Slopes) -> list[Local]:
+def _locals(problem: JointProblem, theta: Floats, weights: Sequence[Floats], slopes: _Slopes) -> list[Local]:
     """What each trial says about the parameters that it sees, near the fit."""
     out = []
     residuals, jacobians = problem.residuals(theta), slopes.at(problem, theta)
     for index, (residual, jacobian, weight) in enumerate(zip(residuals, jacobians, weights, strict=True)):
-        slow = np.array([memory(residual[:, column]) for column in range(residual.shape[1])])
+        slow = np.array([correlation_length(column) for column in residual.T])
         scale = weight * np.sqrt(slow)
         j = np.nan_to_num(jacobian / scale[:, None]).reshape(-1, jacobian.shape[2])
         r = np.nan_to_num(residual / scale).ravel()
         seen = problem.map(index) @ theta
         out.append(Local(j.T @ j, j.T @ (j @ seen - r), slow))
     return out
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far the recordings lie apart in one direction, relative.
+
+    Attributes:
+        name: of the direction.
+        deviations: of each recording from the common value.
+        largest: difference of the two that lie furthest apart.
+        std: its standard error.
+        limit: difference beyond which they are taken for different rigs.
+        pair: which recordings these are.
+    """
+
+    name: str
+    deviations: tuple[float, ...]
+    largest: float
+    std: float
+    limit: float
+    pair: tuple[int, int]
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is more than noise."""
+        return abs(self.largest) > _CERTAIN * self.std
+
+
+def differences(found: JointFit, ways: tuple[Variation, ...]) -> list[Difference]:
+    """All differences between the recordings, the largest in standard errors first.
+
+    Args:
+        found: a fit in which trials may deviate.
+        ways: the directions, in the order of the fit's.
+    """
+    problem = found.problem
+    if problem.between is None or found.spread is None:
+        return []
+    trials, free = len(problem.trials), {item.name: item for item in problem.free}
+    count, own = len(problem.free), problem.between.shape[1] + STARTS
+    out = []
+    for g, way in enumerate(ways):
+        at = [count + index * own + g for index in range(trials)]
+        values = found.spread[g] * found.theta[at]
+        first, last = int(np.argmin(values)), int(np.argmax(values))
+        pick = np.zeros(problem.size)
+        pick[at[first]], pick[at[last]] = -found.spread[g], found.spread[g]
+        std = float(np.sqrt(pick @ found.full @ pick))
+        relative = [free[name].prior_std / abs(change) for name, change in way.changes.items() if change]
+        limit = _IMPLAUSIBLE * min(max(relative), 0.2)
+        out.append(
+            Difference(
+                way.name,
+                tuple(float(v) for v in values),
+                float(values[last] - values[first]),
+                std,
+                limit,
+                (first, last),
+            )
+        )
+    return sorted(out, key=lambda item: -abs(item.largest) / max(item.std, 1e-12))
+
+
+def check_same_rig(found: JointFit, ways: tuple[Variation, ...]) -> None:
+    """Refuse recordings that cannot be of one rig.
+
+    Args:
+        found: a fit in which trials may deviate.
+        ways: the directions, in the order of the fit's.
+
+    Raises:
+        BadInput: two recordings differ by more than three standard deviations of the prior.
+    """
+    refused = [item for item in differences(found, ways) if item.largest - _CERTAIN * item.std > item.limit]
+    if refused:
+        worst = max(refused, key=lambda item: item.largest / item.limit)
+        low, high = (found.problem.trials[index].name for index in worst.pair)
+        raise BadInput(
+            f"{high} and {low} are not recordings of one rig: {worst.name} differs by {100 * worst.largest:.0f} % "
+            f"(at most {100 * worst.limit:.0f} % is plausible); identify them one by one"
+        )

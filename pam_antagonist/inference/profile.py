@@ -1,0 +1,178 @@
+"""Profile likelihoods: how much worse the best fit gets while one parameter is held away from its value.
+
+A standard error is the curvature at the best fit. The profile shows whether the likelihood really is a parabola, and
+where it is flat: there the recordings say nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
+from pam_antagonist.inference.joint_fit import JointFit
+from pam_antagonist.inference.joint_problem import stacked
+
+Floats = NDArray[np.float64]
+
+_POSITIONS = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0])
+"""Of a shared parameter, in standard errors."""
+_STEPS = 2
+_SHARES = (0.0, 0.5)
+"""Of an effect's size: what it takes to be called found."""
+_NEAR = (-3.0, -1.5, 1.5, 3.0)
+"""In standard errors from an effect's size: whether the likelihood is the parabola that these stand for."""
+_CHI_SQUARE = 3.84
+"""95 % of a chi-square with one degree of freedom: the rise of −2 log posterior at the ends of an interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The profile of one parameter.
+
+    Attributes:
+        name: of the parameter.
+        best: its most probable value.
+        std: its standard error.
+        value: values at which it was held (K,), increasing.
+        loss: of the logarithm of likelihood and prior there (K,), 0 at the best.
+        flat: whether the recordings would as well do with half of it.
+    """
+
+    name: str
+    best: float
+    std: float
+    value: Floats
+    loss: Floats
+    flat: bool = False
+
+    @property
+    def parabola(self) -> Floats:
+        """Loss by the standard error alone (K,)."""
+        return np.asarray(0.5 * ((self.value - self.best) / self.std) ** 2)
+
+    @property
+    def low(self) -> float | None:
+        """Lower end of the 95 % interval, None where it lies beyond the values."""
+        return self._end(-1)
+
+    @property
+    def high(self) -> float | None:
+        """Upper end."""
+        return self._end(1)
+
+    def _end(self, way: int) -> float | None:
+        k = int(np.argmin(self.loss))
+        while 0 <= k + way < len(self.value):
+            if self.loss[k + way] >= 0.5 * _CHI_SQUARE:
+                share = (0.5 * _CHI_SQUARE - self.loss[k]) / (self.loss[k + way] - self.loss[k])
+                return float(self.value[k] + share * (self.value[k + way] - self.value[k]))
+            k += way
+        return None
+
+
+def shared_profiles(
+    found: JointFit, names: Sequence[str], jobs: int = 1, progress: Callable[[str], None] | None = None
+) -> list[Profile]:
+    """Profiles of parameters that several recordings share, over ±3 standard errors.
+
+    All others are fitted anew at each value by Gauss-Newton with the slopes at the best fit.
+
+    Args:
+        found: the fit.
+        names: parameters.
+        jobs: threads.
+        progress: told which parameter is done.
+    """
+    problem = found.problem
+    weights = [w * np.sqrt(m) for w, m in zip(found.weights, found.memory, strict=True)]
+    jacobian = np.vstack([stacked(problem.jacobian(found.theta), weights), np.eye(problem.size)])
+    place = {item.name: k for k, item in enumerate(problem.free)}
+
+    def cost(theta: Floats) -> tuple[Floats, float]:
+        residual = np.concatenate([stacked(problem.residuals(theta), weights), theta])
+        return residual, 0.5 * float(residual @ residual)
+
+    def held(k: int, position: float) -> float:
+        std = float(np.sqrt(found.full[k, k]))
+        # Along the ridge: where the others go while this one is moved.
+        theta = found.theta + found.full[:, k] / found.full[k, k] * position * std
+        others = np.arange(problem.size) != k
+        normal = np.linalg.pinv(jacobian[:, others])
+        best = np.inf
+        for _ in range(_STEPS):
+            residual, now = cost(theta)
+            best = min(best, now)
+            theta[others] -= normal @ residual
+        return min(best, cost(theta)[1])
+
+    base = cost(found.theta)[1]
+    out = []
+    for name in names:
+        k = place[name]
+        item, std = problem.free[k], float(np.sqrt(found.full[k, k]))
+        costs = np.array(Parallel(n_jobs=jobs, prefer="threads")(delayed(held)(k, x) for x in _POSITIONS))
+        value = item.start + item.prior_std * (found.theta[k] + _POSITIONS * std)
+        best = float(item.start + item.prior_std * found.theta[k])
+        out.append(Profile(name, best, item.prior_std * std, value, costs - min(base, costs.min())))
+        if progress:
+            progress(f"profile of {name}")
+    return out
+
+
+def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffectParameter, jobs: int = 1) -> Profile:
+    """Profile of an effect's size in one recording, at 0, at half of it and about it.
+
+    Args:
+        experiment: the recording.
+        fitted: its model.
+        parameter: one of its free ones, with a size that is not 0.
+        jobs: threads.
+    """
+    best = fitted.point.effects[parameter.path]
+    k = len(fitted.covariance) - len(fitted.free) + fitted.free.index(parameter)
+    std = float(np.sqrt(fitted.covariance[k, k])) * parameter.slope(best)
+    far = [best * share for share in _SHARES]
+    near = [parameter.bounded(best + position * std) for position in _NEAR]
+    starts = [fitted.point] * len(far) + [_along(fitted, k, parameter, value) for value in near]
+    rises = Parallel(n_jobs=jobs, prefer="threads")(
+        delayed(_rise)(experiment, fitted, start, parameter, value)
+        for start, value in zip(starts, [*far, *near], strict=True)
+    )
+    _, half = rises[_SHARES.index(0.5)]
+    points = sorted([*zip([*far, *near], (rise for rise, _ in rises), strict=True), (best, 0.0)])
+    value, rise = np.array(points).T
+    return Profile(parameter.path, best, std, value, 0.5 * rise, half < _CHI_SQUARE)
+
+
+def _along(fitted: Fitted, k: int, parameter: FreeEffectParameter, value: float) -> Point:
+    """Where the others go, by the covariance, while one number is moved to a value."""
+    best = fitted.point.effects[parameter.path]
+    step = parameter.coordinate(value) - parameter.coordinate(best)
+    moved = fitted.covariance[:, k] / fitted.covariance[k, k] * step
+    count = len(fitted.covariance) - len(fitted.free)
+    effects = dict(fitted.point.effects)
+    for other, change in zip(fitted.free, moved[count:], strict=True):
+        now = effects.get(other.path, other.item.neutral)
+        effects.update(dict.fromkeys(other.paths, other.bounded(other.value(other.coordinate(now) + float(change)))))
+    return Point(fitted.point.theta + moved[:count], effects)
+
+
+def _rise(
+    experiment: Experiment, fitted: Fitted, start: Point, parameter: FreeEffectParameter, value: float
+) -> tuple[float, float]:
+    """Least rise of −2 log posterior with one number held at a value: as errors are judged, and as evidence is."""
+    effects = {**start.effects, **dict.fromkeys(parameter.paths, value)}
+    others = tuple(other for other in fitted.free if other != parameter)
+    scale, begin = fitted.scale, Point(start.theta, effects)
+    moved = refit(experiment, begin, others, fitted.base, rounds=5, renewals=0, blocks_per_error=scale.blocks_per_error)
+    change = scale.misfits(moved.residual) - scale.misfits(fitted.residual)
+    prior = prior_cost(experiment, moved.point.theta) - prior_cost(experiment, fitted.point.theta)
+    as_error = max(float(scale.blocks_per_error / scale.length @ change) + prior, 0.0)
+    return as_error, scale.share * (float(change.sum()) + prior)
