@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import textwrap
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,8 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_rig import StaticResult, with_length, work_out
 from pam_antagonist.identification.static_table import QUANTITIES, Choice, read_force_map, read_volumes
 from pam_antagonist.model import parameters as par
-from pam_antagonist.report import static_page, terminal
+from pam_antagonist.report import terminal
+from pam_antagonist.report.static import summary, write_report
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -110,7 +110,7 @@ def _main(argv: Sequence[str] | None) -> int:
         if result.fitted is not None:
             write_rig(result.fitted, folder / "rig.yaml", _remarks(result))
             load_rig(folder / "rig.yaml")
-        static_page.write_report(folder, result, with_figures=not arguments.no_figures)
+        write_report(folder, result, with_figures=not arguments.no_figures)
     print(_summary(result, arguments))
     if arguments.open:
         webbrowser.open((arguments.out / "report.html").absolute().as_uri())
@@ -166,13 +166,8 @@ def _remarks(result: StaticResult) -> list[str]:
 
 
 def _summary(result: StaticResult, arguments: argparse.Namespace) -> str:
-    lines = [terminal.table(static_page.coefficients_table(result))]
-    if result.force_map is not None:
-        lines += ["", terminal.table(static_page.forms_table(result.forms, result.form))]
-    lines += ["", textwrap.fill(static_page.verdict(result), 100)]
-    lines += [textwrap.fill(text, 100, initial_indent="! ", subsequent_indent="  ") for text in result.warnings]
     made = "report.html and report.json" if result.fitted is None else "rig.yaml, report.html and report.json"
-    return "\n".join([*lines, "", f"{arguments.out}: {made}"])
+    return f"{terminal.render(summary(result))}\n\n{arguments.out}: {made}"
 
 
 if __name__ == "__main__":
