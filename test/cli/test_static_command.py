@@ -70,7 +70,7 @@ def test_the_rig_file_holds_the_fits_and_their_errors(tables, tmp_path, capsys):
     assert linear["left_out"]["rmse_n"] < 0.6 and len(linear["left_out"]["by_length"]) == 7
     assert np.array(report["volume"]["covariance"]).shape == (3, 3)
     said = capsys.readouterr().out
-    assert "form linear tells the force at a length it has not seen to 0." in " ".join(said.split())
+    assert "form linear gives the force with a root mean square error of 0." in " ".join(said.split())
 
 
 def test_an_identification_takes_the_errors_for_its_prior(tables, tmp_path):
