@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-LIMIT = 4000
-"""Most points of one trace."""
+LIMIT = 2000
+"""Most points of one trace: the least and the largest value for each pixel of a figure that is 1,000 pixels wide."""
 _PAUSE = 5.0
 """A step of more than this many median ones is a pause."""
 

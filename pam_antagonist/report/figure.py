@@ -229,7 +229,7 @@ class Figure:
     def margins(self) -> tuple[int, int, int, int]:
         """Left, right, upper and lower margin in pixels; the upper one holds a legend or a panel's title."""
         named = any(not getattr(part, "quiet", True) for panel in self.panels for part in panel.series)
-        rows_only = all(panel.y.labels and not panel.title for panel in self.panels)
+        rows_only = all(panel.y.labels and not panel.x.labels for panel in self.panels)
         return 66, 14, 10 if rows_only and not named else 34, 44
 
     @property

@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 _FONT = 'system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans","DejaVu Sans",sans-serif'
 _DECADES = [10.0**power for power in range(-6, 10)]
 _CLEAR = "rgba(0,0,0,0)"
-_DENSE = 25.0
+_DENSE = 26.0
 """Rows that are less high than this [px] have small letters."""
 
 
@@ -167,7 +167,8 @@ def _trace(part: Line | Band | Points | Bars | Heatmap, panel: Panel) -> Values:
     if isinstance(part, Band):
         return {**common, **_outline(part, panel)}
     x, y = decimate.curve(part.x, part.y, panel.x.is_time) if isinstance(part, Line) else (part.x, part.y)
-    out: Values = {"type": "scatter", **common, "x": _rounded(x, panel.x, 6), "y": _rounded(y, panel.y)}
+    digits = 4 if isinstance(part, Line) and part.opacity < 1.0 else 5  # without a hover text, only pixels count
+    out: Values = {"type": "scatter", **common, "x": _rounded(x, panel.x, 6), "y": _rounded(y, panel.y, digits)}
     if isinstance(part, Bars):
         return {**out, "type": "bar", "marker": {"color": part.color}}
     if isinstance(part, Line):
@@ -195,7 +196,7 @@ def _outline(part: Band, panel: Panel) -> Values:
         "type": "scatter",
         "mode": "lines",
         "x": _rounded(np.concatenate(x), panel.x, 6),
-        "y": _rounded(np.concatenate(y), panel.y),
+        "y": _rounded(np.concatenate(y), panel.y, 4),
         "fill": "toself",
         "fillcolor": part.color,
         "line": {"width": 0},
@@ -209,7 +210,7 @@ def _heatmap(part: Heatmap, panel: Panel) -> Values:
         "type": "heatmap",
         "x": _rounded(part.x, panel.x, 6),
         "y": list(range(len(part.rows))),
-        "z": [_rounded(row, Axis(), 4) for row in part.values],
+        "z": [_rounded(row, Axis(), 6) for row in part.values],
         "text": [[_text(name)] * len(part.x) for name in part.rows],
         "hovertemplate": _template(part.hover) + "<extra></extra>",
         "colorscale": [[k / steps, color] for k, color in enumerate(part.colors)],
