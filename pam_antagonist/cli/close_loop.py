@@ -17,7 +17,7 @@ from pam_antagonist import __version__
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.diagnosis import Diagnosis, diagnose
-from pam_antagonist.diagnosis.store import Store
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.report import close_loop as numbers
@@ -95,7 +95,7 @@ def _main(argv: Sequence[str] | None) -> int:
     fitted, held_out = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
     hashes = [bag_hash(recording.path) for recording in recordings]
     holdout = [bag_name(recording.path) for recording in held_out] or share
-    store = Store(kept.absolute())
+    store = Checkpoint(kept.absolute())
     store.claim(_settings(arguments, rig, hashes, holdout))
     try:
         with cluster.connected(arguments.dask):
@@ -141,7 +141,7 @@ def _settings(
     }
 
 
-def _tell_how_to_go_on(store: Store, argv: Sequence[str]) -> None:
+def _tell_how_to_go_on(store: Checkpoint, argv: Sequence[str]) -> None:
     again = [*argv, *([] if "--resume" in argv else ["--resume"])]
     print(
         f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"
@@ -156,7 +156,7 @@ def _diagnosed(
     fitted: Sequence[Recording],
     held_out: Sequence[Recording],
     share: float,
-    store: Store,
+    store: Checkpoint,
 ) -> Diagnosis:
     with common.progress(_STEPS, "close_loop", "steps") as bar:
 

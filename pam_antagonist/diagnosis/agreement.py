@@ -1,26 +1,169 @@
-"""Whether recordings contradict each other: in the rig that they are of, and in what is wrong with it."""
+"""What recordings have in common, and where they contradict each other.
+
+Every recording has base parameters and effects of its own. One rig for all of them weighs each by how well it knows
+them. Recordings of one rig may not differ by more than a rig does from day to day.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.candidates import Model, evidence
+from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect
-from pam_antagonist.diagnosis.rigs import farthest_apart
-from pam_antagonist.diagnosis.select import STRONG, Model, evidence
+from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.gauss_newton import Fitted, refit
-from pam_antagonist.model.effects import DISTURBANCE
+from pam_antagonist.inference.trial import BLOCK
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
+from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
+_OWN = 0.01
+"""Relative scatter between recordings that a weighted mean expects."""
 
-def of_base(experiments: Sequence[Experiment], base: Model) -> list[str]:
+
+def own_rig(experiment: Experiment, point: Point, start: Rig | None = None) -> Rig:
+    """The rig with the base parameters and effects of one recording.
+
+    Args:
+        experiment: the recording.
+        point: its model.
+        start: the rig that is changed; default: the experiment's.
+    """
+    here = experiment if start is None else replace(experiment, rig=start)
+    return with_effects(moved(here.rig, here.changes(point)), point.effects)
+
+
+def common_rig(
+    experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float], start: Rig | None = None
+) -> Rig:
+    """The rig with base parameters that suit all recordings, each weighted by how well it knows them.
+
+    Args:
+        experiments: the recordings.
+        model: their models.
+        effects: values of the effects' parameters by dotted path.
+        start: the rig that is changed; default: the experiments'.
+    """
+    if len(experiments) == 1:
+        return own_rig(experiments[0], model.fits[0].point, start)
+    return own_rig(experiments[0], common_point(experiments, model, effects), start)
+
+
+def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
+    """A rig with the estimator's tuning and the random walk of the disturbance torque of another one.
+
+    Args:
+        rig: the rig.
+        tuned: the other one; None leaves the rig as it is.
+    """
+    if tuned is None:
+        return rig
+    walk = {name: values for name, values in tuned.effects.items() if name == DISTURBANCE}
+    return rig.replaced(tunings=tuned.tunings, effects={**rig.effects, **walk})
+
+
+def common_point(experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float]) -> Point:
+    """The same as a point, of which a recording needs its own start only.
+
+    Args:
+        experiments: the recordings.
+        model: their models.
+        effects: values of the effects' parameters by dotted path.
+    """
+    first = experiments[0]
+    count = len(first.directions)
+    theta = np.zeros(first.size)
+    if len(experiments) == 1:
+        theta[:count] = model.fits[0].point.theta[:count]
+        return Point(theta, dict(model.fits[0].point.effects))
+    information, pull = np.diag(first.prior[:count]), np.zeros(count)
+    for fitted in model.fits:
+        covariance = fitted.covariance[:count, :count] + _OWN**2 * np.eye(count)
+        weight = np.linalg.inv(covariance)
+        # The prior is in every recording's covariance; it counts once.
+        weight -= np.linalg.inv(np.diag(1.0 / first.prior[:count]) + _OWN**2 * np.eye(count))
+        information += weight
+        pull += weight @ fitted.point.theta[:count]
+    theta[:count] = np.linalg.solve(information, pull)
+    return Point(theta, dict(effects))
+
+
+def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, float] | None:
+    """Where two models of the same joint condition are of different rigs: name and relative difference, else None.
+
+    Args:
+        experiment: one of the two, whose directions they share.
+        one: its model.
+        other: that of the other.
+    """
+    count = len(experiment.directions)
+    apart = one.point.theta[:count] - other.point.theta[:count]
+    variances = np.diag(one.covariance)[:count] + np.diag(other.covariance)[:count]
+    bound = np.maximum(
+        thresholds.OTHER_RIG_PRIORS * np.array([direction.prior for direction in experiment.directions]),
+        thresholds.OTHER_RIG_STD * np.sqrt(variances),
+    )
+    worst = int(np.argmax(np.abs(apart) / bound))
+    return (experiment.directions[worst].name, float(apart[worst])) if abs(apart[worst]) > bound[worst] else None
+
+
+def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:
+    """A rig with effects; those without size are left out, with their shapes."""
+    chosen: dict[str, dict[str, float]] = {}
+    for path, value in effects.items():
+        _, effect, name = path.split(".")
+        chosen.setdefault(effect, {})[name] = float(value)
+    kept = {}
+    for effect, values in chosen.items():
+        sizes = {item.name for item in CATALOGUE[effect].parameters if item.is_size}
+        if any(values.get(name) for name in sizes):
+            kept[effect] = {name: value for name, value in values.items() if name not in sizes or value != 0.0}
+    return rig.replaced(effects={**rig.effects, **kept})
+
+
+def check_same_rig(group: Group, base: Model, jobs: int) -> None:
+    """Refuse a held-out recording whose own base parameters are far from those of the fitted ones.
+
+    The fit that shows this serves nothing else.
+
+    Args:
+        group: the recordings.
+        base: the recalibrated model of the fitted ones.
+        jobs: threads.
+
+    Raises:
+        BadInput: one that seems to be of another rig.
+    """
+
+    def own(other: Experiment) -> Fitted:
+        whole = replace(other, fitted=len(other.trial) // BLOCK * BLOCK, judged=(), seed=0)
+        return refit(whole, whole.origin)
+
+    fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(own)(other) for other in group.held_out)
+    for other, theirs in zip(group.held_out, fits, strict=True):
+        for experiment, fitted in zip(group.experiments, base.fits, strict=True):
+            same_condition = experiment.trial.joint == other.trial.joint
+            apart = farthest_apart(experiment, theirs, fitted) if same_condition else None
+            if apart is not None:
+                raise BadInput(
+                    f"{other.trial.name}: held out, but {apart[0]} is {100 * apart[1]:+.0f} % from that of "
+                    f"{experiment.trial.name}: it seems to be of another rig; expected a recording of the same one"
+                )
+
+
+def base_contradictions(experiments: Sequence[Experiment], base: Model) -> list[str]:
     """Base parameters in which recordings of the same joint condition differ more than one rig does from day to day."""
-    said = []
+    warnings = []
     pairs = list(zip(experiments, base.fits, strict=True))
     for k, (one, fitted) in enumerate(pairs):
         for other, theirs in pairs[:k]:
@@ -28,14 +171,14 @@ def of_base(experiments: Sequence[Experiment], base: Model) -> list[str]:
                 continue
             apart = farthest_apart(one, fitted, theirs)
             if apart is not None:
-                said.append(
+                warnings.append(
                     f"the recordings contradict each other: {apart[0]} is {100 * apart[1]:+.0f} % in {one.trial.name} "
                     f"from that in {other.trial.name}; are they of one rig?"
                 )
-    return said
+    return warnings
 
 
-def of_effects(
+def effect_contradictions(
     experiments: Sequence[Experiment],
     model: Model,
     found: Sequence[FoundEffect],
@@ -69,7 +212,7 @@ def of_effects(
         f"the recordings contradict each other: {' and '.join(effect.recordings)} shows {effect.name}, "
         f"{experiments[r].trial.name} rules it out (evidence {loss:.0f} against it)"
         for (effect, r), loss in zip(tasks, losses, strict=True)
-        if loss > STRONG
+        if loss > thresholds.STRONG
     ]
 
 

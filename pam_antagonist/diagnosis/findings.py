@@ -1,30 +1,24 @@
-"""From the models of the recordings to named effects: which muscle, how large, and whether the recordings agree."""
+"""From the models of the recordings to named effects: which are needed, on which muscle, how large, how certain."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
 
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.candidates import Model, evidence, price
+from pam_antagonist.diagnosis.explained import further_share, remaining_residuals
 from pam_antagonist.diagnosis.result import FoundEffect
-from pam_antagonist.diagnosis.select import (
-    STRONG,
-    Model,
-    evidence,
-    price,
-    refitted_without,
-)
-from pam_antagonist.diagnosis.shares import further_share, left_by
+from pam_antagonist.diagnosis.selection import refitted_without
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
-
-_SMALL = 0.1
-"""A muscle whose size is less than this share of the other's is not the one."""
-_DIFFERENT = 0.25
-"""Sizes that differ by more than this and by three standard deviations are not one effect's."""
+from pam_antagonist.inference.profile import effect_profile
+from pam_antagonist.model.effects import DISTURBANCE
 
 
 @dataclass(frozen=True)
@@ -34,6 +28,24 @@ class Sized:
     recording: int
     value: float
     std: float
+
+
+_Numbers = dict[FreeEffectParameter, list[Sized]]
+_Part = tuple[int | None, _Numbers]
+
+
+class Findings(NamedTuple):
+    """The effects of a model.
+
+    Attributes:
+        effects: each with its sizes.
+        values: of their parameters for one rig, by dotted path.
+        contradictions: between the recordings.
+    """
+
+    effects: tuple[FoundEffect, ...]
+    values: dict[str, float]
+    contradictions: list[str]
 
 
 def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) -> Fitted:
@@ -66,18 +78,18 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
             cost_of(experiment, smaller.point, smaller.residual, scale)
             - cost_of(experiment, fitted.point, fitted.residual, scale)
         )
-        if lost > price(experiment, before, 1):
+        if lost > price(before, 1):
             return fitted
         fitted = smaller
 
 
-def _strength(fitted: Fitted, unknown: FreeEffectParameter, std: float) -> float:
-    value = unknown.coordinate(fitted.point.effects.get(unknown.path, 0.0))
+def _strength(fitted: Fitted, free: FreeEffectParameter, std: float) -> float:
+    value = free.coordinate(fitted.point.effects.get(free.path, 0.0))
     return abs(value) / std if std > 0.0 else 0.0
 
 
-def without_idle(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Model:
-    """A model without effects and sizes that do not pay beside the others: the backward step.
+def backward_elimination(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Model:
+    """A model without effects and sizes that do not pay beside the others.
 
     Args:
         experiments: the recordings.
@@ -88,11 +100,11 @@ def without_idle(experiments: Sequence[Experiment], base: Model, model: Model, j
     names = model.effects[:-1]
     while names:
         without = refitted_without(experiments, model, names, jobs)
-        idle = [evidence_of(experiments, smaller, model) < STRONG for smaller in without]
-        if not any(idle):
+        unneeded = [evidence_of(experiments, smaller, model) < thresholds.STRONG for smaller in without]
+        if not any(unneeded):
             break
-        # What was tried after the first idle one still had it.
-        first = idle.index(True)
+        # What was tried after the first unneeded one still had it.
+        first = unneeded.index(True)
         model, names = without[first], names[first + 1 :]
 
     def leaner(experiment: Experiment, before: Fitted, fitted: Fitted) -> Fitted:
@@ -106,17 +118,15 @@ def without_idle(experiments: Sequence[Experiment], base: Model, model: Model, j
     return Model(model.effects, tuple(fits))
 
 
-def found(
-    experiments: Sequence[Experiment], base: Model, model: Model, jobs: int
-) -> tuple[tuple[FoundEffect, ...], dict[str, float], list[str]]:
+def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Findings:
     """The effects of a model, each with what would be lost without it; see :func:`found_effects`."""
     gains, shares = {}, {}
-    whole, before = (left_by(experiments, m.fits) for m in (model, base))
+    whole, before = (remaining_residuals(experiments, m.fits) for m in (model, base))
     several = len(model.effects) > 1
     smaller = refitted_without(experiments, model, model.effects, jobs) if several else [base] * len(model.effects)
     for effect, without in zip(model.effects, smaller, strict=True):
         gains[effect] = evidence_of(experiments, without, model)
-        lost = left_by(experiments, without.fits) if several else before
+        lost = remaining_residuals(experiments, without.fits) if several else before
         shares[effect] = further_share(experiments, before, lost, whole, fitted=False)
     return found_effects(experiments, model, gains, shares)
 
@@ -126,7 +136,7 @@ def found_effects(
     model: Model,
     gains: Mapping[str, float],
     shares: Mapping[str, float],
-) -> tuple[tuple[FoundEffect, ...], dict[str, float], list[str]]:
+) -> Findings:
     """The effects of a model.
 
     Args:
@@ -134,115 +144,119 @@ def found_effects(
         model: their models.
         gains: evidence for each effect.
         shares: share of the held-out excess that goes with each.
-
-    Returns:
-        The effects, values for one rig, and contradictions between recordings.
     """
     names = [experiment.trial.name for experiment in experiments]
-    found: list[FoundEffect] = []
-    values: dict[str, float] = {}
-    contradictions: list[str] = []
+    found = Findings((), {}, [])
+    effects: list[FoundEffect] = []
     for effect in model.effects:
-        sized = {unknown: _sizes(model, unknown) for unknown in unknowns_of(model, effect)}
-        if not any(seen for unknown, seen in sized.items() if unknown.item.is_size):
-            # Size and shape may stand for one another, so that neither is certain and both together are.
-            sized = {unknown: _sizes(model, unknown, certain=False) for unknown in sized}
-        sized = {unknown: seen for unknown, seen in sized.items() if seen}
-        shapes = {u: seen for u, seen in sized.items() if not u.item.is_size}
-        groups: dict[int | None, dict[FreeEffectParameter, list[Sized]]] = {}
-        for unknown, seen in sized.items():
-            if unknown.item.is_size:
-                groups.setdefault(unknown.muscle, {})[unknown] = seen
-        in_recording = [
-            {
-                muscle
-                for muscle, group in groups.items()
-                if any(s.recording == r for seen in group.values() for s in seen)
-            }
-            for r in range(len(experiments))
-        ]
-        visible = [muscles for muscles in in_recording if muscles]
+        sizes, shapes = _sizes_and_shapes(model, effect)
+        where = {muscle: {s.recording for seen in group.values() for s in seen} for muscle, group in sizes.items()}
+        shown = [{muscle for muscle in where if r in where[muscle]} for r in range(len(experiments))]
+        visible = [muscles for muscles in shown if muscles]
         apart = len(visible) > 1 and any(a.isdisjoint(b) for a in visible for b in visible)
-        notes: list[str] = []
         if apart:
-            said = "; ".join(
+            which = "; ".join(
                 f"{name}: muscle {' and '.join(str(m) for m in sorted(muscles, key=str))}"
-                for name, muscles in zip(names, in_recording, strict=True)
+                for name, muscles in zip(names, shown, strict=True)
                 if muscles
             )
-            contradictions.append(f"the recordings show {effect} on different muscles ({said})")
-        together = {} if apart else {u: seen for group in groups.values() for u, seen in group.items()}
-        muscles = sorted((m for m in groups if m is not None), key=int)
-        parts = (
-            [(m, {**groups[m]}) for m in muscles]
-            if apart
-            else [(muscles[0] if len(muscles) == 1 and None not in groups else None, together)]
-        )
+            found.contradictions.append(f"the recordings show {effect} on different muscles ({which})")
+        muscles = sorted(m for m in sizes if m is not None)
+        if apart:
+            parts: list[_Part] = [(muscle, sizes[muscle]) for muscle in muscles]
+        else:
+            alone = muscles[0] if len(muscles) == 1 and None not in sizes else None
+            parts = [(alone, {free: seen for group in sizes.values() for free, seen in group.items()})]
         for muscle, group in parts:
-            parameters = {}
-            where = {s.recording for seen in group.values() for s in seen}
-            for unknown, seen in {**group, **shapes}.items():
-                mine = [s for s in seen if s.recording in where]
-                if not mine:
-                    continue
-                value, std, agree = _mean(mine)
-                if unknown.item.is_size and not agree:
-                    said = ", ".join(f"{names[s.recording]}: {s.value:.3g}" for s in mine)
-                    contradictions.append(f"the recordings differ in {effect}'s {unknown.item.name} ({said})")
-                for path in unknown.paths:
-                    parameters[path.split(".")[2]] = (value, std, unknown.item.unit)
-                    values[path] = value
-            found.append(
-                FoundEffect(
-                    effect, muscle, parameters, gains[effect], shares[effect],
-                    tuple(names[r] for r in sorted(where)), tuple(notes),
-                )
-            )  # fmt: skip
-    return tuple(found), values, contradictions
+            recordings = {s.recording for seen in group.values() for s in seen}
+            numbers = {free: [s for s in seen if s.recording in recordings] for free, seen in (group | shapes).items()}
+            parameters: dict[str, tuple[float, float, str]] = {}
+            for free, seen in numbers.items():
+                if seen:
+                    mean, std = _mean(seen)
+                    parameters |= dict.fromkeys(
+                        (path.split(".")[2] for path in free.paths), (mean, std, free.item.unit)
+                    )
+                    found.values.update(dict.fromkeys(free.paths, mean))
+            found.contradictions.extend(_differences(effect, numbers, names))
+            there = tuple(names[r] for r in sorted(recordings))
+            effects.append(FoundEffect(effect, muscle, parameters, gains[effect], shares[effect], there))
+    return found._replace(effects=tuple(effects))
 
 
-def unknowns_of(model: Model, effect: str) -> tuple[FreeEffectParameter, ...]:
+def _sizes_and_shapes(model: Model, effect: str) -> tuple[dict[int | None, _Numbers], _Numbers]:
+    """An effect's sizes in the recordings that show them, by muscle, and its shapes there."""
+    free = free_of(model, effect)
+    sized = {one: _sizes(model, one) for one in free}
+    if not any(seen for one, seen in sized.items() if one.item.is_size):
+        # Size and shape may stand for one another, so that neither is certain and both together are.
+        sized = {one: _sizes(model, one, certain=False) for one in free}
+    by_muscle: dict[int | None, _Numbers] = {}
+    for one, seen in sized.items():
+        if seen and one.item.is_size:
+            by_muscle.setdefault(one.muscle, {})[one] = seen
+    return by_muscle, {one: seen for one, seen in sized.items() if seen and not one.item.is_size}
+
+
+def _differences(
+    effect: str, numbers: Mapping[FreeEffectParameter, Sequence[Sized]], names: Sequence[str]
+) -> list[str]:
+    """Sizes in which the recordings contradict each other."""
+    out = []
+    for free, seen in numbers.items():
+        if free.item.is_size and seen and not _agree(seen):
+            each = ", ".join(f"{names[s.recording]}: {s.value:.3g}" for s in seen)
+            out.append(f"the recordings differ in {effect}'s {free.item.name} ({each})")
+    return out
+
+
+def free_of(model: Model, effect: str) -> tuple[FreeEffectParameter, ...]:
     """Numbers of an effect that are free in any recording, in the order of the catalogue and its sizes first."""
     path = f"effects.{effect}."
     return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.free if u.path.startswith(path)))
 
 
-def _sizes(model: Model, unknown: FreeEffectParameter, certain: bool = True) -> list[Sized]:
-    """Value of a number in every recording in which it is free, not 0, and not a shadow of its sibling.
+def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> list[Sized]:
+    """Value of a number in every recording in which it is free, not 0, and not small beside its sibling.
 
     Args:
         model: the recordings' models.
-        unknown: the number.
+        free: the number.
         certain: whether a size must be more than two standard deviations.
     """
     seen = []
     for r, fitted in enumerate(model.fits):
-        if unknown not in fitted.free:
+        if free not in fitted.free:
             continue
-        k = fitted.free.index(unknown)
+        k = fitted.free.index(free)
         if not np.any(fitted.effect[:, :, k]):
             continue
-        value = fitted.point.effects.get(unknown.path, unknown.item.neutral)
-        std = float(np.sqrt(fitted.effect_covariance[k, k])) * unknown.slope(value)
-        if unknown.item.is_size:
-            stem = unknown.path.rstrip("12")
+        value = fitted.point.effects.get(free.path, free.item.neutral)
+        std = float(np.sqrt(fitted.effect_covariance[k, k])) * free.slope(value)
+        if free.item.is_size:
+            stem = free.path.rstrip("12")
             siblings = [abs(v) for path, v in fitted.point.effects.items() if path.startswith(stem)]
-            if abs(value) <= max(_SMALL * max(siblings, default=0.0), 2.0 * std if certain else 0.0):
+            least = thresholds.CERTAIN_SIZE * std if certain else 0.0
+            if abs(value) <= max(thresholds.SMALL_SIBLING * max(siblings, default=0.0), least):
                 continue
         seen.append(Sized(r, value, std))
     return seen
 
 
-def _mean(seen: Sequence[Sized]) -> tuple[float, float, bool]:
-    """Weighted mean, its standard deviation with the spread between recordings, and whether they agree."""
+def _mean(seen: Sequence[Sized]) -> tuple[float, float]:
+    """Weighted mean, and its standard deviation with the spread between recordings."""
     values = np.array([s.value for s in seen])
     floor = 0.02 * float(np.max(np.abs(values)))
     weights = 1.0 / (np.array([s.std for s in seen]) ** 2 + floor**2)
-    mean = float(weights @ values / weights.sum())
-    spread = float(np.ptp(values))
     std = float(np.sqrt(1.0 / weights.sum())) if len(seen) > 1 else seen[0].std
-    apart = spread > _DIFFERENT * abs(mean) and spread > 3.0 * float(np.hypot.reduce([s.std for s in seen]))
-    return mean, max(std, spread / 2.0), not apart
+    return float(weights @ values / weights.sum()), max(std, float(np.ptp(values)) / 2.0)
+
+
+def _agree(seen: Sequence[Sized]) -> bool:
+    """Whether a size may be the same in all recordings."""
+    spread = float(np.ptp([s.value for s in seen]))
+    near = spread <= thresholds.SIZES_DIFFER * abs(_mean(seen)[0])
+    return near or spread <= thresholds.SIZES_DIFFER_STD * float(np.hypot.reduce([s.std for s in seen]))
 
 
 def evidence_of(experiments: Sequence[Experiment], without: Model, model: Model) -> float:
@@ -252,3 +266,57 @@ def evidence_of(experiments: Sequence[Experiment], without: Model, model: Model)
         for experiment, old, new in zip(experiments, without.fits, model.fits, strict=True)
         if new is not old
     )
+
+
+def profile_sizes(
+    experiments: Sequence[Experiment],
+    model: Model,
+    found: Sequence[FoundEffect],
+    jobs: int,
+    progress: Callable[[str], None],
+) -> tuple[Mapping[str, Any], ...]:
+    """Profiles of the found sizes, each in the recording that shows it first.
+
+    Args:
+        experiments: the recordings.
+        model: the chosen model.
+        found: its effects.
+        jobs: threads.
+        progress: is called with what is being done.
+
+    Returns:
+        For each: parameter, recording, value, its standard error, unit, values (P,), rise of −2 log posterior (P,),
+        whether it is flat.
+    """
+    names = [experiment.trial.name for experiment in experiments]
+    result = []
+    for effect in found:
+        if effect.name == DISTURBANCE:
+            continue
+        for parameter in free_of(model, effect.name):
+            if not parameter.item.is_size or parameter.path.split(".")[2] not in effect.parameters:
+                continue
+            r = _where(model, parameter, [names.index(name) for name in effect.recordings])
+            if r is None:
+                continue
+            progress(f"profile of {parameter.path}")
+            profile = effect_profile(experiments[r], model.fits[r], parameter, jobs)
+            result.append(
+                {
+                    "parameter": parameter.path.removeprefix("effects."),
+                    "recording": names[r],
+                    "value": profile.best,
+                    "std": profile.std,
+                    "unit": parameter.item.unit,
+                    "values": profile.value.tolist(),
+                    "rise": (2.0 * profile.loss).tolist(),
+                    "flat": profile.flat,
+                }
+            )
+    return tuple(result)
+
+
+def _where(model: Model, parameter: FreeEffectParameter, recordings: Sequence[int]) -> int | None:
+    """The first recording that shows a size."""
+    shown = (r for r in recordings if parameter in model.fits[r].free)
+    return next((r for r in shown if model.fits[r].point.effects.get(parameter.path)), None)

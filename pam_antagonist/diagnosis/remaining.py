@@ -1,33 +1,136 @@
-"""What is not explained: where it is, on what it depends, and what form a sparse regression suggests."""
+"""What is not explained: where it is, on what it depends, and which form a sparse regression suggests.
+
+Every residual above the sensors' noise is described: those of the sensors and, of a model that runs by itself, the
+errors of its equations (:mod:`residual_statistics`). A description rests on the fitted part; the suggested form is
+judged on the held-out part too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import dependence
-from pam_antagonist.diagnosis.dependence import Form, Surroundings
-from pam_antagonist.diagnosis.equations import NAMES, SPAN, UNITS, equation_errors
-from pam_antagonist.diagnosis.select import Model
-from pam_antagonist.inference.experiment import Experiment, Point
-from pam_antagonist.inference.gauss_newton import AT_NOISE
-from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, blocks
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, SPAN, equation_errors, signals, unit_of
+from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.inference.trial import BLOCK
+from pam_antagonist.inference.valve_driven import ValveDriven
 
 Floats = NDArray[np.float64]
 
-_TITLES = ("joint angle", "torque", "pressure 1", "pressure 2")
-_UNITS = ("deg", "N m", "kPa", "kPa")
-_FACTORS = (float(np.degrees(1.0)), 1.0, 1e-3, 1e-3)
-_LEAST_SHARE = 0.05
-_CLEAR = 1.3
-"""An equation's error is described where it is so many times the sensors': its noise is known less well."""
+_SLOW = 0.02
+"""[rad/s] Slower than this, a motion has hardly a direction."""
+_TERMS = 3
+_BINS = 12
+EDGES = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""[Hz] Between the bands in which a residual's power is counted."""
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
+class Surroundings:
+    """What was there when a residual was: (N,) each.
+
+    Attributes:
+        pressure: (N, 2) [Pa].
+        voltage: (N, 2) [V], None where no valve moved.
+        time: [s].
+        angle: [rad], None where the joint was locked: then no length changed.
+        velocity: [rad/s], None likewise.
+    """
+
+    pressure: Floats
+    voltage: Floats | None
+    time: Floats
+    angle: Floats | None = None
+    velocity: Floats | None = None
+
+    def take(self, rows: NDArray[np.bool_]) -> Surroundings:
+        """Some of the rows."""
+        return self._each(lambda values: values[rows])
+
+    def windows(self, begin: NDArray[np.int64]) -> Surroundings:
+        """Means over windows of ``SPAN`` rows that begin there."""
+        return self._each(lambda values: np.array([values[b : b + SPAN].mean(axis=0) for b in begin]))
+
+    def _each(self, what: Callable[[Floats], Floats]) -> Surroundings:
+        columns = (self.pressure, self.voltage, self.time, self.angle, self.velocity)
+        return Surroundings(*(None if values is None else what(values) for values in columns))  # type: ignore[arg-type]
+
+    @property
+    def direction(self) -> Floats | None:
+        """Which way the joint moves (N,), −1 to 1; 0 where it stands."""
+        return None if self.velocity is None else np.asarray(np.tanh(self.velocity / _SLOW))
+
+    def groups(self) -> dict[str, Floats]:
+        """Columns (N, k) of each kind of dependence: quadratics, so that no sign is taken for granted."""
+        p, u = self.pressure / 1e5, self.voltage
+        out = {"pressure": np.column_stack([p, p**2, p[:, 0] * p[:, 1]])}
+        if u is not None:
+            out["command"] = np.column_stack([u, u**2])
+        out["time"] = np.column_stack([self.time, self.time**2])
+        if self.angle is not None and self.direction is not None:
+            out["length"] = np.column_stack([self.angle, self.angle**2])
+            out["direction of motion"] = np.column_stack([self.direction, self.direction * self.angle])
+        return out
+
+    def library(self) -> dict[str, Floats]:
+        """Terms (N,) of which a form may be made: P in 100 kPa, u in V, ψ in rad, t in s."""
+        p1, p2 = self.pressure.T / 1e5
+        out = {
+            "P_1": p1, "P_2": p2, "(P_1 − P_2)": p1 - p2, "(P_1 + P_2)": p1 + p2, "P_1²": p1**2, "P_2²": p2**2,
+            "P_1 P_2": p1 * p2,
+        }  # fmt: skip
+        if self.voltage is not None:
+            u1, u2 = self.voltage.T
+            out |= {"u_1": u1, "u_2": u2, "P_1 u_1": p1 * u1, "P_2 u_2": p2 * u2}
+        out["t"] = self.time
+        if self.angle is not None and self.velocity is not None and self.direction is not None:
+            total = p1 + p2
+            out |= {
+                "ψ": self.angle, "ψ²": self.angle**2, "ψ (P_1 + P_2)": self.angle * total, "ψ̇": self.velocity,
+                "sign ψ̇": self.direction, "sign ψ̇ (P_1 + P_2)": self.direction * total,
+            }  # fmt: skip
+        return out
+
+    def axes(self) -> dict[str, Floats]:
+        """What a residual is drawn over: title with unit, values (N,)."""
+        out = {
+            "Pressure 1 [kPa]": self.pressure[:, 0] / 1e3,
+            "Pressure 2 [kPa]": self.pressure[:, 1] / 1e3,
+        }
+        if self.voltage is not None:
+            out |= {"Voltage 1 [V]": self.voltage[:, 0], "Voltage 2 [V]": self.voltage[:, 1]}
+        out["Time [s]"] = self.time
+        if self.angle is not None:
+            out["Angle [°]"] = np.degrees(self.angle)
+        return out
+
+
+@dataclass(frozen=True)
+class Form:
+    """A sum of few terms that looks like a residual.
+
+    Attributes:
+        terms: name and coefficient of each.
+        share: of the residual's variance that it explains where it was fitted.
+        held_out: of the residual's squares on what was held out, NaN where nothing was.
+    """
+
+    terms: tuple[tuple[str, float], ...]
+    share: float
+    held_out: float
+
+    def __str__(self) -> str:
+        return " ".join(f"{value:+.2g}·{name}" for name, value in self.terms)
+
+
+@dataclass(frozen=True, eq=False)
+class RemainingResidual:
     """A residual that no effect explains, in one channel of one recording.
 
     Attributes:
@@ -56,105 +159,210 @@ class Left:
 
     def line(self) -> str:
         """The description as a line."""
-        goes = ", ".join(f"{n} ({100 * v:.0f} %)" for n, v in dependence.strongest(self.depends_on, _LEAST_SHARE)[:3])
-        with_it = (
-            f"depends on {goes}" if goes else "depends on none of pressure, length, direction, command, time alone"
-        )
+        least = thresholds.LEAST_DEPENDENCE
+        goes = ", ".join(f"{name} ({100 * v:.0f} %)" for name, v in strongest(self.depends_on, least)[:3])
+        kinds = "pressure, length, direction, command, time"
+        depends = f"depends on {goes}" if goes else f"depends on none of {kinds} alone"
         band = max(self.bands, key=lambda name: self.bands[name])
-        said = (
-            f"{self.recording}, {self.channel}: {self.times_noise:.1f} times the noise; {with_it}; "
+        text = (
+            f"{self.recording}, {self.channel}: {self.times_noise:.1f} times the noise; {depends}; "
             f"{100 * self.bands[band]:.0f} % of its power {band}, typical period {self.period:.1f} s"
         )
-        if self.form.terms and self.form.share >= _LEAST_SHARE:
+        if self.form.terms and self.form.share >= least:
             held = "" if np.isnan(self.form.held_out) else f", {100 * max(self.form.held_out, 0.0):.0f} % held out"
-            said += (
-                f"; it looks like {self.form} [{self.unit}], which explains {100 * self.form.share:.0f} % of it{held}"
-            )
-        return said
+            share = f"{100 * self.form.share:.0f} %"
+            text += f"; it looks like {self.form} [{self.unit}], which explains {share} of it{held}"
+        return text
 
 
-def describe(experiments: Sequence[Experiment], model: Model) -> list[Left]:
-    """What is beyond the noise: of the equations of each recording, then of its sensors."""
+def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingResidual]:
+    """What is above the noise: of the equations of each recording, then of its sensors."""
     out = []
     for experiment, fitted in zip(experiments, model.fits, strict=True):
         over = experiment.times_noise(fitted.residual)
-        if np.max(over) < AT_NOISE:
+        if np.max(over) < thresholds.AT_NOISE:
             continue
-        out += _of_equations(experiment, fitted.point)
-        around = _around(experiment, fitted.point)
+        around = surroundings(experiment, fitted.point)
+        if isinstance(experiment, ValveDriven):
+            out += _of_equations(experiment, fitted.point, around)
         first = -(-experiment.fitted // BLOCK)
         whole = experiment.residual(fitted.point, whole=True)[: len(experiment.measured)]
-        for k, channel in enumerate(experiment.channels):
-            if over[k] >= AT_NOISE:
-                values = whole[:, k] * _FACTORS[channel]
-                late = np.arange(len(values)) >= first
-                titled = _TITLES[channel], _UNITS[channel]
-                out.append(_left(experiment, titled, float(over[k]), values, late, around, BLOCK * experiment.trial.dt))
+        late = np.arange(len(whole)) >= first
+        for k, channel in enumerate(experiment.titles):
+            if over[k] >= thresholds.AT_NOISE:
+                values, step = whole[:, k] * channel.factor, BLOCK * experiment.trial.dt
+                out.append(_described(experiment, channel, float(over[k]), values, late, around, step))
     return out
 
 
-def _of_equations(experiment: Experiment, point: Point) -> list[Left]:
+def surroundings(experiment: Experiment, point: Point) -> Surroundings:
+    """What was there in each block; pressures and motion are the model's, which have no noise."""
+    given = signals(experiment, point)
+    pressure = np.column_stack([given["pressure 1"], given["pressure 2"]])
+    voltage = np.column_stack([given["voltage 1"], given["voltage 2"]]) if "voltage 1" in given else None
+    time = np.asarray(np.arange(len(pressure)) * (BLOCK * experiment.trial.dt))
+    return Surroundings(pressure, voltage, time, given.get("angle"), given.get("velocity"))
+
+
+def _of_equations(experiment: Experiment, point: Point, around: Surroundings) -> list[RemainingResidual]:
     errors = equation_errors(experiment, point)
-    around = _around(experiment, point)
-    windows = _means(around, errors.begin)
+    windows = around.windows(errors.begin)
     late = errors.begin + SPAN > experiment.fitted // BLOCK
     out = []
     for k in errors.known:
         over = float(np.sqrt(np.mean(errors.values[~late, k] ** 2))) / errors.noise[k]
-        if over >= _CLEAR:
-            titled, step = (NAMES[k], UNITS[k]), SPAN * BLOCK * experiment.trial.dt
-            out.append(_left(experiment, titled, over, errors.values[:, k], late, windows, step))
+        if over >= thresholds.CLEAR_EQUATION_ERROR:
+            step = SPAN * BLOCK * experiment.trial.dt
+            out.append(_described(experiment, EQUATIONS[k], over, errors.values[:, k], late, windows, step))
     return out
 
 
-def _left(
+def _described(
     experiment: Experiment,
-    titled: tuple[str, str],
+    channel: Channel,
     over: float,
     values: Floats,
     late: NDArray[np.bool_],
     around: Surroundings,
     step: float,
-) -> Left:
+) -> RemainingResidual:
     early, then = values[~late], around.take(~late)
-    return Left(
+    return RemainingResidual(
         recording=experiment.trial.name,
-        channel=titled[0],
-        unit=titled[1],
+        channel=channel.title[0].lower() + channel.title[1:],
+        unit=unit_of(channel),
         times_noise=over,
-        depends_on=dependence.shares(early, then),
-        bands=dependence.bands(early, step),
-        period=dependence.period(early, step),
-        form=dependence.form(early, then, (values[late], around.take(late)) if late.any() else None),
+        depends_on=shares(early, then),
+        bands=bands(early, step),
+        period=period(early, step),
+        form=form(early, then, (values[late], around.take(late)) if late.any() else None),
         values=early,
         around=then,
     )
 
 
-def _around(experiment: Experiment, point: Point) -> Surroundings:
-    """What was there in each block; pressures and motion are the model's, which have no noise."""
-    model = blocks(experiment.simulated(point, whole=True))
-    step = BLOCK * experiment.trial.dt
-    free = experiment.trial.joint == "free"
-    return Surroundings(
-        model[:, PRESSURE_1:],
-        blocks(experiment.trial.voltage),
-        np.asarray(np.arange(len(model)) * step),
-        model[:, ANGLE] if free else None,
-        np.gradient(model[:, ANGLE], step) if free else None,
+def shares(residual: Floats, around: Surroundings) -> dict[str, float]:
+    """Share of a residual's variance that each kind of dependence explains alone, less what chance would, 0 to 1.
+
+    Chance explains one part in as many as there are independent values, for each column.
+
+    Args:
+        residual: (N,).
+        around: what was there.
+    """
+    count = len(residual) / correlation_length(residual - residual.mean())
+    total = float(np.sum((residual - residual.mean()) ** 2)) or 1.0
+    out = {}
+    for name, columns in around.groups().items():
+        rank, left = _left(residual, columns)
+        chance = rank / max(count - 1.0, rank + 1.0)
+        share = 1.0 - float(left @ left) / total
+        out[name] = float(np.clip((share - chance) / (1.0 - chance), 0.0, 1.0)) if chance < 1.0 else 0.0
+    return out
+
+
+def _left(residual: Floats, columns: Floats) -> tuple[int, Floats]:
+    spread = columns.std(axis=0)
+    varying = columns[:, spread > 1e-9 * (np.abs(columns).max() or 1.0)]
+    scaled = (varying - varying.mean(axis=0)) / varying.std(axis=0)
+    design = np.column_stack([np.ones(len(residual)), scaled])
+    solution, _, rank, _ = np.linalg.lstsq(design, residual, rcond=1e-9)
+    return int(rank) - 1, np.asarray(residual - design @ solution)
+
+
+def bands(residual: Floats, step: float) -> dict[str, float]:
+    """Share of a residual's power in each band of frequency.
+
+    Args:
+        residual: (N,), at a constant step.
+        step: [s].
+    """
+    power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2
+    frequency = np.fft.rfftfreq(len(residual), step)
+    total = float(power[1:].sum()) or 1.0
+    edges = (0.0, *(edge for edge in EDGES if edge < 0.5 / step), np.inf)
+    out = {}
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        name = f"below {high:g} Hz" if low == 0.0 else f"{low:g} to {high:g} Hz"
+        name = f"above {low:g} Hz" if high == np.inf else name
+        inside = (frequency > low) & (frequency <= high)
+        out[name] = float(power[inside].sum()) / total
+    return out
+
+
+def period(residual: Floats, step: float) -> float:
+    """Period [s] about which the residual's power lies: that of the power's mean frequency."""
+    power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2
+    frequency = np.fft.rfftfreq(len(residual), step)
+    mean = float(power[1:] @ frequency[1:] / max(power[1:].sum(), 1e-300))
+    return 1.0 / mean if mean > 0.0 else float("inf")
+
+
+def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundings] | None = None) -> Form:
+    """Few terms that explain a residual: forward, each kept only while it pays by the Bayesian criterion.
+
+    Args:
+        residual: (N,).
+        around: what was there.
+        later: the same of what was held out, for judging.
+    """
+    library = around.library()
+    ones = np.ones_like(residual)
+    memory = correlation_length(residual - residual.mean())
+    chosen: list[str] = []
+    left = residual - residual.mean()
+    total = float(left @ left) or 1.0
+    coefficients: Floats = np.array([residual.mean()])
+    for _ in range(_TERMS):
+        best = None
+        for name in library:
+            if name in chosen or np.ptp(library[name]) == 0.0:
+                continue
+            design = np.column_stack([ones, *(library[n] for n in (*chosen, name))])
+            solution = np.linalg.lstsq(design, residual, rcond=None)[0]
+            rest = residual - design @ solution
+            if best is None or float(rest @ rest) < best[0]:
+                best = float(rest @ rest), name, solution, rest
+        count = len(residual) / memory
+        if (
+            best is None
+            or count * np.log(float(left @ left) / max(best[0], 1e-300)) < np.log(count) + thresholds.STRONG
+        ):
+            break
+        chosen.append(best[1])
+        coefficients, left = np.asarray(best[2], dtype=np.float64), np.asarray(best[3], dtype=np.float64)
+        # What is left has a shorter memory than what the terms have explained.
+        memory = correlation_length(left - left.mean())
+    held = float("nan")
+    if later is not None and len(later[0]):
+        terms = later[1].library()
+        predicted = coefficients[0] + sum(
+            (value * terms[name] for name, value in zip(chosen, coefficients[1:], strict=True)), np.zeros(len(later[0]))
+        )
+        held = 1.0 - float(np.sum((later[0] - predicted) ** 2)) / max(float(np.sum(later[0] ** 2)), 1e-300)
+    pairs = tuple(zip(chosen, coefficients[1:].tolist(), strict=True))
+    return Form(pairs, 1.0 - float(left @ left) / total, held)
+
+
+def means(residual: Floats, over: Floats, which: Sequence[bool] | NDArray[np.bool_] | None = None) -> Floats:
+    """Means of a residual in bins of equal numbers over something else (b, 2): there, residual.
+
+    Args:
+        residual: (N,).
+        over: (N,).
+        which: only these; default: all.
+    """
+    kept = np.ones(len(residual), dtype=bool) if which is None else np.asarray(which)
+    order = np.argsort(over[kept], kind="stable")
+    x, y = over[kept][order], residual[kept][order]
+    count = min(_BINS, len(x) // 5)
+    if count < 2:
+        return np.zeros((0, 2))
+    return np.array(
+        [[a.mean(), b.mean()] for a, b in zip(np.array_split(x, count), np.array_split(y, count), strict=True)]
     )
 
 
-def _means(around: Surroundings, begin: NDArray[np.int64]) -> Surroundings:
-    """The same in windows."""
-
-    def mean(values: Floats) -> Floats:
-        return np.array([values[b : b + SPAN].mean(axis=0) for b in begin])
-
-    return Surroundings(
-        mean(around.pressure),
-        mean(around.voltage),
-        mean(around.time),
-        None if around.angle is None else mean(around.angle),
-        None if around.velocity is None else mean(around.velocity),
-    )
+def strongest(shares: Mapping[str, float], least: float) -> list[tuple[str, float]]:
+    """Dependences of at least a share, the largest first."""
+    return sorted(((n, v) for n, v in shares.items() if v >= least), key=lambda item: -item[1])

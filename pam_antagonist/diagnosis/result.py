@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from pam_antagonist.diagnosis.heldout import Compared
-from pam_antagonist.diagnosis.remaining import Left
-from pam_antagonist.diagnosis.select import Model, Trial
-from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
+from pam_antagonist.diagnosis.preparation import Group
+from pam_antagonist.diagnosis.remaining import RemainingResidual
+from pam_antagonist.diagnosis.selection import Selection
+from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.rig import Rig
+
+Verdict = Literal["effect", "none", "unexplained"]
+MODELS = ("as_configured", "recalibrated", "extended")
 
 
 @dataclass(frozen=True)
@@ -21,8 +25,8 @@ class FoundEffect:
         name: in the catalogue.
         muscle: 1 or 2; None for both, and for an effect that belongs to neither.
         parameters: value, standard deviation and unit of each, by name.
-        delta_bic: evidence for it: what the model loses without it, the price of its unknowns paid.
-        holdout_gain: share of the held-out excess over noise (:mod:`beyond`) that goes with it.
+        delta_bic: evidence for it: what the model loses without it, the price of its parameters paid.
+        holdout_gain: share of the held-out excess over noise (:mod:`explained`) that goes with it.
         recordings: names of the recordings that show it.
         notes: what is to be known about it.
     """
@@ -37,26 +41,96 @@ class FoundEffect:
 
 
 @dataclass(frozen=True)
-class Ranked:
-    """A candidate in one round.
+class Ambiguity:
+    """An effect that was compared with a found one on equal terms.
 
     Attributes:
-        name: of the effect.
-        round: 1 for the first effect, and so on.
-        score: evidence to first order.
-        delta_bic: evidence in full simulation, None where the score was too low to try.
-        holdout_gain: share of the held-out excess over noise (:mod:`beyond`) that it removes, None likewise.
-        taken: whether it went into the model.
-        muscles: the score with muscle 1 alone and with muscle 2 alone; None where the effect belongs to no muscle.
+        found: the one in the model.
+        other: the one that could take its place.
+        evidence: for the found one against it, as a ΔBIC.
+        residual: what each leaves (found, other), root mean square, where they were compared.
+        unit: of these.
+        shape: the other's width [m] or time constant [s].
+        about: where and how they were compared.
+        size: of the found one there [N m or N], NaN where it has none of its own there.
+        parameter: the found one's parameter that this size belongs to, where its error should hold the difference.
+        ambiguous: whether the recordings leave open which it is.
+    """
+
+    found: str
+    other: str
+    evidence: float
+    residual: tuple[float, float]
+    unit: str
+    shape: float
+    about: str
+    size: float = float("nan")
+    parameter: str = ""
+    ambiguous: bool = False
+
+
+@dataclass(frozen=True)
+class PartVerdict:
+    """The verdict on one part of the joint, which was judged by itself.
+
+    Attributes:
+        name: ``joint``, or ``pressures`` and ``torque`` of a joint that is driven by its angle.
+        verdict: of this part alone.
+        share: of its held-out excess over noise that its effects remove.
     """
 
     name: str
-    round: int
-    score: float
-    delta_bic: float | None
-    holdout_gain: float | None
-    taken: bool
-    muscles: tuple[float, float] | None
+    verdict: Verdict
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A group of experiments with the verdict on it.
+
+    Attributes:
+        group: the experiments.
+        base: the model without effects.
+        selection: what was tried.
+        verdict: on this group alone.
+        share: of its held-out excess that the chosen model removes.
+        model: the final one; the model without effects where none was found.
+        effects: that were found, with the experiments' names as recordings.
+        values: of their parameters for one rig, by dotted path.
+        warnings: what the user should know.
+    """
+
+    group: Group
+    base: Model
+    selection: Selection
+    verdict: Verdict
+    share: float
+    model: Model
+    effects: tuple[FoundEffect, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutComparison:
+    """A recording, or a part of it, with the three models; what was held out of it judges them.
+
+    Attributes:
+        experiment: the recording; what is behind its ``fitted`` samples was held out.
+        points: of the three models on it, by name (``MODELS``).
+        role: ``fitted`` to its end, ``held out`` as a whole, or ``both``: its end was held out.
+        number: of the recording, in the order in which they were given.
+    """
+
+    experiment: Experiment
+    points: Mapping[str, Point]
+    role: str
+    number: int
+
+    @property
+    def judges(self) -> bool:
+        """Whether anything of it was held out."""
+        return self.role != "fitted"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +143,13 @@ class Diagnosis:
         effects: what was found; empty but for ``effect``.
         ambiguous_with: effects that the recordings cannot tell from the found ones.
         experiment: what would tell them apart, by effect.
-        ranking: all candidates.
-        share: share of the held-out excess over noise (:mod:`beyond`) that the extended model removes.
+        ambiguities: comparisons of found effects with others on equal terms.
+        ranking: all candidates of all rounds, with their models.
+        share: share of the held-out excess over noise (:mod:`explained`) that the extended model removes.
+        parts: the verdict on each part of the joint that was judged by itself.
         errors: by model (``as_configured``, ``recalibrated``, ``extended``), as in ``report.json``.
         by_recording: the same and more, for each recording.
+        reference: errors of maps that know no physics, by name [N m]; None where there is none to compare with.
         remaining: what is not explained, described.
         unseen: what these recordings cannot show.
         warnings: what the user should know.
@@ -80,35 +157,36 @@ class Diagnosis:
         rig_recalibrated: common base parameters.
         rig_extended: with the effects.
         own: for each recording its name and its own extended rig.
+        base_friction_removed: whether friction of the rig file was taken out before anything was tested.
         experiments: the recordings as they were compared.
         recalibrated: the model without effects.
         extended: the model with them.
-        trials: candidates with their models.
         compared: the recordings with the three models on each, those that were held out as a whole as well.
         seconds: what took how long.
-        sealed: of a sealed joint, what only such a one has (:mod:`pam_antagonist.diagnosis.sealed`); else None.
     """
 
-    verdict: Literal["effect", "none", "unexplained"]
+    verdict: Verdict
     sentence: str
     effects: tuple[FoundEffect, ...]
     ambiguous_with: tuple[str, ...]
     experiment: Mapping[str, str]
-    ranking: tuple[Ranked, ...]
+    ambiguities: tuple[Ambiguity, ...]
+    ranking: tuple[TriedCandidate, ...]
     share: float
+    parts: tuple[PartVerdict, ...]
     errors: Mapping[str, Mapping[str, Any]]
     by_recording: tuple[Mapping[str, Any], ...]
-    remaining: tuple[Left, ...]
+    reference: Mapping[str, float] | None
+    remaining: tuple[RemainingResidual, ...]
     unseen: tuple[str, ...]
     warnings: tuple[str, ...]
     profiles: tuple[Mapping[str, Any], ...]
     rig_recalibrated: Rig
     rig_extended: Rig
     own: tuple[tuple[str, Rig], ...]
+    base_friction_removed: bool
     experiments: tuple[Experiment, ...]
     recalibrated: Model
     extended: Model
-    trials: tuple[Trial, ...]
-    compared: tuple[Compared, ...]
+    compared: tuple[HeldOutComparison, ...]
     seconds: Mapping[str, float]
-    sealed: Mapping[str, Any] | None = None

@@ -11,7 +11,7 @@ encoder moves the latter alone.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,10 +24,12 @@ from pam_antagonist.inference.excess import in_mean_squares
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeDirection
 from pam_antagonist.inference.noise import block_noise
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, blocks
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, blocks
+from pam_antagonist.inference.valve_driven import predict, start_of
 from pam_antagonist.model import dynamics, joint, rest
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
@@ -249,10 +251,48 @@ class AngleDriven(Experiment):
         pressure, needed = self.driven(point, whole=True)
         return np.column_stack([self.motion.angle, self.motion.velocity, pressure]), needed
 
+    def shown(self, point: Point, rig: Rig) -> Floats:
+        """What every sensor would show (N, 4): torque and pressures of the measured motion, and the angle of the model
+        alone, run under the torque from outside; NaN where that was not recorded.
+
+        Args:
+            point: of no use here: both parts of the joint are in the rig.
+            rig: with what both parts come to.
+        """
+        whole = replace(self, rig=rig, part=BALANCE)
+        pressure, needed = whole.driven(whole.origin, whole=True)
+        alone = np.full(len(self.trial), np.nan)
+        if self.trial.has(TORQUE):
+            alone = predict(self.trial, rig.parameters("free"), start_of(self.trial))[:, ANGLE]
+        return np.column_stack([alone, needed, pressure])
+
+    @property
+    def judged_channels(self) -> tuple[int, ...]:
+        """All, or the pressures alone where no torque from outside was recorded."""
+        return (ANGLE, TORQUE, PRESSURE_1, PRESSURE_2) if self.trial.has(TORQUE) else (PRESSURE_1, PRESSURE_2)
+
+    @property
+    def slides(self) -> NDArray[np.bool_]:
+        """Where the joint slides (N,)."""
+        return np.asarray(np.abs(self.motion.velocity) > SLIDING)
+
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """What the measured motion asks for (N, 4), the pressures by their mean and half their difference."""
         pressure, needed = self.driven(point, whole)
         return _parted(np.column_stack([self.motion.angle[: len(needed)], needed, pressure]))
+
+
+def sweeps(trial: Trial, first: int, last: int) -> int:
+    """How often the joint slides one way in a part of a recording: so many independent sweeps it has.
+
+    Args:
+        trial: the recording.
+        first: sample with which the part begins.
+        last: sample behind it.
+    """
+    velocity = motion_of(trial.measured[:, ANGLE], trial.dt).velocity[first:last]
+    ways = np.sign(velocity[np.abs(velocity) > SLIDING])
+    return 0 if not len(ways) else 1 + int(np.sum(np.diff(ways) != 0.0))
 
 
 def _parted(values: Floats) -> Floats:

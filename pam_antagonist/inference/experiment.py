@@ -163,6 +163,25 @@ class Experiment(ABC):
         """
         return in_decibels(before, after, self.noise)
 
+    def shown(self, point: Point, rig: Rig) -> Floats:
+        """What every sensor would show over all of the recording (N, 4), in the order of ``CHANNELS``.
+
+        Args:
+            point: the model.
+            rig: the same model with what other parts of the joint come to; of use where this is a part only.
+        """
+        return self.simulated(point, whole=True)
+
+    @property
+    def judged_channels(self) -> tuple[int, ...]:
+        """Columns of :meth:`shown` that have something to be judged by."""
+        return self.channels
+
+    @property
+    def slides(self) -> NDArray[np.bool_] | None:
+        """Where the joint slides (N,), None where that makes no difference to the model."""
+        return None
+
     def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
         """How the residual (B, C) changes from a point to others nearby.
 

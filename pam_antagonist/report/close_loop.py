@@ -6,6 +6,9 @@ Keys that others read::
     effects         [{name, muscle: 1 | 2 | null, parameters: {p: {value, std, unit}}, delta_bic, holdout_gain, ...}]
     ambiguous_with  names of effects that the recordings cannot tell from these
     errors          {as_configured, recalibrated, extended}, each with angle, torque, pressure, on held-out data
+    parts           [{name, verdict, share_explained}] of each part of the joint that was judged by itself
+    ambiguities     [{found, other, ambiguous, evidence, residual, ...}]: rivals that were compared on equal terms
+    reference       errors [N m] of straight-line maps that know no physics, null where there is none
 
 `holdout_gain` is the share of the held-out excess over sensor noise that goes with the effect;
 `share_explained` that of all effects.
@@ -13,12 +16,12 @@ Keys that others read::
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
-from pam_antagonist.diagnosis import rules
+from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.result import Diagnosis
-from pam_antagonist.diagnosis.select import STRONG
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
@@ -55,14 +58,27 @@ def document(
         "ambiguous_with": list(found.ambiguous_with),
         "experiments": dict(found.experiment),
         "share_explained": found.share,
+        "parts": [
+            {"name": part.name, "verdict": part.verdict, "share_explained": part.share} for part in found.parts
+        ],
+        "ambiguities": [
+            {
+                "found": item.found, "other": item.other, "ambiguous": item.ambiguous, "evidence": item.evidence,
+                "residual": list(item.residual), "unit": item.unit, "shape": item.shape, "about": item.about,
+                "size": None if math.isnan(item.size) else item.size,
+            }
+            for item in found.ambiguities
+        ],
+        "reference": None if found.reference is None else dict(found.reference),
+        "base_friction_removed": found.base_friction_removed,
         "errors": dict(found.errors),
         "recordings": [
             {**part, "sha256": value} for part, value in zip(found.by_recording, hashes, strict=True)
         ],
         "ranking": [
             {
-                "name": item.name, "round": item.round, "score": item.score, "delta_bic": item.delta_bic,
-                "holdout_gain": item.holdout_gain, "taken": item.taken,
+                "name": item.effect, "round": item.round, "score": item.score, "delta_bic": item.delta_bic,
+                "holdout_gain": None if item.shares is None else item.shares[0], "taken": item.taken,
                 "score_by_muscle": None if item.muscles is None else list(item.muscles),
             }
             for item in found.ranking
@@ -88,12 +104,11 @@ def document(
             "rig_source": " ".join(rig.source.split()),
             "seed": seed,
             "holdout": holdout if isinstance(holdout, float) else list(holdout),
-            "strong_evidence": STRONG,
-            "first_share": rules.FIRST_SHARE,
-            "further_share": rules.FURTHER_SHARE,
-            "explained_share": rules.EXPLAINED,
+            "strong_evidence": thresholds.STRONG,
+            "first_share": thresholds.FIRST_SHARE,
+            "further_share": thresholds.FURTHER_SHARE,
+            "explained_share": thresholds.EXPLAINED,
         },
-        **({} if found.sealed is None else {"sealed": dict(found.sealed)}),
         "timing": dict(found.seconds),
         "software": versions(),
     }  # fmt: skip

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.diagnosis.heldout import Compared
-from pam_antagonist.diagnosis.result import Diagnosis
+from pam_antagonist.diagnosis.result import Diagnosis, HeldOutComparison
 from pam_antagonist.inference.trial import BLOCK
 from pam_antagonist.report.figure import Figure, Points
 from pam_antagonist.report.figures import profile_panel, residual_figure
@@ -36,7 +35,7 @@ def residuals(found: Diagnosis) -> tuple[Figure, ...]:
     return tuple(out)
 
 
-def _held(part: Compared) -> str:
+def _held(part: HeldOutComparison) -> str:
     from_s = part.experiment.fitted * part.experiment.trial.dt
     return {
         "both": f"From {from_s:.0f} s on nothing was fitted.",

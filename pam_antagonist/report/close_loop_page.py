@@ -84,7 +84,7 @@ def page(document: dict[str, Any], found: Diagnosis, with_figures: bool = True) 
 
 
 def _tiles(document: dict[str, Any]) -> tuple[Tile, ...]:
-    if document.get("sealed"):
+    if sealed.is_driven(document):
         return sealed.tiles(document)
     errors = document["errors"]
     out = []
@@ -111,7 +111,7 @@ def _evidence(document: dict[str, Any]) -> dict[str, float]:
 
 def _findings(document: dict[str, Any]) -> tuple[Finding, ...]:
     out = [Finding("warn", _sentence(text)) for text in document["warnings"]]
-    if document.get("sealed"):
+    if sealed.is_driven(document):
         return (*out, *sealed.findings(document), *(Finding("note", text) for text in document["unseen"]))
     for name in document["ambiguous_with"]:
         out.append(Finding("warn", f"{name} would do as well. To tell: {document['experiments'][name]}."))
@@ -122,7 +122,7 @@ def _findings(document: dict[str, Any]) -> tuple[Finding, ...]:
 
 
 def _words(document: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    if not document.get("sealed"):
+    if not sealed.is_driven(document):
         return _DEFINITIONS
     own = dict(sealed.DEFINITIONS)
     return (*((name, own.pop(name, text)) for name, text in _DEFINITIONS), *own.items())
@@ -141,7 +141,7 @@ def _law(found: Diagnosis) -> tuple[Block, ...]:
 
 
 def _assumed(document: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    if document.get("sealed"):
+    if sealed.is_driven(document):
         return sealed.assumed(document)
     settings = document["settings"]
     return (

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.diagnosis import dependence
-from pam_antagonist.diagnosis.remaining import Left
-from pam_antagonist.report.close_loop_sealed import ABOUT_RESIDUALS
+from pam_antagonist.diagnosis import remaining
+from pam_antagonist.diagnosis.remaining import RemainingResidual
+from pam_antagonist.report.close_loop_sealed import ABOUT_RESIDUALS, is_driven
 from pam_antagonist.report.document import Block, Finding, Findings, Text
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.figures import matrix
@@ -38,7 +38,7 @@ _ABOUT = (
 
 def statistics(document: Document, with_figures: bool) -> tuple[Block, ...]:
     """Table and figure of the residuals of each recording of which something was held out."""
-    out: list[Block] = [Text(ABOUT_RESIDUALS if document.get("sealed") else _ABOUT)]
+    out: list[Block] = [Text(ABOUT_RESIDUALS if is_driven(document) else _ABOUT)]
     models = ("recalibrated", "extended") if document["effects"] else ("recalibrated",)
     for part in document["recordings"]:
         if "residuals" not in part:
@@ -114,7 +114,7 @@ def _over_chance(item: Mapping[str, float] | None) -> float:
     return float(item["z"] / item["limit"])
 
 
-def left(found: Sequence[Left], with_figures: bool) -> tuple[Block, ...]:
+def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block, ...]:
     """What no effect explains: in words, and drawn over what it depends on."""
     out: list[Block] = [Findings(tuple(Finding("note", item.line()) for item in found))]
     if not with_figures:
@@ -142,12 +142,12 @@ def _short(band: str) -> str:
     return band.replace("below ", "< ").replace("above ", "> ").replace(" to ", "–")
 
 
-def _drawn(item: Left) -> Figure:
+def _drawn(item: RemainingResidual) -> Figure:
     """A residual over the two axes with which it changes most."""
     axes = item.around.axes()
     spread = {}
     for title, over in axes.items():
-        means = dependence.means(item.values, over)
+        means = remaining.means(item.values, over)
         spread[title] = float(np.var(means[:, 1])) if len(means) else 0.0
     chosen = sorted(spread, key=lambda title: -spread[title])[:2]
     velocity = item.around.velocity
@@ -162,7 +162,7 @@ def _drawn(item: Left) -> Figure:
         else:
             groups = [("angle rising", velocity > 0.0, ESTIMATE), ("angle falling", velocity < 0.0, SECOND)]
         for name, which, color in groups:
-            means = dependence.means(item.values, axes[title], which)
+            means = remaining.means(item.values, axes[title], which)
             parts.append(Line(name, means[:, 0], means[:, 1], color, width=1.7, quiet=name in named))
             named.add(name)
         panels.append(Panel(Axis(title), Axis(f"{item.channel.capitalize()} [{item.unit}]"), tuple(parts), 222))

@@ -1,8 +1,6 @@
 """What the report of ``close_loop`` says of a sealed joint otherwise than of one that valves drive.
 
-``report.json`` then has ``sealed``: {reference: errors [N m] of straight-line maps, alike: what was compared on equal
-terms, shares: of the held-out residual beyond noise by part, verdicts: likewise, friction_taken_out}; and a
-recording's ``errors`` have, of the torque, also ``rmse_sliding_nm``, ``rmse_sticking_nm``, ``sliding_share``.
+A recording's ``errors`` then have, of the torque, also ``rmse_sliding_nm``, ``rmse_sticking_nm``, ``sliding_share``.
 """
 
 from __future__ import annotations
@@ -10,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pam_antagonist.diagnosis.sealed import EXPLAINED
 from pam_antagonist.report.document import Finding, Tile
 from pam_antagonist.report.table import number, percent
 
@@ -42,6 +39,11 @@ ABOUT_RESIDUALS = (
     "On held-out data: measurement minus model, the model driven by the measured angle. A residual is compared with "
     "what was there up to 2 s before it."
 )
+
+
+def is_driven(document: Document) -> bool:
+    """Whether the joint was driven by its measured angle."""
+    return any(part["joint"] == "driven" for part in document["recordings"])
 
 
 def rows(document: Document) -> Rows:
@@ -91,7 +93,7 @@ def tiles(document: Document) -> tuple[Tile, ...]:
         out.append(Tile(f"ΔBIC of {', '.join(found)}", said, "above 6 is strong"))
     if errors["extended"]["torque"] is not None:
         before, after = (errors[model]["torque"]["rmse_nm"] for model in ("recalibrated", "extended"))
-        reference = document["sealed"]["reference"]["angle_and_pressures"]
+        reference = document["reference"]["angle_and_pressures"]
         note = f"was {number(before, 2)}; a straight-line map: {number(reference, 2)}"
         out.append(Tile("Torque error, measured angle", f"{number(after, 2)} N m", note))
     ukf = document["recordings"][0].get("ukf")
@@ -112,7 +114,7 @@ def tiles(document: Document) -> tuple[Tile, ...]:
 def findings(document: Document) -> tuple[Finding, ...]:
     """What was compared on equal terms, and what would tell."""
     out = []
-    compared = {item["other"]: item for item in document["sealed"]["alike"]}
+    compared = {item["other"]: item for item in document["ambiguities"]}
     for name in document["ambiguous_with"]:
         item = compared.get(name)
         if item is None:
@@ -129,7 +131,7 @@ def findings(document: Document) -> tuple[Finding, ...]:
                 f"To tell: {document['experiments'][name]}.",
             )
         )
-    for item in document["sealed"]["alike"]:
+    for item in document["ambiguities"]:
         if not item["ambiguous"]:
             mine, other = (number(value, 2) for value in item["residual"])
             out.append(
@@ -150,11 +152,11 @@ def findings(document: Document) -> tuple[Finding, ...]:
                 f"({number(after, 2)} N m).",
             )
         )
-    parts = document["sealed"]["verdicts"]
+    parts = {part["name"]: part["verdict"] for part in document["parts"]}
     if "effect" in parts.values():
         for name in (name for name, verdict in parts.items() if verdict == "unexplained"):
             out.append(Finding("warn", f"What the {name} leave is beyond noise, and no effect explains it."))
-    if document["sealed"]["friction_taken_out"] and "torque" in parts:
+    if document["base_friction_removed"] and "torque" in parts:
         out.append(
             Finding(
                 "note",
@@ -187,7 +189,7 @@ def assumed(document: Document) -> tuple[tuple[str, str], ...]:
         ("Errors of the model", "Gaussian, of unknown size for each channel, at least the sensor's noise."),
         (
             "Thresholds",
-            f"ΔBIC {settings['strong_evidence']:g} where it was fitted, evidence of 2 on held-out data, and "
-            f"{percent(EXPLAINED)} of the held-out residual beyond noise gone.",
+            f"ΔBIC {settings['strong_evidence']:g} to be taken at all; all effects together remove "
+            f"{percent(settings['explained_share'])} of the excess, fitted and held out together.",
         ),
     )

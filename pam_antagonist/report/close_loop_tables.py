@@ -28,7 +28,7 @@ def before_after(document: Document) -> Table:
         rows.append((name, "", "", ""))
         best.append(frozenset())
 
-    if document.get("sealed"):
+    if close_loop_sealed.is_driven(document):
         for name, values in close_loop_sealed.rows(document):
             group(name) if values is None else add(name, values)
         return _compared(rows, best)

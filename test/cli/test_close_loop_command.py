@@ -13,7 +13,7 @@ from joblib import Parallel, delayed
 
 from pam_antagonist.cli.close_loop import main
 from pam_antagonist.cli.cluster import connected
-from pam_antagonist.diagnosis.store import Store
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.recording import write_bag
 from pam_antagonist.rig import load_rig
 from pam_antagonist.validation.battery.plants import Case
@@ -109,15 +109,15 @@ def test_an_interrupted_run_goes_on_to_the_same_report(
 ) -> None:
     out = tmp_path / "o"
     arguments = [str(leaking), "--rig", "shin2022", "--out", str(out), "--jobs", "1", "--no-figures"]
-    save = Store.save
+    save = Checkpoint.save
 
-    def interrupted(self: Store, *what: object) -> None:
+    def interrupted(self: Checkpoint, *what: object) -> None:
         save(self, *what)  # type: ignore[arg-type]
         if self.finished() == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Store, "save", interrupted)
+        patch.setattr(Checkpoint, "save", interrupted)
         assert main(arguments) == 130
     said = capsys.readouterr().err
     assert "2 finished refits are kept" in said and "--resume" in said and str(leaking) in said

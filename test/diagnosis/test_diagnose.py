@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import diagnose, findings
-from pam_antagonist.diagnosis.store import Store
+from pam_antagonist.diagnosis import diagnose, findings, held_out
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import load_rig
@@ -105,9 +105,9 @@ def test_no_recording_is_refused(rig) -> None:
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory) -> Store:
+def kept(tmp_path_factory) -> Checkpoint:
     """What the fits of pressures alone came to: two tests ask of them."""
-    return Store(tmp_path_factory.mktemp("kept"))
+    return Checkpoint(tmp_path_factory.mktemp("kept"))
 
 
 def test_pressures_alone_say_so(rig, recorded, kept) -> None:
@@ -124,9 +124,7 @@ def test_pressures_alone_say_so(rig, recorded, kept) -> None:
 
 def test_innovations_that_do_not_agree_have_the_last_word(rig, recorded, kept, monkeypatch) -> None:
     """The pressures of a model that is run alone may call for an effect that tells an estimator nothing."""
-    from pam_antagonist.diagnosis import innovations
-
-    monkeypatch.setattr(innovations, "evidence", lambda recordings, parts, jobs: 5.0)
+    monkeypatch.setattr(held_out, "innovation_evidence", lambda prepared, compared, jobs: 5.0)
     bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
     found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False, store=kept)
     assert found.verdict == "unexplained" and not found.effects

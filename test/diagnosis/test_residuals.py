@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import dependence, remaining, residuals
-from pam_antagonist.diagnosis.dependence import Surroundings
-from pam_antagonist.diagnosis.equations import equation_errors
-from pam_antagonist.diagnosis.select import Model, recalibrated
+from pam_antagonist.diagnosis import remaining, residual_statistics
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.remaining import Surroundings
+from pam_antagonist.diagnosis.residual_statistics import equation_errors
+from pam_antagonist.diagnosis.selection import recalibrate
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.validation.battery.plants import staircase
@@ -37,7 +38,7 @@ def test_slow_series_that_have_nothing_in_common_pass_as_such() -> None:
     for seed in range(100):
         rng = np.random.default_rng(seed)
         residual, signal = drift(rng), command(rng)
-        false += residuals.cross_correlations(residual, {"voltage": signal}, STEP)["voltage"]["p"] < 0.05
+        false += residual_statistics.cross_correlations(residual, {"voltage": signal}, STEP)["voltage"]["p"] < 0.05
         plain += abs(np.corrcoef(residual, signal)[0, 1]) > 1.96 / np.sqrt(COUNT)
     assert false <= 9
     assert plain > 50
@@ -48,7 +49,9 @@ def test_an_answer_to_a_command_is_seen_with_its_lag() -> None:
         rng = np.random.default_rng(seed)
         signal = np.repeat(rng.uniform(4.0, 8.0, COUNT // 40), 40)
         late = np.concatenate([np.full(15, signal[0]), signal[:-15]])
-        found = residuals.cross_correlations(drift(rng, 0.8) + 3.0 * late, {"voltage": signal}, STEP)["voltage"]
+        found = residual_statistics.cross_correlations(drift(rng, 0.8) + 3.0 * late, {"voltage": signal}, STEP)[
+            "voltage"
+        ]
         assert found["p"] < 1e-3
         assert found["lag_s"] == pytest.approx(0.3, abs=0.021)
         assert abs(found["z"]) > found["limit"]
@@ -61,33 +64,33 @@ def test_what_follows_from_the_residual_itself_is_not_read() -> None:
         rng = np.random.default_rng(seed)
         residual = rng.standard_normal(COUNT)
         signal = np.concatenate([np.zeros(25), residual[:-25]]) + 0.1 * rng.standard_normal(COUNT)
-        hits += residuals.cross_correlations(residual, {"voltage": signal}, STEP)["voltage"]["p"] < 0.05
+        hits += residual_statistics.cross_correlations(residual, {"voltage": signal}, STEP)["voltage"]["p"] < 0.05
         backwards = np.corrcoef(signal[25:], residual[:-25])[0, 1]
         assert backwards > 0.9
     assert hits <= 5
 
 
 def test_a_whitener_undoes_an_autoregression() -> None:
-    found = residuals.whitener(drift(np.random.default_rng(1), 0.9))
+    found = residual_statistics.whitener(drift(np.random.default_rng(1), 0.9))
     assert found[1] == pytest.approx(-0.9, abs=0.05)
-    assert residuals.whitener(np.zeros(100)).tolist() == [1.0]
+    assert residual_statistics.whitener(np.zeros(100)).tolist() == [1.0]
 
 
 @pytest.fixture(scope="module")
 def sound(recorded, experiment_of):
     experiment = experiment_of(recorded(), "locked")
-    return experiment, recalibrated([experiment], 1).fits[0]
+    return experiment, recalibrate([experiment], 1).fits[0]
 
 
 @pytest.fixture(scope="module")
 def exchanging(recorded, experiment_of):
     experiment = experiment_of(recorded("exchange", None, "chambers exchange air", 25.0), "locked")
-    return experiment, recalibrated([experiment], 1).fits[0]
+    return experiment, recalibrate([experiment], 1).fits[0]
 
 
 def test_a_right_model_leaves_white_noise_of_the_sensors_size(sound) -> None:
     experiment, fitted = sound
-    rows = {row["channel"]: row for row in residuals.statistics(experiment, fitted.point)}
+    rows = {row["channel"]: row for row in residual_statistics.statistics(experiment, fitted.point)}
     assert set(rows) == {"mass flow 1", "mass flow 2", "contraction torque", "torque", "pressure_1", "pressure_2"}
     for name, row in rows.items():
         assert row["rms"] < 1.35 * row["noise"], name
@@ -98,7 +101,7 @@ def test_a_right_model_leaves_white_noise_of_the_sensors_size(sound) -> None:
 
 def test_a_missing_flow_shows_in_the_flows(exchanging) -> None:
     experiment, fitted = exchanging
-    rows = {row["channel"]: row for row in residuals.statistics(experiment, fitted.point)}
+    rows = {row["channel"]: row for row in residual_statistics.statistics(experiment, fitted.point)}
     for name in ("mass flow 1", "mass flow 2", "pressure_1", "pressure_2"):
         assert rows[name]["rms"] > 2.0 * rows[name]["noise"], name
         assert rows[name]["whiteness_p"] < 1e-6, name
@@ -108,7 +111,7 @@ def test_a_missing_flow_shows_in_the_flows(exchanging) -> None:
 def test_equation_errors_are_those_of_the_equation(rig, recorded, experiment_of) -> None:
     """A leak that the model has in excess is missing in one mass flow, and nowhere else."""
     experiment = experiment_of(recorded(seconds=20.0), "locked")
-    fitted = recalibrated([experiment], 1).fits[0]
+    fitted = recalibrate([experiment], 1).fits[0]
     leaking = Point(fitted.point.theta, {"effects.leak.area_1": 5e-9})
     right, wrong = (equation_errors(experiment, point) for point in (fitted.point, leaking))
     change = (wrong.values - right.values).mean(axis=0)
@@ -165,7 +168,7 @@ def around(seed: int, count: int = 400) -> Surroundings:
 def test_each_kind_of_dependence_is_told(kind: str, made) -> None:
     here = around(3)
     residual = made(here) + 0.3 * np.random.default_rng(4).standard_normal(len(here.time))
-    shares = dependence.shares(residual, here)
+    shares = remaining.shares(residual, here)
     assert max(shares, key=lambda name: shares[name]) == kind
     assert shares[kind] > 0.6
     assert all(share < 0.3 for name, share in shares.items() if name != kind)
@@ -178,16 +181,16 @@ def test_a_sparse_regression_finds_the_form_and_is_judged_by_what_it_has_not_see
         return np.asarray(2.0 * a.direction * a.pressure.sum(axis=1) / 1e5)
 
     rng = np.random.default_rng(7)
-    found = dependence.form(made(here) + rng.standard_normal(400), here, (made(later), later))
+    found = remaining.form(made(here) + rng.standard_normal(400), here, (made(later), later))
     assert [name for name, _ in found.terms][0] == "sign ψ̇ (P_1 + P_2)"
     assert found.terms[0][1] == pytest.approx(2.0, rel=0.1)
     assert found.share > 0.9 and found.held_out > 0.95
-    nothing = dependence.form(rng.standard_normal(400), here, (made(later), later))
+    nothing = remaining.form(rng.standard_normal(400), here, (made(later), later))
     assert len(nothing.terms) <= 1 and nothing.held_out < 0.1
 
 
 def test_frequencies_are_told() -> None:
     time = np.arange(3000) * STEP
-    shares = dependence.bands(np.sin(2.0 * np.pi * 2.0 * time), STEP)
+    shares = remaining.bands(np.sin(2.0 * np.pi * 2.0 * time), STEP)
     assert shares["1 to 3 Hz"] > 0.99
-    assert dependence.period(np.sin(2.0 * np.pi * 2.0 * time), STEP) == pytest.approx(0.5, rel=0.01)
+    assert remaining.period(np.sin(2.0 * np.pi * 2.0 * time), STEP) == pytest.approx(0.5, rel=0.01)

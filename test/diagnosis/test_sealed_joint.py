@@ -12,7 +12,7 @@ import pytest
 
 from pam_antagonist.cli.close_loop import main as close_loop
 from pam_antagonist.diagnosis import Diagnosis, diagnose
-from pam_antagonist.diagnosis.sealed_base import cut, identified, made_ready
+from pam_antagonist.diagnosis.preparation import base_without_friction, cut, driven_trial
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven, motion_of
@@ -72,9 +72,8 @@ def test_friction_and_a_leak_of_one_muscle_are_found_with_their_sizes(recorded, 
     assert set(effects) == {"friction", "leak"}
     value, std, _ = effects["friction"].parameters["coulomb"]
     assert abs(value - 0.2) < 2.0 * std < 0.15
-    assert found.sealed is not None
-    (loop,) = (item for item in found.sealed["alike"] if item["found"] == "friction")
-    assert loop["size"] == pytest.approx(0.2, rel=0.1), "fitted where the joint slides"
+    (loop,) = (item for item in found.ambiguities if item.found == "friction")
+    assert loop.size == pytest.approx(0.2, rel=0.1), "fitted where the joint slides"
     assert effects["leak"].muscle == 1
     assert effects["leak"].parameters["area_1"][0] == pytest.approx(8e-12, rel=0.1)
     before, after = (found.errors[model]["torque"]["rmse_nm"] for model in ("recalibrated", "extended"))
@@ -87,7 +86,7 @@ def test_a_wide_hysteresis_is_not_called_friction(recorded, joint) -> None:
     found = diagnosed(recorded({"hysteresis": {"amplitude_1": 12.0, "amplitude_2": 12.0, "width": 4e-4}}), joint)
     assert [effect.name for effect in found.effects] == ["hysteresis"]
     assert found.effects[0].parameters["width"][0] == pytest.approx(4e-4, rel=0.3)
-    assert "friction" not in found.ambiguous_with, found.sealed
+    assert "friction" not in found.ambiguous_with, found.ambiguities
 
 
 def test_a_joint_with_nothing_wrong_has_no_effect(recorded, joint) -> None:
@@ -100,7 +99,7 @@ def test_a_joint_with_nothing_wrong_has_no_effect(recorded, joint) -> None:
 def test_the_driven_model_says_what_the_simulation_did(recorded, joint) -> None:
     rig = moved(joint, PLAIN).replaced(effects={"leak": {"area_2": 2e-11}, "thermal": {"share_1": 0.2, "time": 2.0}})
     recording = recorded(rig.effects)
-    trial = made_ready(recording, rig, "auto", 1 / 3)
+    trial = driven_trial(recording, rig, "auto", 1 / 3)
     driven = AngleDriven(rig, trial, 12000, part=BALANCE)
     pressure, needed = driven.driven(driven.origin, whole=True)
     # Noise of 20 Pa in what was recorded, and what smoothing the angle leaves; the simulation's charge is a little off.
@@ -173,10 +172,10 @@ def test_the_measured_joint(measured: Path, tmp_path: Path, capsys) -> None:
     assert report["effects"][1]["muscle"] is None, "both lose air"
     assert set(report["ambiguous_with"]) == {"hysteresis", "thermal"}
     assert set(report["experiments"]) == {"hysteresis", "thermal"}
-    loop = next(item for item in report["sealed"]["alike"] if item["other"] == "hysteresis")
+    loop = next(item for item in report["ambiguities"] if item["other"] == "hysteresis")
     assert loop["size"] == pytest.approx(0.3, abs=0.03), "as identify finds it, where the joint slides"
     errors = report["errors"]
-    assert report["sealed"]["reference"]["angle_and_pressures"] == pytest.approx(0.24, abs=0.01)
+    assert report["reference"]["angle_and_pressures"] == pytest.approx(0.24, abs=0.01)
     assert errors["recalibrated"]["torque"]["rmse_nm"] > 0.23
     assert errors["extended"]["torque"]["rmse_nm"] <= 0.15
     assert errors["extended"]["pressure"]["mean_rmse_pa"] < 0.6 * errors["recalibrated"]["pressure"]["mean_rmse_pa"]
@@ -207,8 +206,8 @@ def test_no_fit_sees_the_last_third(measured: Path, joint: Rig) -> None:
     )
     fitted = []
     for each in (recording, other):
-        rig = identified([(each, "bag")], joint, 1 / 3, lambda text: None)
-        trial = made_ready(each, joint, "auto", 1 / 3)
+        rig = base_without_friction([(each, "bag")], joint, 1 / 3, lambda text: None)
+        trial = driven_trial(each, joint, "auto", 1 / 3)
         for part in (AIR, BALANCE):
             driven = AngleDriven(rig, trial, cut(trial, 1 / 3), part=part)
             theta = refit(driven, driven.origin, (), rounds=3).point.theta

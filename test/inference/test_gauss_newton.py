@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.select import Model, refitted_without, shared
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.selection import refitted_without, shared
 from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.gauss_newton import refit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 
-class Laps:
+class Timings:
     """A stopwatch; ``seconds`` holds what took how long, by name."""
 
     def __init__(self) -> None:

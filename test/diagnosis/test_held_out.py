@@ -7,8 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import diagnose, heldout
-from pam_antagonist.diagnosis.select import recalibrated
+from pam_antagonist.diagnosis import diagnose, preparation
+from pam_antagonist.diagnosis.agreement import check_same_rig
+from pam_antagonist.diagnosis.preparation import Group
+from pam_antagonist.diagnosis.selection import recalibrate
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
@@ -43,7 +45,7 @@ def test_the_effect_is_judged_by_the_recording_that_no_fit_saw(judged) -> None:
 def test_only_the_start_of_a_held_out_recording_is_fitted(judged) -> None:
     fitted, other = judged.compared
     assert fitted.experiment.fitted == len(fitted.experiment.trial)
-    assert other.experiment.fitted * other.experiment.trial.dt == pytest.approx(heldout.START)
+    assert other.experiment.fitted * other.experiment.trial.dt == pytest.approx(preparation.START)
     count = len(other.experiment.directions)
     for model in ("recalibrated", "extended"):
         np.testing.assert_array_equal(other.points[model].theta[:count], fitted.points[model].theta[:count])
@@ -63,7 +65,7 @@ def test_what_follows_the_start_does_not_change_it(rig, pair, experiment_of) -> 
 def test_a_channel_that_was_not_measured_there_counts_as_noise(rig, pair) -> None:
     trials = [make_trial(recording, rig, "locked", 0.0, "a") for recording in pair]
     bare = dataclasses.replace(trials[1], measured=np.where([True, False, True, True], trials[1].measured, np.nan))
-    (experiment,), _ = heldout.experiments_of(trials[:1], [bare], rig, 1.0 / 3.0, 0)
+    (experiment,), _ = preparation.valve_driven_experiments(trials[:1], [bare], rig, 1.0 / 3.0, 0)
     held = experiment.held(experiment.residual(experiment.origin, whole=True))
     assert len(held) == (len(bare) - 5000) // 20
     assert experiment.times_noise(held)[0] == pytest.approx(1.0)
@@ -72,11 +74,11 @@ def test_a_channel_that_was_not_measured_there_counts_as_noise(rig, pair) -> Non
 
 def test_recordings_are_judged_by_those_of_the_same_condition(rig, recorded) -> None:
     trials = [make_trial(recorded(seconds=20.0, joint=j), rig, j, 0.0, j) for j in ("free", "locked")]
-    (free, locked), held = heldout.experiments_of(trials, [trials[1]], rig, 1.0 / 3.0, 0)
+    (free, locked), held = preparation.valve_driven_experiments(trials, [trials[1]], rig, 1.0 / 3.0, 0)
     assert free.judged == () and locked.judged == held
     nothing = free.held(free.residual(free.origin, whole=True))
     assert len(nothing) == 0 and free.times_noise(nothing).tolist() == [1.0] * 4
-    (alone,), held = heldout.experiments_of(trials[:1], [trials[1]], rig, 1.0 / 3.0, 0)
+    (alone,), held = preparation.valve_driven_experiments(trials[:1], [trials[1]], rig, 1.0 / 3.0, 0)
     assert alone.judged == held
 
 
@@ -97,11 +99,12 @@ def test_a_recording_of_another_rig_is_refused(rig, recorded, pair) -> None:
     sound = recorded(seconds=24.0)
     trial = make_trial(sound, rig, "locked", 0.0, "mine")
     theirs = make_trial(pair[1], rig, "locked", 0.0, "theirs")
-    (experiment,), held = heldout.experiments_of([trial], [theirs], rig, 0.3, 0)
-    base = recalibrated([experiment], 1)
-    heldout.check_same_rig([experiment], base, held, 1)
+    (experiment,), held = preparation.valve_driven_experiments([trial], [theirs], rig, 0.3, 0)
+    base = recalibrate([experiment], 1)
+    group = Group("joint", (experiment,), (0,), held)
+    check_same_rig(group, base, 1)
     shifted = base.fits[0].point.theta.copy()
     shifted[0] += 0.5
     far = dataclasses.replace(base.fits[0], point=dataclasses.replace(base.fits[0].point, theta=shifted))
     with pytest.raises(BadInput, match="seems to be of another rig"):
-        heldout.check_same_rig([experiment], dataclasses.replace(base, fits=(far,)), held, 1)
+        check_same_rig(group, dataclasses.replace(base, fits=(far,)), 1)

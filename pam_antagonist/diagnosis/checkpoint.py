@@ -23,17 +23,17 @@ class Kept:
 
     Attributes:
         point: where it ended.
-        pace: at which, see :class:`Scale`.
-        gain: evidence for it at the end of its first descent, by which it was decided how far it was followed.
+        blocks_per_error: what the fit counted, see :class:`~pam_antagonist.inference.likelihood.Scale`.
+        gain: evidence for it after its first descent, which decides whether it is fitted from other starts.
     """
 
     point: Point
-    pace: float
+    blocks_per_error: float
     gain: float
 
 
 @dataclass(frozen=True)
-class Store:
+class Checkpoint:
     """A folder with one small file for each refitted candidate; without a folder, nothing is kept.
 
     Attributes:
@@ -56,10 +56,10 @@ class Store:
         path = self.folder / _SETTINGS
         if path.is_file():
             try:
-                left = json.loads(path.read_text(encoding="utf-8"))
+                earlier = json.loads(path.read_text(encoding="utf-8"))
             except ValueError:
-                left = {}
-            other = [name for name, value in settings.items() if left.get(name) != json.loads(json.dumps(value))]
+                earlier = {}
+            other = [name for name, value in settings.items() if earlier.get(name) != json.loads(json.dumps(value))]
             if other:
                 raise BadInput(
                     f"{self.folder}: left by a run with another {other[0]}; expected the same recordings, rig and "
@@ -83,7 +83,7 @@ class Store:
             found = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
             effects = {str(name): float(value) for name, value in found["effects"].items()}
             point = Point(np.array(found["theta"], dtype=np.float64), effects)
-            return Kept(point, float(found["pace"]), float(found["gain"]))
+            return Kept(point, float(found["blocks_per_error"]), float(found["gain"]))
         except (ValueError, KeyError, TypeError, AttributeError):
             return None
 
@@ -93,7 +93,12 @@ class Store:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
         point = kept.point
-        content = {"theta": point.theta.tolist(), "effects": dict(point.effects), "pace": kept.pace, "gain": kept.gain}
+        content = {
+            "theta": point.theta.tolist(),
+            "effects": dict(point.effects),
+            "blocks_per_error": kept.blocks_per_error,
+            "gain": kept.gain,
+        }
         partial = self.folder / f"{key}.part"
         partial.write_text(json.dumps(content), encoding="utf-8")
         partial.replace(self.folder / f"{key}.json")

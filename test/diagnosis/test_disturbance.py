@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import pushes
+from pam_antagonist.diagnosis import disturbance
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import BLOCK
 from pam_antagonist.validation.battery.forms import SINGLE
@@ -30,7 +30,7 @@ def free(recorded, experiment_of):
 
 @pytest.fixture(scope="module")
 def pushed(free):
-    return pushes.find(*free("external_torque", "smooth pushes", SIZE))
+    return disturbance.estimate(*free("external_torque", "smooth pushes", SIZE))
 
 
 def test_pushes_are_found_when_they_were(pushed, rig) -> None:
@@ -52,12 +52,12 @@ def test_pushes_are_found_when_they_were(pushed, rig) -> None:
 
 
 def test_a_law_that_always_holds_is_no_push(free) -> None:
-    found = pushes.find(*free("load_torque", "geared pendulum", 20.0))
+    found = disturbance.estimate(*free("load_torque", "geared pendulum", 20.0))
     assert found is not None and not found.explains
 
 
 def test_a_torque_that_returns_at_the_same_angle_is_no_push(free, pushed) -> None:
-    found = pushes.find(*free("cogging", "cogging", 20.0, seed=11))
+    found = disturbance.estimate(*free("cogging", "cogging", 20.0, seed=11))
     assert found is not None and found.episodes >= 2 and found.active < 0.5
     assert found.recurring > 0.8
     # It would have passed for pushes if it had explained more.
@@ -83,4 +83,4 @@ def test_one_push_alone_may_have_been_anything(pushed) -> None:
 
 def test_a_locked_joint_shows_no_push(recorded, experiment_of) -> None:
     experiment = experiment_of(recorded(seconds=5.0), "locked")
-    assert pushes.find(experiment, refit(experiment, experiment.origin, rounds=0)) is None
+    assert disturbance.estimate(experiment, refit(experiment, experiment.origin, rounds=0)) is None

@@ -1,4 +1,8 @@
-"""Score test: what each candidate would explain of a residual, beside the base parameters, to first order."""
+"""Candidates beside a model: their evidence to first order (the score test), and what a full fit made of them.
+
+A score test asks what a candidate would explain of a residual beside the base parameters with their priors. The
+residual is regressed on how a finite size of the effect changes it. That takes one simulation a size and shape, no fit.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,55 @@ from pam_antagonist.inference.likelihood import Scale, Step, solve
 Floats = NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class Model:
+    """One explanation of all recordings.
+
+    Attributes:
+        effects: names of the effects in it, in the order in which they came.
+        fits: the model of each recording.
+    """
+
+    effects: tuple[str, ...]
+    fits: tuple[Fitted, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class TriedCandidate:
+    """A candidate in one round of the selection.
+
+    Attributes:
+        effect: its name.
+        round: how many effects the model had before, plus one.
+        score: evidence to first order, over all recordings.
+        delta_bic: evidence of the fitted part after a full fit; None where the score was too low for one.
+        held_out_evidence: evidence of the held-out part, where no parameter has a price; None likewise.
+        shares: of the held-out and of the fitted excess, what it removes (:mod:`explained`); None likewise.
+        model: the fitted model; None likewise.
+        muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
+        share: of the excess without effects, fitted and held out together, what it removes; None likewise.
+        taken: whether it is in the final model.
+    """
+
+    effect: str
+    round: int
+    score: float
+    delta_bic: float | None = None
+    held_out_evidence: float | None = None
+    shares: tuple[float, float] | None = None
+    model: Model | None = None
+    muscles: tuple[float, float] | None = None
+    share: float | None = None
+    taken: bool = False
+
+    @property
+    def standing(self) -> float:
+        """Evidence of both parts, by which candidates are compared; without a full fit behind all others."""
+        if self.delta_bic is None or self.held_out_evidence is None:
+            return -np.inf
+        return self.delta_bic + self.held_out_evidence
+
+
 @dataclass(frozen=True)
 class Score:
     """How well a candidate would do in a recording.
@@ -24,7 +77,7 @@ class Score:
     Attributes:
         candidate: which.
         gain: evidence for it, twice a difference of log posteriors, to first order.
-        start: values of its unknowns by dotted path, for a refit.
+        start: values of its parameters by dotted path, for a fit.
         muscles: evidence for it on muscle 1 alone and on muscle 2 alone; None where it belongs to no muscle.
     """
 
@@ -34,6 +87,28 @@ class Score:
     muscles: tuple[float, float] | None = None
 
 
+def price(before: Fitted, parameters: int) -> float:
+    """What the Bayesian information criterion charges: k log n, with the independent values counted."""
+    return parameters * float(np.log(max(before.scale.values(before.residual), np.e)))
+
+
+def evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
+    """Evidence for a model with more free parameters in one recording (ΔBIC), on the scale of the one with fewer."""
+    scale = before.scale
+    gain = cost_of(experiment, before.point, before.residual, scale)
+    gain -= cost_of(experiment, after.point, after.residual, scale)
+    visible = sum(1 for k in range(after.effect.shape[2]) if np.any(after.effect[:, :, k]))
+    known = sum(1 for k in range(before.effect.shape[2]) if np.any(before.effect[:, :, k]))
+    return scale.share * gain - price(before, visible - known)
+
+
+def held_out_evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
+    """Evidence for a model on the held-out part of a recording: no parameter was fitted there, and none has a price."""
+    old, new = (experiment.held(experiment.residual(f.point, whole=True)) for f in (before, after))
+    gain = float(before.scale.misfits(old).sum() - before.scale.misfits(new).sum())
+    return before.scale.share * gain
+
+
 def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) -> dict[str, Score]:
     """Score of every candidate beside a fitted model, by the effect's name.
 
@@ -41,7 +116,7 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
         experiment: the recording.
         fitted: the model without the candidate, whose residual is to be explained.
         at: model from which the steps are taken; default: the fitted one. From the model as configured, a large
-            effect is seen before the base parameters have given way to it.
+            effect is seen before the base parameters have bent to it.
     """
     here = fitted if at is None else at
     scale = fitted.scale
@@ -87,35 +162,33 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
         grid = candidate.grid()
         found = max((score(candidate, shape, candidate.sizes) for shape in grid), key=lambda tried: tried.gain)
         simpler = result.get(candidate.effect)
-        if simpler is None or found.gain - simpler.gain > _price_beyond(fitted, candidate, simpler):
+        if simpler is None or found.gain - simpler.gain > _further_price(fitted, candidate, simpler):
             result[candidate.effect] = found
     for name, found in result.items():
         each = [[size for size in found.candidate.sizes if size.muscle == muscle] for muscle in (1, 2)]
         if all(each):
-            shape = {unknown.path: found.start[unknown.path] for unknown in found.candidate.shapes}
+            shape = {free.path: found.start[free.path] for free in found.candidate.shapes}
             first, second = (score(found.candidate, shape, sizes).gain for sizes in each)
             result[name] = replace(found, muscles=(first, second))
     return result
 
 
-def _price_beyond(fitted: Fitted, candidate: Candidate, simpler: Score) -> float:
-    """What the further unknowns of another form of a candidate cost."""
-    further = len(candidate.free) - len(simpler.candidate.free)
-    return further * float(np.log(max(fitted.scale.values(fitted.residual), np.e)))
+def _further_price(fitted: Fitted, candidate: Candidate, simpler: Score) -> float:
+    """What the further parameters of another form of a candidate cost."""
+    return price(fitted, len(candidate.free) - len(simpler.candidate.free))
 
 
-def as_configured(experiment: Experiment, effects: Mapping[str, float]) -> Fitted:
+def as_configured(experiment: Experiment) -> Fitted:
     """The model with its base as configured, as a place to take steps from."""
-    point = Point(experiment.origin.theta, dict(effects))
+    point = experiment.origin
     residual = experiment.residual(point)
-    base = experiment.jacobian(point, residual)
     return Fitted(
-        point,
-        (),
-        residual,
-        base,
-        np.zeros((*residual.shape, 0)),
-        Scale.of(residual, experiment.noise),
-        np.inf,
-        np.zeros((0, 0)),
+        point=point,
+        free=(),
+        residual=residual,
+        base=experiment.jacobian(point, residual),
+        effect=np.zeros((*residual.shape, 0)),
+        scale=Scale.of(residual, experiment.noise),
+        cost=np.inf,
+        covariance=np.zeros((0, 0)),
     )

@@ -1,4 +1,7 @@
-"""What a driven joint cannot tell apart, tested on what its sensors resolve.
+"""What recordings cannot tell apart: candidates that do nearly as well as the chosen one, and rivals on equal terms.
+
+A candidate whose evidence is within strong evidence of the chosen one's is ambiguous with it. A joint that is driven by
+its angle hides two more rivals, which are compared on what its sensors resolve:
 
 *A loop.* Coulomb friction and hysteresis differ in how the torque turns round: at once, or over a width. While the
 drive sticks the encoder shows no motion, so a loop that turns round within its step cannot be seen. Both are compared
@@ -10,18 +13,22 @@ charged, and tubes that still give way, lose pressure at a rate that dies out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.select import STRONG
-from pam_antagonist.inference.angle_driven import AngleDriven
-from pam_antagonist.inference.experiment import Point
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.preparation import DRIVEN
+from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect
+from pam_antagonist.diagnosis.selection import Selection
+from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
+from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
-from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.model.effects import CATALOGUE, experiment_between, parameter_path
 
 Floats = NDArray[np.float64]
 
@@ -32,37 +39,80 @@ _RATES = (0.125, 0.25, 0.5, 1.0)
 """Time constants of a loss that dies out, in durations of what was fitted."""
 
 
-@dataclass(frozen=True)
-class Alike:
-    """An effect that was compared with a found one on equal terms.
+def near_candidates(selection: Selection) -> tuple[str, ...]:
+    """Candidates of the first round that do as well as the chosen one, by evidence and on held-out data."""
+    if not selection.model.effects:
+        return ()
+    first = [tried for tried in selection.tried if tried.round == 1 and tried.shares is not None]
+    best = next((tried for tried in first if tried.effect == selection.model.effects[0]), None)
+    if best is None:
+        return ()
+    return tuple(
+        tried.effect for tried in first if tried is not best and tried.shares is not None
+        and best.standing - tried.standing < thresholds.STRONG and tried.shares[0] >= thresholds.FIRST_SHARE
+    )  # fmt: skip
 
-    Attributes:
-        found: the one in the model.
-        other: the one that could take its place.
-        evidence: for the found one against it, as a ΔBIC; within ``STRONG`` of 0 neither is told from the other.
-        residual: what each leaves (found, other), root mean square, where they were compared.
-        unit: of these.
-        shape: the other's width [m] or time constant [s].
-        about: where and how they were compared.
-        size: of the found one there [N m or N], NaN where it has none of its own there.
+
+def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) -> tuple[Ambiguity, ...]:
+    """Comparisons of found effects with their rivals on equal terms.
+
+    Args:
+        experiments: the recordings.
+        base: the recalibrated model.
+        model: with the effects.
     """
-
-    found: str
-    other: str
-    evidence: float
-    residual: tuple[float, float]
-    unit: str
-    shape: float
-    about: str
-    size: float = float("nan")
-
-    @property
-    def ambiguous(self) -> bool:
-        """Whether the recordings leave open which it is."""
-        return self.evidence < STRONG
+    driven = [experiment for experiment in experiments if isinstance(experiment, AngleDriven)]
+    part = driven[0].part if driven else None
+    if part == BALANCE:
+        compared = loops(driven, model.fits, model.effects)
+    else:
+        compared = losses(driven, base.fits, model.effects) if part == AIR else None
+    if compared is None:
+        return ()
+    return (replace(compared, ambiguous=compared.evidence < thresholds.STRONG),)
 
 
-def loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Sequence[str]) -> Alike | None:
+def experiments_that_tell(
+    found: Sequence[str], ambiguous: Sequence[str], conditions: Collection[str]
+) -> dict[str, str]:
+    """For each effect that is as likely as a found one, what to record.
+
+    Args:
+        found: effects in the model.
+        ambiguous: effects that do as well.
+        conditions: of the joint in the recordings at hand.
+    """
+    out = {}
+    for other in ambiguous:
+        effect = CATALOGUE[other]
+        if DRIVEN in conditions:
+            out[other] = effect.sealed.experiment or effect.experiment
+            continue
+        out[other] = (experiment_between(other, found[0]) if found else None) or effect.experiment
+        if len(set(conditions)) == 1:
+            missing = "locked" if "free" in conditions else "free"
+            out[other] += f"; or add a recording with the joint {missing}"
+    return out
+
+
+def with_compared_size(effect: FoundEffect, compared: Sequence[Ambiguity]) -> FoundEffect:
+    """An effect whose size has an error that holds the difference to its size where it was compared with a rival.
+
+    Friction may have any torque up to its bound while the joint sticks, which moves its size there.
+
+    Args:
+        effect: as it was found.
+        compared: with rivals.
+    """
+    for item in compared:
+        if item.found == effect.name and item.parameter in effect.parameters and np.isfinite(item.size):
+            value, std, unit = effect.parameters[item.parameter]
+            spread = (value, float(np.hypot(std, value - item.size)), unit)
+            return replace(effect, parameters={**effect.parameters, item.parameter: spread})
+    return effect
+
+
+def loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Sequence[str]) -> Ambiguity | None:
     """Friction beside hysteresis where the joint slides; None where neither was found.
 
     Args:
@@ -103,9 +153,9 @@ def loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Seq
         f"where the joint slides; a hysteresis may turn round within a step of the encoder, {step:.2g}°. Both have "
         "one size only, since all turns of the joint are alike"
     )
-    return Alike(
-        here, other, evidence, (float(rms[0]), float(rms[1])), "N m", float(width), about, float(np.mean(sizes))
-    )
+    residual, size = (float(rms[0]), float(rms[1])), float(np.mean(sizes))
+    parameter = "coulomb" if here == "friction" else ""
+    return Ambiguity(here, other, evidence, residual, "N m", float(width), about, size, parameter)
 
 
 def _starts(experiment: AngleDriven, name: str) -> list[tuple[dict[str, float], tuple[FreeEffectParameter, ...]]]:
@@ -125,7 +175,7 @@ def _starts(experiment: AngleDriven, name: str) -> list[tuple[dict[str, float], 
     return [({**dict.fromkeys(sizes, force), width: start}, unknowns) for start in (narrow, 4.0 * narrow, 2e-4)]
 
 
-def losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: Sequence[str]) -> Alike | None:
+def losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: Sequence[str]) -> Ambiguity | None:
     """A leak beside a loss that dies out, in the mean of the pressures; None where no leak was found.
 
     Args:
@@ -150,7 +200,7 @@ def losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: Se
         "in the mean of the pressures, on what was fitted: gas that still cools from having been charged, or "
         "tubes that still give way, lose pressure at a rate that dies out"
     )
-    return Alike("leak", "thermal", evidence, (rms[0], rms[1]), "kPa", float(seconds), about)
+    return Ambiguity("leak", "thermal", evidence, (rms[0], rms[1]), "kPa", float(seconds), about)
 
 
 def either_muscle(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], effect: str) -> int | None:
@@ -179,7 +229,7 @@ def either_muscle(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], ef
             gap = cost_of(experiment, alone.point, alone.residual, fitted.scale) - fitted.cost
             lost[number] += fitted.scale.share * gap
     best = min(lost, key=lambda number: lost[number])
-    return best if lost[best] < STRONG else None
+    return best if lost[best] < thresholds.STRONG else None
 
 
 def _time(fitted: Fitted) -> Floats:

@@ -1,0 +1,222 @@
+"""From the verdicts on all groups to the whole answer: errors before and after, rigs, what is left and unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from joblib import Parallel, delayed
+
+from pam_antagonist.diagnosis import ambiguity, held_out, warnings, wording
+from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
+from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
+from pam_antagonist.diagnosis.findings import profile_sizes
+from pam_antagonist.diagnosis.preparation import Prepared, Settings
+from pam_antagonist.diagnosis.remaining import describe as describe_remaining
+from pam_antagonist.diagnosis.result import (
+    Ambiguity,
+    Diagnosis,
+    FoundEffect,
+    HeldOutComparison,
+    Judged,
+    PartVerdict,
+    Verdict,
+)
+from pam_antagonist.diagnosis.timings import Timings
+from pam_antagonist.identification.sealed_session import tuned
+from pam_antagonist.inference.angle_driven import AIR, AngleDriven
+from pam_antagonist.rig import Rig
+
+_TUNINGS = 25
+"""Tunings of the estimator that are tried for each model, from the rig file's."""
+
+
+def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, timings: Timings) -> Diagnosis:
+    """Everything that a report says.
+
+    Args:
+        prepared: the recordings.
+        judged: the verdict on each group of them, the strongest effect first.
+        settings: of the diagnosis.
+        timings: what took how long.
+    """
+    jobs, progress = settings.jobs, settings.progress
+    compared = tuple(c for j in judged for c in held_out.compare(j.group, j.base, j.model, j.values))
+    rivals = tuple(
+        rival
+        for j in judged
+        if j.verdict == "effect"
+        for rival in ambiguity.ambiguities(j.group.experiments, j.base, j.model)
+    )
+    effects = _effects(prepared, judged, rivals)
+    ambiguous = _ambiguous(judged, rivals)
+    profiles = [
+        item
+        for j in judged
+        if settings.profiles
+        for item in profile_sizes(j.group.experiments, j.model, j.effects, jobs, progress)
+    ]
+    timings.end("profiles")
+    common = {name: _common_rig(prepared, judged, name == "extended") for name in ("recalibrated", "extended")}
+    tunings = _tunings(prepared, common, bool(effects), settings)
+    timings.end("tuning")
+    progress("errors before and after")
+    entries = held_out.by_recording(prepared, compared, tunings, settings.estimator, jobs)
+    totals = held_out.total_errors(compared, entries)
+    timings.end("errors")
+    remaining = tuple(
+        item for j in judged if j.verdict != "none" for item in describe_remaining(j.group.experiments, j.model)
+    )
+    timings.end("remaining residual")
+    verdict, share = _overall(judged)
+    ranking = tuple(_ranked(j, tried) for j in judged for tried in j.selection.tried)
+    reference = held_out.static_map(prepared)
+    return Diagnosis(
+        verdict=verdict,
+        sentence=wording.sentence(
+            verdict,
+            _in_words(prepared, judged, effects),
+            ambiguous,
+            share,
+            totals,
+            ranking,
+            reference,
+            prepared.angle_driven,
+        ),
+        effects=effects,
+        ambiguous_with=ambiguous,
+        experiment=ambiguity.experiments_that_tell(
+            [name for j in judged for name in j.model.effects],
+            ambiguous,
+            {trial.joint for trial in prepared.trials[: prepared.fitted]},
+        ),
+        ambiguities=rivals,
+        ranking=ranking,
+        share=share,
+        parts=tuple(PartVerdict(j.group.name, j.verdict, j.share) for j in judged),
+        errors=totals,
+        by_recording=entries,
+        reference=reference,
+        remaining=remaining,
+        unseen=warnings.unseen(prepared, {j.group.name: j.base for j in judged}, jobs),
+        warnings=(
+            *(warning for j in judged for warning in j.warnings),
+            *warnings.few_sweeps(prepared),
+            *_either_muscle(judged),
+            *warnings.flat_profiles(profiles),
+            *warnings.estimator_worse(entries),
+        ),
+        profiles=tuple(profiles),
+        rig_recalibrated=with_tuning(common["recalibrated"], tunings.get("recalibrated")),
+        rig_extended=with_tuning(common["extended"], tunings.get("extended")),
+        own=_own_rigs(prepared, compared, tunings),
+        base_friction_removed=prepared.friction_removed,
+        experiments=tuple(experiment for j in judged for experiment in j.group.experiments),
+        recalibrated=Model((), tuple(fitted for j in judged for fitted in j.base.fits)),
+        extended=Model(
+            tuple(name for j in judged for name in j.model.effects), tuple(f for j in judged for f in j.model.fits)
+        ),
+        compared=compared,
+        seconds=timings.seconds,
+    )
+
+
+def _overall(judged: Sequence[Judged]) -> tuple[Verdict, float]:
+    """The verdict on all groups together, and the least share that effects remove in any of them."""
+    verdicts = {j.verdict for j in judged}
+    verdict: Verdict = "effect" if "effect" in verdicts else "unexplained" if "unexplained" in verdicts else "none"
+    shares = [j.share for j in judged if j.effects] or [j.share for j in judged]
+    return verdict, min(shares)
+
+
+def _effects(prepared: Prepared, judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[FoundEffect, ...]:
+    """What was found in all groups, with the recordings' own names."""
+    out = []
+    for j in judged:
+        names = {
+            experiment.trial.name: prepared.trials[number].name
+            for experiment, number in zip(j.group.experiments, j.group.numbers, strict=True)
+        }
+        for effect in j.effects:
+            known = replace(effect, recordings=tuple(names[name] for name in effect.recordings))
+            out.append(ambiguity.with_compared_size(known, rivals))
+    return tuple(out)
+
+
+def _in_words(prepared: Prepared, judged: Sequence[Judged], effects: Sequence[FoundEffect]) -> list[str]:
+    """Each found effect; where not every recording that could shows one, those that do are named."""
+    counts = [len(j.group.experiments) for j in judged for _ in j.effects]
+    everywhere = all(len(effect.recordings) == count for effect, count in zip(effects, counts, strict=True))
+    return [
+        wording.in_words(effect, prepared.rig.valves.sealed)
+        + ("" if everywhere else f" in {' and '.join(effect.recordings)}")
+        for effect in effects
+    ]
+
+
+def _ambiguous(judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[str, ...]:
+    """Effects that would do as well as a found one."""
+    near = [name for j in judged if j.verdict == "effect" for name in ambiguity.near_candidates(j.selection)]
+    found = {name for j in judged for name in j.model.effects}
+    names = (*near, *(rival.other for rival in rivals if rival.ambiguous))
+    return tuple(name for name in dict.fromkeys(names) if name not in found)
+
+
+def _ranked(judged: Judged, tried: TriedCandidate) -> TriedCandidate:
+    """A candidate with whether it is in the final model."""
+    chosen = judged.selection.model.effects
+    selected = tried.model is not None and tried.model.effects == chosen[: tried.round]
+    return replace(tried, taken=judged.verdict == "effect" and selected and tried.effect in judged.model.effects)
+
+
+def _either_muscle(judged: Sequence[Judged]) -> list[str]:
+    """Effects that both muscles have alike, and that one alone would explain nearly as well."""
+    out = []
+    for j in judged:
+        driven = [e for e in j.group.experiments if isinstance(e, AngleDriven) and e.part == AIR]
+        for effect in j.effects if driven else ():
+            alone = ambiguity.either_muscle(driven, j.model.fits, effect.name)
+            if alone is not None:
+                out.append(
+                    f"{effect.name}: both muscles alike is simplest, but muscle {alone} alone would do nearly as well"
+                )
+    return out
+
+
+def _common_rig(prepared: Prepared, judged: Sequence[Judged], extended: bool) -> Rig:
+    """One rig with what was found in all groups."""
+    rig = prepared.base
+    for j in judged:
+        model, values = (j.model, j.values) if extended else (j.base, {})
+        rig = common_rig(j.group.experiments, model, values, rig)
+    return rig
+
+
+def _tunings(prepared: Prepared, common: Mapping[str, Rig], has_effects: bool, settings: Settings) -> dict[str, Rig]:
+    """Rigs whose tuning the estimator has, by model.
+
+    Where the angle is the input, no fit knows the muscles' slow strays, which are most of what the estimator sees. So
+    its tuning is fitted for each model.
+    """
+    if not (prepared.angle_driven and settings.estimator):
+        return {}
+    settings.progress("tuning the estimators")
+    named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
+    names = ("recalibrated", "extended") if has_effects else ("recalibrated",)
+    best = Parallel(n_jobs=settings.jobs, prefer="threads")(
+        delayed(tuned)(common[name], named, 1.0 - settings.holdout, lambda text: None, _TUNINGS) for name in names
+    )
+    rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
+    return {"extended": rigs["recalibrated"], **rigs}
+
+
+def _own_rigs(
+    prepared: Prepared, compared: Sequence[HeldOutComparison], tunings: Mapping[str, Rig]
+) -> tuple[tuple[str, Rig], ...]:
+    """Each fitted recording's name and its own extended rig."""
+    out = []
+    for number in range(prepared.fitted):
+        parts = [part for part in compared if part.number == number]
+        rig = with_tuning(held_out.rig_of(prepared, parts, "extended"), tunings.get("extended"))
+        out.append((prepared.trials[number].name, rig))
+    return tuple(out)

@@ -1,0 +1,478 @@
+"""A disturbance torque that comes and goes: alone, or beside effects.
+
+No law gives such a torque, so it is estimated and judged by its course. The model of a free joint is made to follow the
+measured angle by a torque. What that takes, beyond the friction that holds the joint anyway, is the disturbance. A law
+that the model lacks asks for such a torque whenever the joint moves. A disturbance is there at some times and not at
+others. A locked joint, one whose angle was not measured, and one that is driven by its angle show none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from pam_antagonist._jit import kernel
+from pam_antagonist.diagnosis import explained, findings, thresholds
+from pam_antagonist.diagnosis.candidates import Model, evidence, price
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.result import FoundEffect
+from pam_antagonist.diagnosis.selection import recalibrate, select
+from pam_antagonist.inference.excess import in_mean_squares
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
+from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, blocks
+from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, parameter_path
+
+Floats = NDArray[np.float64]
+
+NOTE = (
+    "a disturbance torque is known only afterwards: the model alone cannot foresee it, and its errors stay; the "
+    "estimator has it as a state"
+)
+_NOISE = parameter_path(DISTURBANCE, CATALOGUE[DISTURBANCE].parameters[0].name)
+_STIFF = 30.0
+"""[N m/rad] of the observer: a hundredth of a radian pulls the model with a muscle's torque."""
+_DAMPING = 0.1
+"""[N m s/rad] of the observer."""
+_ROUNDS = 4
+_LOOK = 12
+"""[blocks] A quarter of a second: shorter than a push by hand."""
+_MARGIN = 12
+_OF_LARGEST = 0.1
+"""Share of the largest torque that an episode has at least."""
+_SAME_ANGLE = float(np.deg2rad(0.5))
+"""[rad] Angles that are the same for a torque that depends on the angle."""
+_APART = 50
+"""[blocks] A second from an episode is another time."""
+_OFTEN = 5
+"""[blocks] A torque at an angle is averaged over so many at least."""
+_STEP = 2e-3
+"""Relative step of the base directions' differences."""
+_BENT_BACK, _REWEIGHTED = 2, 30
+_LEAST_TORQUE = 1e-4
+"""[N m]"""
+_ABOUT_NONE = 0.3
+"""Torques of less than this share of the median count as squares: absolute values have no weight at 0."""
+_rk4_step = dynamics.rk4_step
+
+
+@kernel
+def _followed(x0, given, angle, p, dt, stiff, damping):  # type: ignore[no-untyped-def]
+    """Torques (N,) [N m] that make the model follow an angle (N,) [rad]."""
+    x = x0.copy()
+    u = np.zeros(3)
+    out = np.empty(len(angle))
+    for k in range(len(angle)):
+        u[0] = given[k, 0]
+        u[1] = given[k, 1]
+        u[2] = stiff * (angle[k] - x[0]) - damping * x[1]
+        _rk4_step(x, u, p, dt, x)
+        out[k] = u[2]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """A torque that comes and goes, as an explanation of one recording.
+
+    Attributes:
+        experiment: the recording with that torque as its input.
+        fitted: the base parameters beside it.
+        torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the episodes.
+        active: share of the time with one.
+        recurring: share of its square that the torque at the same angle at other times predicts.
+        shares: share of the held-out excess, and of all of it, that goes with it, in hindsight; the latter twice
+            where all of it was fitted.
+        squares: share of all squares beyond the noise's that goes with it.
+        noise: size of the random walk that it looks like [N m/s^0.5].
+    """
+
+    experiment: Experiment
+    fitted: Fitted
+    torque: Floats
+    active: float
+    recurring: float
+    shares: tuple[float, float]
+    squares: float
+    noise: float
+
+    @property
+    def episodes(self) -> int:
+        """How often it acts."""
+        return int(np.sum(np.diff((self.torque != 0.0).astype(int)) == 1)) + int(self.torque[0] != 0.0)
+
+    @property
+    def explains(self) -> bool:
+        """Whether it acts at some times only, and little of the residual is left."""
+        comes_and_goes = self.episodes >= thresholds.LEAST_EPISODES and self.active <= thresholds.MOST_ACTIVE
+        gone = self.squares >= thresholds.DISTURBANCE_SQUARES and self.shares[1] >= thresholds.DISTURBANCE_EXCESS
+        return comes_and_goes and self.recurring <= thresholds.RECURRING and gone
+
+
+def estimate(experiment: Experiment, fitted: Fitted) -> Disturbance | None:
+    """The disturbance in a recording; None where a disturbance cannot show.
+
+    The torque that the observer asks for beyond friction is taken for a disturbance, and the base parameters are fitted
+    beside it. Both are repeated: a disturbance that was taken for the model's error has bent the parameters. A second
+    start has parameters that are bent back. A right model needs the least sum of absolute torques, since most of the
+    time nothing acts.
+
+    Args:
+        experiment: the recording.
+        fitted: its model without a disturbance.
+    """
+    trial = experiment.trial
+    if trial.joint == "locked" or ANGLE not in experiment.channels:
+        return None
+    # Another recording has episodes of its own, which are not known there.
+    experiment = replace(experiment, judged=())
+    found = []
+    for start in (fitted.point, _bent_back(experiment, fitted.point)):
+        point = start
+        for _ in range(_ROUNDS):
+            found.append(_estimated(experiment, fitted, point))
+            point = found[-1].fitted.point
+    best = max(found, key=lambda disturbance: disturbance.squares)
+    return replace(best, fitted=refit(best.experiment, best.fitted.point, fitted.free, rounds=0))
+
+
+def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturbance:
+    """The disturbance by the observer of one point of the model, and the base parameters fitted beside it.
+
+    Args:
+        experiment: the recording.
+        fitted: its model without a disturbance.
+        point: the observer's model.
+    """
+    trial = experiment.trial
+    seen = _observed(experiment, point)
+    torque = np.where(_episodes(seen), seen, 0.0)
+    samples = np.repeat(torque, BLOCK)
+    samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
+    known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
+    disturbed = replace(experiment, trial=replace(trial, external=known + samples))
+    beside = refit(_between(disturbed, torque), point, fitted.free, renewals=2)
+    before = explained.remaining_residuals([experiment], [fitted])
+    after = explained.remaining_residuals([disturbed], [replace(beside, residual=disturbed.residual(beside.point))])
+    squares = [in_mean_squares(*pair, experiment.noise) for pair in zip(before[0], after[0], strict=True)]
+    steps = np.diff(torque[::_LOOK])
+    return Disturbance(
+        experiment=disturbed,
+        fitted=beside,
+        torque=torque,
+        active=float(np.mean(torque != 0.0)),
+        recurring=_recurring(seen, torque != 0.0, _angle(experiment)),
+        shares=(explained.held_share([experiment], before, after), explained.whole_share([experiment], before, after)),
+        squares=explained.share_of(squares),
+        noise=float(np.sqrt(np.mean(steps**2) / (_LOOK * BLOCK * trial.dt))),
+    )
+
+
+def _bent_back(experiment: Experiment, point: Point) -> Point:
+    """The point whose observer asks for the least torque, in absolute values, that the base parameters' prior allows.
+
+    By iteratively reweighted least squares; a torque counts once a second, as an error does in a fit.
+    """
+    directions = len(experiment.directions)
+    prior, theta = experiment.prior[:directions], point.theta.copy()
+    for _ in range(_BENT_BACK):
+        torque, columns = _smooth(_observed(experiment, Point(theta, point.effects))), []
+        for k in range(directions):
+            moved = Point(theta + _STEP * np.eye(len(theta))[k], point.effects)
+            columns.append((_smooth(_observed(experiment, moved)) - torque) / _STEP)
+        matrix = np.stack(columns, axis=1)
+        step: Floats = np.zeros(directions)
+        for _ in range(_REWEIGHTED):
+            size = np.abs(torque + matrix @ step)
+            usual = max(float(np.median(size)), _LEAST_TORQUE)
+            weights = 1.0 / (np.maximum(size, _ABOUT_NONE * usual) * usual * BLOCKS_PER_ERROR)
+            information = (matrix * weights[:, None]).T @ matrix + np.diag(prior)
+            slope = matrix.T @ (weights * torque) + prior * theta[:directions]
+            step = np.asarray(-np.linalg.solve(information, slope))
+        theta[:directions] += step
+    return Point(theta, point.effects)
+
+
+def _between(experiment: Experiment, torque: Floats) -> Experiment:
+    """The recording with its angle unknown during episodes: where the model was made to follow, it always fits."""
+    measured = experiment.trial.measured.copy()
+    during = np.repeat(torque != 0.0, BLOCK)
+    measured[: len(during)][during, ANGLE] = np.nan
+    return replace(experiment, trial=replace(experiment.trial, measured=measured))
+
+
+def _observed(experiment: Experiment, point: Point) -> Floats:
+    """Torque (B,) [N m] that makes the model follow the measured angle."""
+    trial = experiment.trial
+    angle = _angle(experiment)
+    measured = np.interp(np.arange(len(trial)), (np.arange(len(angle)) + 0.5) * BLOCK, angle)
+    p = experiment.parameters(point)
+    start = experiment.simulated(point)[0]
+    x0 = rest.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
+    return blocks(_followed(x0, trial.given, measured, p, trial.dt, _STIFF, _DAMPING)[:, None])[:, 0]
+
+
+def _angle(experiment: Experiment) -> Floats:
+    """Measured angle (B,) [rad], interpolated where it is missing."""
+    angle = experiment.measured[:, experiment.channels.index(ANGLE)]
+    known = np.isfinite(angle)
+    return np.interp(np.arange(len(angle)), np.flatnonzero(known), angle[known])
+
+
+def _recurring(seen: Floats, active: NDArray[np.bool_], angle: Floats) -> float:
+    """Share of the disturbance's squares that the mean torque at the same angle at other times predicts.
+
+    Args:
+        seen: torque (B,) [N m] that makes the model follow the measured angle.
+        active: when there is an episode (B,).
+        angle: measured (B,) [rad].
+    """
+    places = np.rint(angle / _SAME_ANGLE).astype(int)
+    places -= places.min()
+
+    def sums(part: slice) -> tuple[Floats, Floats]:
+        count = places.max() + 1
+        torque, times = np.bincount(places[part], seen[part], count), np.bincount(places[part], minlength=count)
+        return np.asarray(torque), np.asarray(times, dtype=float)
+
+    total, often = sums(slice(None))
+    edges = np.flatnonzero(np.diff(active, prepend=False, append=False))
+    left = 0.0
+    for begin, end in edges.reshape(-1, 2):
+        near, times = sums(slice(max(begin - _APART, 0), end + _APART))
+        elsewhere = often - times
+        predicted = np.where(elsewhere >= _OFTEN, (total - near) / np.maximum(elsewhere, 1), 0.0)
+        left += float(np.sum((seen[begin:end] - predicted[places[begin:end]]) ** 2))
+    squares = float(np.sum(seen[active] ** 2))
+    return 1.0 - left / squares if squares > 0.0 else 0.0
+
+
+def _episodes(torque: Floats) -> NDArray[np.bool_]:
+    """When there is an episode (B,): the torque stands out from its median size, with what is just before and after."""
+    smooth = _smooth(torque)
+    out = np.abs(smooth) > max(
+        thresholds.DISTURBANCE_STANDS_OUT * float(np.median(np.abs(smooth))),
+        _OF_LARGEST * float(np.max(np.abs(smooth))),
+    )
+    return np.convolve(out, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
+
+
+def _smooth(torque: Floats) -> Floats:
+    return np.asarray(np.convolve(torque, np.ones(_LOOK) / _LOOK, mode="same"))
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A disturbance as an explanation of all recordings, with effects beside it where there are any.
+
+    Attributes:
+        model: with the effects, and with a torque that is not known beforehand where the disturbance acted.
+        effects: what was found, the strongest first.
+        values: of the effects, for one rig.
+        share: of the held-out excess that the disturbance takes away.
+        warnings: what the user should know.
+    """
+
+    model: Model
+    effects: tuple[FoundEffect, ...]
+    values: Mapping[str, float]
+    share: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Disturbed:
+    """Recordings with the disturbance as an input.
+
+    Attributes:
+        experiments: with the torque.
+        fits: their models beside it.
+        noises: size of the random walk that it looks like, one a recording; 0 where there was none.
+        effect: the disturbance.
+        left: which recordings have more than noise though no disturbance can show there.
+    """
+
+    experiments: tuple[Experiment, ...]
+    fits: tuple[Fitted, ...]
+    noises: tuple[float, ...]
+    effect: FoundEffect
+    left: tuple[int, ...]
+
+
+def explain(
+    experiments: Sequence[Experiment], base: Model, chosen: Model, jobs: int, progress: Callable[[str], None]
+) -> Explanation | None:
+    """Explain all recordings by a disturbance, if it comes and goes and leaves little; else None.
+
+    It is looked for beside the base model first, then beside effects: those that explain a recording in which no
+    disturbance can show, fitted to it alone, or else those that were chosen. With the disturbance as an input, effects
+    may show that it had hidden.
+
+    Args:
+        experiments: the recordings.
+        base: the recalibrated model.
+        chosen: the model of the forward selection, which did not explain enough.
+        jobs: threads.
+        progress: is called with what is being done.
+    """
+    disturbed = _find(experiments, base, jobs)
+    if disturbed is not None and not disturbed.left:
+        quiet = Model((), disturbed.fits)
+        first = explained.remaining_residuals(experiments, base.fits)
+        model = select(disturbed.experiments, quiet, jobs, progress, Checkpoint(), first).model
+        return _explanation(disturbed, quiet, model, jobs)
+    apart = None if disturbed is None else _effects_elsewhere(experiments, base, disturbed.left, jobs, progress)
+    effects, known = (chosen, ()) if disturbed is None or apart is None else (apart, disturbed.left)
+    disturbed = _find(experiments, effects, jobs) if effects.effects else None
+    if disturbed is None or not all(r in known or _explain(experiments, base, effects, r) for r in disturbed.left):
+        return None
+    return _beside_effects(disturbed, effects, jobs)
+
+
+def search(
+    experiments: Sequence[Experiment], base: Model, chosen: Model, verdict: str, jobs: int,
+    progress: Callable[[str], None],
+) -> Explanation | None:  # fmt: skip
+    """A disturbance that explains what effects do not, or beside effects that do; None where there is none.
+
+    Args:
+        experiments: the recordings.
+        base: the recalibrated model.
+        chosen: the model of the forward selection.
+        verdict: on that model.
+        jobs: threads.
+        progress: is called with what is being done.
+    """
+    if verdict == "none":
+        return None
+    progress("looking for a disturbance torque")
+    if verdict == "effect":
+        return beside(experiments, chosen, jobs)
+    return explain(experiments, base, chosen, jobs, progress)
+
+
+def beside(experiments: Sequence[Experiment], effects: Model, jobs: int) -> Explanation | None:
+    """A disturbance beside effects that are the explanation already, if the evidence for it is strong; else None.
+
+    Args:
+        experiments: the recordings.
+        effects: the model with effects.
+        jobs: threads.
+    """
+    disturbed = _find(experiments, effects, jobs)
+    if disturbed is None or disturbed.effect.delta_bic < thresholds.DISTURBANCE_BESIDE:
+        return None
+    return _beside_effects(disturbed, effects, jobs)
+
+
+def _beside_effects(disturbed: _Disturbed, effects: Model, jobs: int) -> Explanation:
+    """A disturbance that was found beside effects, and these where they are still needed."""
+    return _explanation(
+        disturbed, recalibrate(disturbed.experiments, jobs), Model(effects.effects, disturbed.fits), jobs
+    )
+
+
+def _explanation(disturbed: _Disturbed, quiet: Model, model: Model, jobs: int) -> Explanation:
+    """A disturbance, and the effects of a model beside it that are needed.
+
+    Args:
+        disturbed: the recordings with the disturbance.
+        quiet: the recalibrated model beside it.
+        model: likewise, with effects.
+        jobs: threads.
+    """
+    effects: tuple[FoundEffect, ...] = ()
+    values: dict[str, float] = {}
+    warnings: list[str] = []
+    if model.effects:
+        model = findings.backward_elimination(disturbed.experiments, quiet, model, jobs)
+        effects, values, warnings = findings.found(disturbed.experiments, quiet, model, jobs)
+    fits = tuple(
+        _with_noise(fitted, noise) if noise else fitted
+        for fitted, noise in zip(model.fits, disturbed.noises, strict=True)
+    )
+    return Explanation(
+        Model((*model.effects, DISTURBANCE), fits),
+        tuple(sorted((*effects, disturbed.effect), key=lambda effect: -effect.delta_bic)),
+        {**values, _NOISE: disturbed.effect.parameters["noise"][0]},
+        disturbed.effect.holdout_gain,
+        (*warnings, NOTE),
+    )
+
+
+def _effects_elsewhere(
+    experiments: Sequence[Experiment], base: Model, still: Sequence[int], jobs: int, progress: Callable[[str], None]
+) -> Model | None:
+    """Effects that explain the recordings in which no disturbance can show, for all recordings; None if none do."""
+    apart = [experiments[r] for r in still]
+    quiet = Model((), tuple(base.fits[r] for r in still))
+    effects = select(apart, quiet, jobs, progress, Checkpoint()).model
+    if not explained.explains(apart, quiet, effects):
+        return None
+    fits = dict(zip(still, effects.fits, strict=True))
+    shows = max(zip(apart, quiet.fits, effects.fits, strict=True), key=lambda seen: evidence(*seen))[2]
+    for r, experiment in enumerate(experiments):
+        if r not in fits:
+            # A disturbance bends a fit of the effects as well: their values are taken over until it is known.
+            point = Point(base.fits[r].point.theta, shows.point.effects)
+            fits[r] = refit(experiment, point, shows.free, rounds=0)
+    return Model(effects.effects, tuple(fits[r] for r in range(len(experiments))))
+
+
+def _explain(experiments: Sequence[Experiment], base: Model, effects: Model, r: int) -> bool:
+    """Whether effects explain one recording by itself."""
+    return explained.explains(
+        experiments[r : r + 1], Model((), base.fits[r : r + 1]), Model(effects.effects, effects.fits[r : r + 1])
+    )
+
+
+def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Disturbed | None:
+    """A disturbance in every recording that has more than noise and can show one, if it explains that; else None."""
+    noisy = [r for r, (e, f) in enumerate(zip(experiments, model.fits, strict=True)) if _leaves(e, f)]
+    found = Parallel(n_jobs=jobs, prefer="threads")(delayed(estimate)(experiments[r], model.fits[r]) for r in noisy)
+    seen, left, gained = {}, [], 0.0
+    now, fits = list(experiments), list(model.fits)
+    for r, one in zip(noisy, found, strict=True):
+        experiment, fitted = experiments[r], model.fits[r]
+        if one is None:
+            left.append(r)
+            continue
+        if not one.explains:
+            return None
+        seen[r] = one
+        now[r], fits[r] = one.experiment, one.fitted
+        gain = cost_of(experiment, fitted.point, fitted.residual, fitted.scale)
+        gain -= cost_of(experiment, one.fitted.point, one.fitted.residual, fitted.scale)
+        gained += fitted.scale.share * gain - price(fitted, thresholds.PARAMETERS_OF_EPISODE * one.episodes)
+    if not seen:
+        return None
+    noise = float(np.sqrt(np.mean([one.noise**2 for one in seen.values()])))
+    spread = float(np.ptp([one.noise for one in seen.values()])) / 2.0
+    # A root of a mean square over so many episodes is known to its inverse root.
+    std = max(spread, noise / np.sqrt(2.0 * sum(one.episodes for one in seen.values())))
+    effect = FoundEffect(
+        DISTURBANCE,
+        None,
+        {"noise": (noise, std, "N m/s^0.5")},
+        gained,
+        min(one.shares[0] for one in seen.values()),
+        tuple(experiments[r].trial.name for r in seen),
+        (NOTE,),
+    )
+    noises = tuple(seen[r].noise if r in seen else 0.0 for r in range(len(experiments)))
+    return _Disturbed(tuple(now), tuple(fits), noises, effect, tuple(left))
+
+
+def _leaves(experiment: Experiment, fitted: Fitted) -> bool:
+    return float(np.max(experiment.times_noise(fitted.residual))) >= thresholds.CLEAN
+
+
+def _with_noise(fitted: Fitted, noise: float) -> Fitted:
+    """A model with a torque that is not known beforehand: an estimator's model."""
+    return replace(fitted, point=Point(fitted.point.theta, {**fitted.point.effects, _NOISE: noise}))

@@ -1,0 +1,145 @@
+"""How much of the excess over noise a model explains, and the decisions that rest on it.
+
+The *excess* of a residual is what is above the sensors' noise; each experiment says how it is measured
+(:meth:`~pam_antagonist.inference.experiment.Experiment.excess_removed`). The *share* of it that another model removes
+is negative where the excess has grown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, price
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted
+
+Floats = NDArray[np.float64]
+
+
+class Residuals(NamedTuple):
+    """What a model leaves of a recording.
+
+    Attributes:
+        held: residual of the held-out part (B, C).
+        fitted: of the fitted part (B, C).
+    """
+
+    held: Floats
+    fitted: Floats
+
+
+def remaining_residuals(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> list[Residuals]:
+    """What the models of all recordings leave."""
+    return [
+        Residuals(e.held(e.residual(f.point, whole=True)), f.residual) for e, f in zip(experiments, fits, strict=True)
+    ]
+
+
+def held_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
+    """Share of the held-out excess that is gone."""
+    return further_share(experiments, before, before, after, fitted=False)
+
+
+def fitted_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
+    """Share of the fitted part's excess that is gone."""
+    return share_of([e.excess_removed(b.fitted, a.fitted) for e, b, a in zip(experiments, before, after, strict=True)])
+
+
+def whole_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
+    """Share of the excess of both parts together that is gone."""
+    return further_share(experiments, before, before, after)
+
+
+def further_share(
+    experiments: Sequence[Experiment],
+    base: Sequence[Residuals],
+    before: Sequence[Residuals],
+    after: Sequence[Residuals],
+    fitted: bool = True,
+) -> float:
+    """Share of the base model's excess that goes with one effect among others.
+
+    Args:
+        experiments: the recordings.
+        base: what the model without effects leaves.
+        before: what the model without this effect leaves.
+        after: what the model with it leaves.
+        fitted: whether the fitted parts count as well as the held-out ones.
+    """
+    parts = []
+    for experiment, first, old, new in zip(experiments, base, before, after, strict=True):
+        for b, w, a in list(zip(first, old, new, strict=True))[: 2 if fitted else 1]:
+            parts.append((experiment.excess_removed(w, a)[0], experiment.excess_removed(b, b)[1]))
+    return share_of(parts)
+
+
+def share_of(parts: Sequence[tuple[float, float]]) -> float:
+    """Share that is gone, from what is gone and what was there in each part."""
+    gone, there = np.sum(parts, axis=0)
+    return float(gone) / float(there) if there > 0.0 else 0.0
+
+
+def is_worth_taking(tried: TriedCandidate) -> bool:
+    """Whether a fitted candidate goes into the model.
+
+    Its evidence is positive in the fitted part and in the held-out part, and strong enough in both together. It removes
+    enough of the excess.
+
+    Args:
+        tried: the candidate beside the model.
+    """
+    if tried.delta_bic is None or tried.held_out_evidence is None or tried.shares is None or tried.model is None:
+        return False
+    if min(tried.delta_bic, tried.held_out_evidence) < thresholds.POSITIVE:
+        return False
+    strong = tried.held_out_evidence >= thresholds.STRONG
+    enough = thresholds.TAKEN if strong else thresholds.TAKEN_WITHOUT_STRONG_HELD_OUT
+    if tried.round == 1:
+        removes = tried.shares[0] >= thresholds.FIRST_SHARE
+    else:
+        removes = (tried.share or 0.0) >= thresholds.FURTHER_SHARE
+    return tried.standing >= enough and removes
+
+
+def has_significant_excess(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool:
+    """Whether an effect that explained all of the excess would pay for its parameters."""
+    total = 0.0
+    for experiment, fitted in zip(experiments, fits, strict=True):
+        times_noise = experiment.times_noise(fitted.residual)
+        if np.max(times_noise) < thresholds.AT_NOISE:
+            continue
+        gain = len(fitted.residual) / fitted.scale.counted * np.sum(np.maximum(np.log(times_noise**2), 0.0))
+        total += max(float(gain) - price(fitted, thresholds.LEAST_PARAMETERS), 0.0)
+    return total >= thresholds.STRONG
+
+
+def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
+    """Whether a model with effects leaves so little of the excess that they are the explanation."""
+    if not model.effects:
+        return False
+    enough = share_of_all(experiments, base, model) >= thresholds.EXPLAINED
+    return enough or at_noise(experiments, model)
+
+
+def explains_in_part(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
+    """Whether effects that are the explanation leave something that is worth a warning."""
+    partly = share_of_all(experiments, base, model) < thresholds.EXPLAINED_WELL
+    return partly and not at_noise(experiments, model)
+
+
+def share_of_all(experiments: Sequence[Experiment], base: Model, model: Model) -> float:
+    """Share of the excess, fitted and held out together, that a model removes."""
+    return whole_share(experiments, *(remaining_residuals(experiments, m.fits) for m in (base, model)))
+
+
+def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
+    """Whether every residual is at the sensors' noise."""
+    return all(
+        float(np.max(experiment.times_noise(fitted.residual))) < thresholds.AT_NOISE
+        for experiment, fitted in zip(experiments, model.fits, strict=True)
+    )

@@ -1,0 +1,367 @@
+"""What was held out judges the three models: their errors there, alone and in the estimator.
+
+Keys are those of ``report.json``. ``torque`` of a joint that is driven by its angle is the torque from outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import residual_statistics
+from pam_antagonist.diagnosis.agreement import common_point, own_rig, with_tuning
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared
+from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison
+from pam_antagonist.estimation import EstimateRun, Estimator, metrics
+from pam_antagonist.identification.tuning import innovation_likelihood
+from pam_antagonist.inference.angle_driven import sweeps
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE
+from pam_antagonist.model.effects import DISTURBANCE
+from pam_antagonist.recording import Recording
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+
+def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float]) -> tuple[HeldOutComparison, ...]:
+    """Every recording of a group with the three models, those that were held out as a whole behind the others.
+
+    A recording that was held out as a whole has the parameters that suit the fitted ones together. Its start alone is
+    fitted to itself.
+
+    Args:
+        group: the recordings.
+        base: the recalibrated model.
+        model: the extended one.
+        effects: values of its effects that suit all recordings, by dotted path.
+    """
+    out = [
+        HeldOutComparison(
+            experiment,
+            dict(zip(MODELS, (experiment.origin, old.point, new.point), strict=True)),
+            "fitted" if group.held_out else "both",
+            number,
+        )
+        for experiment, number, old, new in zip(group.experiments, group.numbers, base.fits, model.fits, strict=True)
+    ]
+    if group.held_out:
+        old, new = (common_point(group.experiments, m, values) for m, values in ((base, {}), (model, effects)))
+        for number, other in enumerate(group.held_out, len(group.experiments)):
+            points = (other.origin, other.started(old), other.started(new))
+            out.append(HeldOutComparison(other, dict(zip(MODELS, points, strict=True)), "held out", number))
+    return tuple(out)
+
+
+def rig_of(prepared: Prepared, parts: Sequence[HeldOutComparison], model: str) -> Rig:
+    """One recording's own rig.
+
+    Args:
+        prepared: the recordings.
+        parts: what was compared of this one.
+        model: one of ``MODELS``.
+    """
+    if model == "as_configured":
+        return prepared.rig
+    rig = prepared.base
+    for part in parts:
+        rig = own_rig(part.experiment, part.points[model], rig)
+    return rig
+
+
+def by_recording(
+    prepared: Prepared,
+    compared: Sequence[HeldOutComparison],
+    tuned: Mapping[str, Rig],
+    estimator: bool,
+    jobs: int,
+) -> tuple[Mapping[str, Any], ...]:
+    """Errors and residuals of the three models on what was held out of each recording, model alone and estimator.
+
+    Args:
+        prepared: the recordings.
+        compared: the same, or parts of them, with their models.
+        tuned: rigs whose tuning the estimator has, by model; default: the configured tuning.
+        estimator: whether to run the estimator as well.
+        jobs: threads.
+    """
+
+    def one(number: int) -> dict[str, Any]:
+        parts = [part for part in compared if part.number == number]
+        rigs = {name: with_tuning(rig_of(prepared, parts, name), tuned.get(name)) for name in MODELS}
+        name = prepared.trials[number].name
+        return {"recording": name, **_entry(prepared.recordings[number], parts, rigs, estimator)}
+
+    return tuple(
+        Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(number) for number in range(len(prepared.recordings)))
+    )
+
+
+def _entry(
+    recording: Recording, parts: Sequence[HeldOutComparison], rigs: Mapping[str, Rig], estimator: bool
+) -> dict[str, Any]:
+    """A recording in ``report.json``."""
+    first = parts[0]
+    experiment, trial = first.experiment, first.experiment.trial
+    entry: dict[str, Any] = {
+        "joint": trial.joint,
+        "lock_angle_rad": trial.lock_angle if trial.joint == "locked" else None,
+        "role": first.role,
+        "held_out_from_s": experiment.fitted * trial.dt if first.judges else None,
+        "errors": None,
+    }
+    if not first.judges:
+        return entry
+    if experiment.slides is not None:
+        fitted, held = (sweeps(trial, *span) for span in ((0, experiment.fitted), (experiment.fitted, len(trial))))
+        entry["sweeps"] = {"fitted": fitted, "held_out": held}
+    entry["errors"] = {name: model_errors(first, name, rigs[name]) for name in MODELS}
+    entry["residuals"] = {
+        name: [row for part in parts for row in residual_statistics.statistics(part.experiment, part.points[name])]
+        for name in ("recalibrated", "extended")
+    }
+    if estimator:
+        entry["ukf"] = {}
+        for name, rig in rigs.items():
+            run = estimator_errors(recording, rig, experiment)
+            entry["ukf"][name] = run.errors
+            if name in entry["residuals"]:
+                entry["residuals"][name] += residual_statistics.of_innovations(
+                    experiment, first.points[name], run.time, run.innovation
+                )
+    return entry
+
+
+def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> dict[str, Any]:
+    """Errors of the model alone, run from the recording's start, on the samples that were held out.
+
+    Args:
+        part: the recording.
+        model: one of ``MODELS``.
+        rig: its own rig with that model.
+    """
+    experiment = part.experiment
+    held = slice(experiment.fitted, None)
+    measured = experiment.trial.measured[held]
+    error = measured - experiment.shown(part.points[model], rig)[held]
+    out = error_figures(error, measured, experiment.judged_channels)
+    if experiment.slides is not None and out["torque"] is not None:
+        slides = experiment.slides[held]
+        for name, rows in (("sliding", slides), ("sticking", ~slides)):
+            known = error[rows, TORQUE][np.isfinite(error[rows, TORQUE])]
+            out["torque"][f"rmse_{name}_nm"] = float(np.sqrt(np.mean(known**2))) if len(known) else None
+        out["torque"]["sliding_share"] = float(np.mean(slides))
+    return out
+
+
+def error_figures(error: Floats, measured: Floats, channels: Sequence[int]) -> dict[str, Any]:
+    """Error figures of all channels.
+
+    Args:
+        error: (N, 4), NaN where nothing was measured.
+        measured: (N, 4).
+        channels: those that were measured and can be judged.
+    """
+
+    def figures(channel: int, unit: str, factor: float) -> dict[str, float] | None:
+        if channel not in channels:
+            return None
+        e = error[np.isfinite(error[:, channel]), channel]
+        span = float(np.nanmax(measured[:, channel]) - np.nanmin(measured[:, channel]))
+        most = float(np.max(np.abs(e)))
+        return {
+            f"rmse_{unit}": factor * float(np.sqrt(np.mean(e**2))),
+            f"max_{unit}": factor * most,
+            "q": most / span if span > 0.0 else float("nan"),
+        }
+
+    pressures = error[:, PRESSURE_1:]
+    return {
+        "angle": figures(ANGLE, "deg", float(np.degrees(1.0))),
+        "torque": figures(TORQUE, "nm", 1.0),
+        "pressure": {
+            "rmse_pa": [float(np.sqrt(np.nanmean(pressures[:, i] ** 2))) for i in (0, 1)],
+            "mean_rmse_pa": float(np.sqrt(np.nanmean(pressures.mean(axis=1) ** 2))),
+        },
+    }
+
+
+def total_errors(
+    compared: Sequence[HeldOutComparison], entries: Sequence[Mapping[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    """Errors over all recordings of which something was held out, by model.
+
+    Args:
+        compared: the recordings, or parts of them.
+        entries: of :func:`by_recording`.
+
+    Returns:
+        Root mean squares over all samples, the largest of the other figures.
+    """
+    samples = {part.number: len(part.experiment.trial) - part.experiment.fitted for part in compared if part.judges}
+    numbers = sorted(samples)
+    return {
+        name: _total([entries[number]["errors"][name] for number in numbers], [samples[number] for number in numbers])
+        for name in MODELS
+    }
+
+
+def _total(parts: Sequence[Mapping[str, Any]], samples: Sequence[int]) -> dict[str, Any]:
+    if len(parts) == 1:
+        return dict(parts[0])
+
+    def channel(name: str, unit: str) -> dict[str, float] | None:
+        known = [(part[name], count) for part, count in zip(parts, samples, strict=True) if part[name] is not None]
+        if not known:
+            return None
+        total = sum(count for _, count in known)
+        square = sum(item[f"rmse_{unit}"] ** 2 * count for item, count in known) / total
+        return {
+            f"rmse_{unit}": float(np.sqrt(square)),
+            f"max_{unit}": max(item[f"max_{unit}"] for item, _ in known),
+            "q": max(item["q"] for item, _ in known),
+        }
+
+    weights = np.array(samples, float) / sum(samples)
+    squares = np.array([np.array(part["pressure"]["rmse_pa"]) ** 2 for part in parts])
+    means = np.array([part["pressure"]["mean_rmse_pa"] ** 2 for part in parts])
+    return {
+        "angle": channel("angle", "deg"),
+        "torque": channel("torque", "nm"),
+        "pressure": {
+            "rmse_pa": [float(value) for value in np.sqrt(weights @ squares)],
+            "mean_rmse_pa": float(np.sqrt(weights @ means)),
+        },
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatorErrors:
+    """The estimator over a recording, on the samples that were held out.
+
+    Attributes:
+        errors: with the keys of ``report.json``.
+        time: of each sample since the recording's first (M,) [s].
+        innovation: what the pressures were beside the prediction, in its standard deviations (M, 2).
+    """
+
+    errors: dict[str, Any]
+    time: Floats
+    innovation: Floats
+
+
+def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[EstimateRun, NDArray[np.bool_]]:
+    """The estimator over all of a recording, and which of its samples were held out (M,)."""
+    trial = experiment.trial
+    joint = "free" if trial.joint == DRIVEN else trial.joint
+    run = Estimator(rig, joint=joint, lock_angle=trial.lock_angle).run(
+        recording.stamp_ns, recording.pressure, recording.voltage
+    )
+    late = recording.stamp_ns[run.index] >= recording.stamp_ns[0] + round(experiment.fitted * trial.dt * 1e9)
+    return run, np.asarray(late)
+
+
+def estimator_errors(recording: Recording, rig: Rig, experiment: Experiment) -> EstimatorErrors:
+    """Errors of the estimator, which knows pressures and voltages only, on the samples that were held out.
+
+    Args:
+        recording: as read; the filter runs over all of it.
+        rig: whose default tuning is used.
+        experiment: the recording on its even grid: condition of the joint, measurements, what was held out.
+    """
+    run, late = _estimated(recording, rig, experiment)
+    rows, index = run.rows[late], run.index[late]
+    variance = {ANGLE: rows["covariance"][:, 0, 0], TORQUE: rows["covariance"][:, 2, 2]}
+    estimate = np.column_stack([rows["angle"], rows["torque"], rows["pressure"]])
+    torque = recording.torque
+    if experiment.trial.joint == DRIVEN:
+        outside = run.added.get(DISTURBANCE)
+        estimate[:, TORQUE] = np.nan if outside is None else outside[late]
+        torque = None if outside is None else recording.external_torque
+        del variance[TORQUE]
+    measured = np.full((len(rows), len(CHANNELS)), np.nan)
+    for channel, values in ((ANGLE, recording.angle), (TORQUE, torque)):
+        if values is not None:
+            measured[:, channel] = values[index]
+    measured[:, PRESSURE_1:] = recording.pressure[index]
+    known = {ANGLE: recording.angle is not None, TORQUE: torque is not None, PRESSURE_1: True, PRESSURE_2: True}
+    channels = [c for c, there in known.items() if there and experiment.trial.has(c)]
+    result = error_figures(measured - estimate, measured, channels)
+    for name, channel in (("angle", ANGLE), ("torque", TORQUE)):
+        if result[name] is not None and channel in variance:
+            result[name]["coverage95"] = metrics.coverage(
+                measured[:, channel] - estimate[:, channel], variance[channel], rig.sensors.reading(name)
+            )
+    normal = rows["innovation"] / np.sqrt(np.diagonal(rows["innovation_covariance"], axis1=1, axis2=2))
+    result["innovation"] = {
+        "nis_mean": float(np.nanmean(rows["nis"])),
+        "whiteness_p": metrics.whiteness_p(normal),
+        "largest_correlation": metrics.largest_autocorrelation(normal),
+    }
+    time = (recording.stamp_ns[index] - recording.stamp_ns[0]) * 1e-9
+    return EstimatorErrors(result, np.asarray(time, dtype=np.float64), np.asarray(normal, dtype=np.float64))
+
+
+def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison], jobs: int) -> float:
+    """Twice the logarithm of how much likelier the innovations on the held-out parts are with the extended model.
+
+    Both filters have the tuning of the rig as configured. No parameter has a price: nothing was fitted there.
+
+    Args:
+        prepared: the recordings.
+        compared: the same with their models.
+        jobs: threads.
+    """
+
+    def of(part: HeldOutComparison, model: str) -> float:
+        rig = own_rig(part.experiment, part.points[model])
+        run, late = _estimated(prepared.recordings[part.number], rig, part.experiment)
+        return innovation_likelihood(run, int(np.argmax(late)))[0] if late.any() else 0.0
+
+    tasks = [
+        (sign, part, model)
+        for part in compared
+        if part.judges
+        for sign, model in ((1.0, "extended"), (-1.0, "recalibrated"))
+    ]
+    found = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*task) for _, *task in tasks)
+    return 2.0 * sum(sign * value for (sign, *_), value in zip(tasks, found, strict=True))
+
+
+def static_map(prepared: Prepared) -> dict[str, float] | None:
+    """Errors of what knows no physics: the torque as a straight line of the angle, and of angle and pressures.
+
+    Fitted by least squares to what may be fitted, judged on the rest. None for a joint that is not driven by its angle,
+    and where no torque from outside was recorded.
+
+    Args:
+        prepared: the recordings.
+    """
+    known = {
+        number: experiment
+        for group in prepared.groups
+        for number, experiment in zip(group.numbers, group.experiments, strict=True)
+        if experiment.slides is not None and experiment.trial.has(TORQUE)
+    }
+    if not known:
+        return None
+    out = {}
+    for name, columns in (("angle", [ANGLE]), ("angle_and_pressures", [ANGLE, PRESSURE_1, PRESSURE_2])):
+        parts = []
+        for experiment in known.values():
+            measured = experiment.trial.measured / np.array([1.0, 1.0, 1e5, 1e5])
+            rows = np.isfinite(measured).all(axis=1)
+            design = np.column_stack([np.ones(len(measured)), measured[:, columns]])
+            parts.append((design, measured[:, TORQUE], rows & (np.arange(len(rows)) < experiment.fitted), rows))
+        early = np.concatenate([design[fit] for design, _, fit, _ in parts])
+        given = np.concatenate([torque[fit] for _, torque, fit, _ in parts])
+        solution = np.linalg.lstsq(early, given, rcond=None)[0]
+        left = np.concatenate([(torque - design @ solution)[rows & ~fit] for design, torque, fit, rows in parts])
+        out[name] = float(np.sqrt(np.mean(left**2)))
+    return out

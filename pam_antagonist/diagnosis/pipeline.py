@@ -1,0 +1,147 @@
+"""From recordings to a verdict: prepare, recalibrate, select, judge, describe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from pam_antagonist.diagnosis import agreement, disturbance, explained, findings, held_out, thresholds, warnings
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.description import describe
+from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, prepare
+from pam_antagonist.diagnosis.result import Diagnosis, Judged, Verdict
+from pam_antagonist.diagnosis.selection import Selection, recalibrate, select
+from pam_antagonist.diagnosis.timings import Timings
+from pam_antagonist.inference.trial import ANGLE, TORQUE
+from pam_antagonist.recording import Recording
+from pam_antagonist.rig import Rig
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    rig: Rig,
+    *,
+    joint: str = "auto",
+    lock_angle: float | None = None,
+    holdout: float = 1.0 / 3.0,
+    held_out: Sequence[Recording] = (),
+    jobs: int = 2,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    profiles: bool = True,
+    estimator: bool = True,
+    store: Checkpoint | None = None,
+) -> Diagnosis:
+    """Trace what a model lacks to a physical effect, if it can be.
+
+    Args:
+        recordings: of one rig; a free and a locked one show most. Of a sealed rig, its joint driven to and fro.
+        rig: as configured.
+        joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
+        lock_angle: angle of a locked joint [rad], where it is known.
+        holdout: share at the end of each recording that no fit sees.
+        held_out: whole recordings of the same rig that no fit sees; the others are then fitted to their ends.
+        jobs: threads.
+        seed: draws the starts of fits.
+        progress: is called with what is being done.
+        profiles: whether to work out profile likelihoods.
+        estimator: whether to run the estimator before and after.
+        store: keeps finished candidates; default: nowhere.
+
+    Returns:
+        The verdict and everything behind it.
+
+    Raises:
+        BadInput: recordings from which nothing can be learned.
+    """
+    silent: Callable[[str], None] = lambda text: None  # noqa: E731
+    settings = Settings(
+        joint, lock_angle, holdout, jobs, seed, progress or silent, profiles, estimator, store or Checkpoint()
+    )
+    timings = Timings()
+    prepared = prepare(recordings, held_out, rig, settings)
+    bases = recalibrated(prepared, settings)
+    timings.end("recalibration")
+    selections = [selected(group, base, settings) for group, base in zip(prepared.groups, bases, strict=True)]
+    timings.end("selection")
+    judged = [
+        judge(prepared, group, selection, settings)
+        for group, selection in zip(prepared.groups, selections, strict=True)
+    ]
+    timings.end("judgement")
+    # The group with the strongest effect comes first.
+    judged.sort(key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))
+    return describe(prepared, judged, settings, timings)
+
+
+def recalibrated(prepared: Prepared, settings: Settings) -> list[Model]:
+    """The model without effects of each group."""
+    settings.progress("recalibrating the base parameters")
+    bases = [recalibrate(group.experiments, settings.jobs) for group in prepared.groups]
+    for group, base in zip(prepared.groups, bases, strict=True):
+        agreement.check_same_rig(group, base, settings.jobs)
+    return bases
+
+
+def selected(group: Group, base: Model, settings: Settings) -> Selection:
+    """Effects that are worth taking, one after the other."""
+    prefix = "" if group.name == "joint" else f"{group.name}: "
+    return select(
+        group.experiments, base, settings.jobs, lambda text: settings.progress(prefix + text), settings.checkpoint
+    )
+
+
+def judge(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
+    """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained."""
+    experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
+    verdict, share = _verdict(group, selection)
+    about_base = (*warnings.implausible(experiments, base), *agreement.base_contradictions(experiments, base))
+    found = disturbance.search(experiments, base, chosen, verdict, settings.jobs, settings.progress)
+    if found is not None:
+        share = share if verdict == "effect" else found.share
+        notes = (*about_base, *found.warnings)
+        return Judged(group, base, selection, "effect", share, found.model, found.effects, found.values, notes)
+    if verdict == "effect":
+        return _by_effects(prepared, group, selection, share, about_base, settings)
+    return Judged(group, base, selection, verdict, share, base, warnings=about_base)
+
+
+def _verdict(group: Group, selection: Selection) -> tuple[Verdict, float]:
+    """The verdict by effects alone, and the share of the held-out excess that they remove."""
+    experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
+    before, after = (explained.remaining_residuals(experiments, m.fits) for m in (base, chosen))
+    share = explained.held_share(experiments, before, after) if chosen.effects else 0.0
+    if explained.explains(experiments, base, chosen):
+        return "effect", share
+    return ("unexplained" if explained.has_significant_excess(experiments, base.fits) else "none"), share
+
+
+def _by_effects(
+    prepared: Prepared,
+    group: Group,
+    selection: Selection,
+    share: float,
+    about_base: Sequence[str],
+    settings: Settings,
+) -> Judged:
+    """The effects that are needed, unless the estimator's innovations are against them where they have to decide."""
+    experiments, base, jobs = group.experiments, selection.recalibrated, settings.jobs
+    settings.progress("which effects are needed")
+    model = findings.backward_elimination(experiments, base, selection.model, jobs)
+    found = findings.found(experiments, base, model, jobs)
+    notes = list(found.contradictions)
+    if not any(e.trial.has(channel) for e in (*experiments, *group.held_out) for channel in (ANGLE, TORQUE)):
+        settings.progress("innovations before and after")
+        compared = held_out.compare(group, base, model, found.values)
+        gained = held_out.innovation_evidence(prepared, compared, jobs)
+        taken = gained >= thresholds.STRONG
+        notes.append(warnings.decided_by_innovations(selection.model.effects, gained, taken))
+        if not taken:
+            return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *about_base))
+    if explained.explains_in_part(experiments, base, model):
+        notes.insert(0, warnings.explained_in_part([effect.name for effect in found.effects]))
+    contradictions = agreement.effect_contradictions(experiments, model, found.effects, found.values, jobs)
+    return Judged(
+        group, base, selection, "effect", share, model, found.effects, found.values,
+        (*notes, *about_base, *contradictions),
+    )  # fmt: skip

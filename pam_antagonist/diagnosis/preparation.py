@@ -1,0 +1,295 @@
+"""From recordings to experiments: grids, checks, what is held out, and which recordings are explained together.
+
+Each way of driving a joint gives its own experiments. A recording with moving valves is one
+:class:`~pam_antagonist.inference.valve_driven.ValveDriven`. A recording of a sealed joint that something moves is two
+:class:`~pam_antagonist.inference.angle_driven.AngleDriven`: its air and its balance of torques, which share no
+parameter. Experiments in which the same effects can show form a group. Everything after this module is the same for all
+groups.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.sealed import SealedTrial, balance, closed_chambers, sealed_trial
+from pam_antagonist.identification.sealed_session import refuse_moving_valves
+from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven, sweeps
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.trial import BLOCK, TORQUE, Trial, check, make_trial
+from pam_antagonist.inference.valve_driven import ValveDriven
+from pam_antagonist.model.effects import DISTURBANCE
+from pam_antagonist.recording import Recording, bag_name
+from pam_antagonist.recording.joint import joint_condition
+from pam_antagonist.rig import Rig
+
+START = 5.0
+"""[s] At the beginning of a recording that is held out, to which its first state is fitted; its errors count later."""
+DRIVEN = "driven"
+"""Condition of a joint that something moves: its angle is an input."""
+_PARTS = ((AIR, "pressures"), (BALANCE, "torque"))
+_KEPT_EFFECTS = (DISTURBANCE,)
+"""Of a sealed rig that declares effects: this one is how the estimator finds the torque; the others are to be found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """How a diagnosis is made; see :func:`pam_antagonist.diagnosis.diagnose`."""
+
+    joint: str
+    lock_angle: float | None
+    holdout: float
+    jobs: int
+    seed: int
+    progress: Callable[[str], None]
+    profiles: bool
+    estimator: bool
+    checkpoint: Checkpoint
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Experiments in which the same effects can show, and which are explained together.
+
+    Attributes:
+        name: ``joint``, or the part of it that they show.
+        experiments: one a recording.
+        numbers: which recording each is of, in the order in which they were given.
+        held_out: recordings that are held out as a whole.
+    """
+
+    name: str
+    experiments: tuple[Experiment, ...]
+    numbers: tuple[int, ...]
+    held_out: tuple[Experiment, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What a diagnosis works on.
+
+    Attributes:
+        rig: as configured.
+        base: the rig that the experiments start from.
+        recordings: as read, those that are held out as a whole behind the others.
+        trials: the same on an even grid.
+        groups: the experiments.
+        fitted: how many of the recordings are fitted.
+    """
+
+    rig: Rig
+    base: Rig
+    recordings: tuple[Recording, ...]
+    trials: tuple[Trial, ...]
+    groups: tuple[Group, ...]
+    fitted: int
+
+    @property
+    def friction_removed(self) -> bool:
+        """Whether friction of the rig file was taken out of the base model."""
+        declared = self.rig.friction.shaft > 0.0 or self.rig.friction.muscle > 0.0
+        return self.angle_driven and declared
+
+    @property
+    def angle_driven(self) -> bool:
+        """Whether the measured angle is the input."""
+        return self.trials[0].joint == DRIVEN
+
+
+def prepare(recordings: Sequence[Recording], held_out: Sequence[Recording], rig: Rig, settings: Settings) -> Prepared:
+    """Make recordings ready to be explained.
+
+    Args:
+        recordings: that are fitted.
+        held_out: that are held out as a whole; none to hold out the end of each.
+        rig: as configured.
+        settings: of the diagnosis.
+
+    Raises:
+        BadInput: recordings from which nothing can be learned.
+    """
+    if not recordings:
+        raise BadInput("no recording: expected one at least")
+    low, high = thresholds.HOLDOUT
+    if not low <= settings.holdout <= high:
+        raise BadInput(f"holdout {settings.holdout:g}: expected a share of each recording from {low:g} to {high:g}")
+    if not rig.valves.sealed:
+        return _valve_driven(recordings, held_out, rig, settings)
+    if held_out:
+        raise BadInput(f"rig {rig.name} is sealed: expected a share to be held out, not whole recordings")
+    return _angle_driven(recordings, rig, settings)
+
+
+def cut(trial: Trial, holdout: float) -> int:
+    """Sample from which on nothing is fitted."""
+    return round(len(trial) * (1.0 - holdout) / 100.0) * 100
+
+
+def _valve_driven(
+    recordings: Sequence[Recording], held_out: Sequence[Recording], rig: Rig, settings: Settings
+) -> Prepared:
+    def trial_of(recording: Recording) -> Trial:
+        lock = settings.lock_angle if settings.joint == "locked" else None
+        state = joint_condition(recording, settings.joint, lock)
+        return make_trial(recording, rig, state.condition, state.lock_angle, bag_name(recording.path))
+
+    trials = [trial_of(recording) for recording in recordings]
+    others = [trial_of(recording) for recording in held_out]
+    for trial in (*trials, *others):
+        check(trial)
+        _check_duration(trial, thresholds.SHORTEST, "with both valves moving all the time")
+    check_distinct(recordings, held_out, [trial.name for trial in others])
+    experiments, held = valve_driven_experiments(trials, others, rig, settings.holdout, settings.seed, settings.jobs)
+    group = Group("joint", experiments, tuple(range(len(trials))), held)
+    return Prepared(rig, rig, (*recordings, *held_out), (*trials, *others), (group,), len(trials))
+
+
+def _check_duration(trial: Trial, least: float, what: str) -> None:
+    duration = len(trial) * trial.dt
+    if duration < least:
+        raise BadInput(
+            f"{trial.name}: {duration:.1f} s is too short to tell an effect from chance; expected at least "
+            f"{least:g} s {what}"
+        )
+
+
+def check_distinct(recordings: Sequence[Recording], others: Sequence[Recording], names: Sequence[str]) -> None:
+    """Refuse to judge a fit by what was fitted.
+
+    Raises:
+        BadInput: a recording that is held out is among the fitted ones, or is given twice.
+    """
+    for k, (other, name) in enumerate(zip(others, names, strict=True)):
+        for seen in (*recordings, *others[:k]):
+            if np.array_equal(other.stamp_ns, seen.stamp_ns) and np.array_equal(
+                other.pressure, seen.pressure, equal_nan=True
+            ):
+                what = "given twice" if any(seen is one for one in others) else "also among those that are fitted"
+                raise BadInput(f"{name}: held out, and {what}; expected a recording that no fit sees")
+
+
+def valve_driven_experiments(
+    trials: Sequence[Trial], others: Sequence[Trial], rig: Rig, share: float, seed: int, jobs: int = 1
+) -> tuple[tuple[ValveDriven, ...], tuple[ValveDriven, ...]]:
+    """Recordings that are fitted, and those that are held out as a whole.
+
+    A fitted recording is judged by those that are held out with the joint in the same condition. Where no condition is
+    in common, each is judged by all.
+
+    Args:
+        trials: to be fitted.
+        others: to be held out; none to hold out the end of each.
+        rig: as configured.
+        share: of each recording that is held out where no whole one is.
+        seed: of what is drawn in fits.
+        jobs: threads.
+    """
+    if not others:
+        return tuple(ValveDriven(rig, trial, cut(trial, share), seed=seed, jobs=jobs) for trial in trials), ()
+    held = tuple(
+        ValveDriven(rig, trial, round(START / trial.dt / BLOCK) * BLOCK, seed=seed, jobs=jobs) for trial in others
+    )
+    common = {trial.joint for trial in trials} & {trial.joint for trial in others}
+    return tuple(
+        ValveDriven(
+            rig, trial, len(trial) // BLOCK * BLOCK,
+            tuple(other for other in held if not common or other.trial.joint == trial.joint), seed, jobs,
+        )
+        for trial in trials
+    ), held  # fmt: skip
+
+
+def _angle_driven(recordings: Sequence[Recording], rig: Rig, settings: Settings) -> Prepared:
+    trials = [driven_trial(recording, rig, settings.joint, settings.holdout) for recording in recordings]
+    named = [(recording, trial.name) for recording, trial in zip(recordings, trials, strict=True)]
+    base = base_without_friction(named, rig, settings.holdout, settings.progress)
+    groups = []
+    for part, name in _PARTS:
+        numbers = tuple(k for k, trial in enumerate(trials) if part == AIR or trial.has(TORQUE))
+        experiments = tuple(
+            AngleDriven(
+                base, replace(trials[k], name=f"{trials[k].name}, {name}"), cut(trials[k], settings.holdout),
+                seed=settings.seed, jobs=settings.jobs, part=part,
+            )
+            for k in numbers
+        )  # fmt: skip
+        if experiments:
+            groups.append(Group(name, experiments, numbers))
+    return Prepared(rig, base, tuple(recordings), tuple(trials), tuple(groups), len(trials))
+
+
+def driven_trial(recording: Recording, rig: Rig, joint: str, holdout: float) -> Trial:
+    """A recording of a sealed joint on an even grid, the torque from outside in the place of a torque meter's.
+
+    Args:
+        recording: the recording.
+        rig: the sealed rig.
+        joint: what the command line says of the joint.
+        holdout: share at the end that no fit sees.
+
+    Raises:
+        BadInput: a recording from which nothing can be learned.
+    """
+    name = bag_name(recording.path)
+    refuse_moving_valves([(recording, name)], rig)
+    state = joint_condition(recording, joint)
+    if state.condition != "free":
+        raise BadInput(f"{name}: the joint is {state.condition}; expected a sealed joint that is moved from outside")
+    trial = make_trial(recording, rig, "free", 0.0, name)
+    _check_duration(trial, thresholds.SHORTEST_DRIVEN, "of a joint that is driven to and fro")
+    sealed_trial(recording, name, 1.0 - holdout)
+    measured = trial.measured.copy()
+    known = trial.external is not None and np.isfinite(trial.external).any()
+    measured[:, TORQUE] = trial.external if known else np.nan
+    ready = replace(trial, measured=measured, joint=DRIVEN)
+    fitted, held = sweeps(ready, 0, round(len(trial) * (1.0 - holdout))), sweeps(ready, cut(ready, holdout), len(trial))
+    for what, count in (("that is fitted", fitted), ("that is held out", held)):
+        if count < 1:
+            raise BadInput(
+                f"{name}: the joint nowhere slides in the part {what}; expected a joint that is driven to and fro"
+            )
+    return ready
+
+
+def base_without_friction(
+    recordings: Sequence[tuple[Recording, str]], rig: Rig, holdout: float, progress: Callable[[str], None]
+) -> Rig:
+    """A sealed rig with the base parameters that ``identify`` finds in what may be fitted, without Coulomb friction.
+
+    ``identify`` calls the loop of the torque "friction of the shaft". But friction of the drive, dry friction of the
+    muscles and hysteresis make such a loop all alike. A base model that had it would decide before anything is tested.
+    So Coulomb friction is taken out, and whatever makes the loop must prove itself.
+
+    Args:
+        recordings: each with its name.
+        rig: as configured.
+        holdout: share at the end of each that is not seen.
+        progress: is called with what is being done.
+
+    Raises:
+        BadInput: recordings from which nothing can be learned, or a law of friction that is not the paper's.
+    """
+    if rig.model.friction != "kikuuwe":
+        raise BadInput(f"model.friction of rig {rig.name}: {rig.model.friction}; expected kikuuwe of a sealed rig")
+    trials: list[SealedTrial] = [sealed_trial(recording, name, 1.0 - holdout) for recording, name in recordings]
+    kept = {name: values for name, values in rig.effects.items() if name in _KEPT_EFFECTS}
+    # Viscous friction that is free would imitate what was taken out.
+    without = {"friction.shaft": 0.0, "friction.muscle": 0.0, "joint.viscous_friction": 0.0}
+    # What is not there is not uncertain either.
+    uncertain = {name: std for name, std in rig.uncertainty.items() if name not in without}
+    now = moved(rig.replaced(effects=kept, uncertainty=uncertain), without)
+    progress("recalibrating: closed chambers")
+    for muscle in (0, 1):
+        now = moved(now, closed_chambers(trials, now, muscle).values)
+    if any(trial.external is not None for trial in trials):
+        progress("recalibrating: balance of torques")
+        now = moved(now, balance(trials, now).values)
+    viscous = {name: rig.uncertainty[name] for name in ("joint.viscous_friction",) if name in rig.uncertainty}
+    now = now.replaced(uncertainty={**now.uncertainty, **viscous})
+    return moved(now, {"joint.viscous_friction": rig.joint.viscous_friction})

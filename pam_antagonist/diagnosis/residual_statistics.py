@@ -1,0 +1,332 @@
+"""What residuals are like: how far above the sensors' noise, how white, and which signal goes before them.
+
+*Signals.* A residual is compared with each signal at *positive* lags: the signal first, the residual later. A
+controller makes commands from what the sensors show, so at other lags a residual goes with commands that it caused.
+
+*Whitening.* Residuals have a memory, and two slow series look alike by chance. So each residual is whitened by an
+autoregression of its own (order by BIC), and the signal is filtered likewise. Correlations of a white series with an
+unrelated one scatter by 1/√N (Box and Jenkins, Time Series Analysis, section 11.2). The p-value counts every lag and
+every signal that was tried (Bonferroni).
+
+*Equations.* A simulation carries every error along. An equation that starts from the measured state shows its own error
+only. From each fifth of a second the model runs for as long, from the measured angle and pressures on; states that
+nobody measures are the simulation's. How much more the pressures and the joint have moved than it says is the error of
+the flows and of the motion. Measurement and model are averaged alike, so that smoothing cannot look like a lag. The
+torque's error is taken at the measured state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
+from scipy.special import ndtr, ndtri
+
+from pam_antagonist.diagnosis.thresholds import CHANCE
+from pam_antagonist.estimation import metrics
+from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE, blocks
+from pam_antagonist.inference.valve_driven import ValveDriven
+from pam_antagonist.model import dynamics, flow, muscle, sensor
+
+Floats = NDArray[np.float64]
+
+EQUATIONS = (
+    Channel("mass flow 1", "mg/s", 1.0),
+    Channel("mass flow 2", "mg/s", 1.0),
+    Channel("contraction torque", "N m", 1.0),
+    Channel("joint motion", "deg/s", 1.0),
+)
+SPAN = 10
+"""[blocks] How long the model runs from a measurement."""
+_NEAR = 2
+"""[blocks] To either side, from which the velocity is told."""
+_PROBES = 12
+_REACH = 2.0
+"""[s] Largest lag: pressures and joint have answered a command by then."""
+_MOST_ORDER = 12
+_LEAST = 40
+"""Fewest values that are tested at all."""
+
+
+def unit_of(channel: Channel) -> str:
+    """Unit of a channel as ``report.json`` writes it."""
+    return "deg" if channel.unit == "°" else channel.unit
+
+
+def signals(experiment: Experiment, point: Point) -> dict[str, Floats]:
+    """What a residual may go with, as block means over the whole recording (B,) each.
+
+    Pressures and motion are the model's, which have no noise in common with a residual. A joint without valves has no
+    voltages; a locked one has no motion.
+    """
+    if isinstance(experiment, ValveDriven):
+        model = blocks(experiment.simulated(point, whole=True))
+        voltage = blocks(experiment.trial.voltage)
+        out = {
+            "voltage 1": voltage[:, 0],
+            "voltage 2": voltage[:, 1],
+            "pressure 1": model[:, PRESSURE_1],
+            "pressure 2": model[:, PRESSURE_1 + 1],
+        }
+        if experiment.trial.joint == "free":
+            out |= {"angle": model[:, ANGLE], "velocity": np.gradient(model[:, ANGLE], BLOCK * experiment.trial.dt)}
+        return {name: np.asarray(values, dtype=np.float64) for name, values in out.items()}
+    course = blocks(experiment.states(point)[0][:, :4])
+    return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
+
+
+def statistics(experiment: Experiment, point: Point) -> list[dict[str, Any]]:
+    """Residuals of sensors and equations of a model on what was held out, with the keys of ``report.json``.
+
+    Args:
+        experiment: the recording.
+        point: the model.
+    """
+    given = signals(experiment, point)
+    first = -(-experiment.fitted // BLOCK)
+    step = BLOCK * experiment.trial.dt
+    residual = experiment.residual(point, whole=True)[: len(experiment.measured)]
+    out = []
+    # A model that is given the measured angle at every step shows the errors of its equations in its residuals.
+    if isinstance(experiment, ValveDriven):
+        equations = equation_errors(experiment, point)
+        late = equations.begin >= first
+        # A window's error is due to what was there while it lasted: the signals' means over it.
+        over = {
+            name: np.array([values[b : b + SPAN].mean() for b in equations.begin[late]])
+            for name, values in given.items()
+        }
+        for k in equations.known:
+            row = row_of(equations.values[late, k], equations.noise[k], over, SPAN * step)
+            out.append({"channel": EQUATIONS[k].title, "kind": "equation", "unit": EQUATIONS[k].unit, **row})
+    behind = {name: values[first:] for name, values in given.items()}
+    for k, channel in enumerate(experiment.titles):
+        row = row_of(channel.factor * residual[first:, k], channel.factor * experiment.noise[k], behind, step)
+        name = channel.title.lower().replace(" ", "_")
+        out.append({"channel": name, "kind": "sensor", "unit": unit_of(channel), **row})
+    return out
+
+
+def of_innovations(experiment: Experiment, point: Point, time: Floats, innovation: Floats) -> list[dict[str, Any]]:
+    """The same for the estimator's innovations, in their own standard deviations.
+
+    Args:
+        experiment: the recording.
+        point: the model, for the signals.
+        time: of each held-out sample since the recording's first (M,) [s].
+        innovation: of the pressures there, in standard deviations (M, 2).
+    """
+    given = signals(experiment, point)
+    step = BLOCK * experiment.trial.dt
+    block = (time / step).astype(np.int64)
+    first, count = -(-experiment.fitted // BLOCK), len(experiment.measured)
+    behind = {name: values[first:] for name, values in given.items()}
+    out = []
+    for number in (0, 1):
+        values = innovation[:, number]
+        inside = np.isfinite(values) & (block >= first) & (block < count)
+        count_of = np.bincount(block[inside] - first, minlength=count - first)
+        total = np.bincount(block[inside] - first, values[inside], minlength=count - first)
+        means = np.where(count_of > 0, total / np.maximum(count_of, 1), 0.0)
+        row = row_of(means, 1.0 / np.sqrt(BLOCK), behind, step)
+        # Every sample tells of the whiteness, not means of them.
+        row["whiteness_p"] = metrics.whiteness_p(values[inside][:, None])
+        out.append({"channel": f"innovation {number + 1}", "kind": "innovation", "unit": "σ", **row})
+    return out
+
+
+def row_of(values: Floats, noise: float, given: Mapping[str, Floats], step: float) -> dict[str, Any]:
+    """Figures of a residual.
+
+    Args:
+        values: the residual (N,), at a constant step.
+        noise: standard deviation that its sensor alone gives.
+        given: signals (N,) that it may go with, by name.
+        step: between values [s].
+    """
+    rms = float(np.sqrt(np.mean(values**2)))
+    length = correlation_length(values)
+    enough = len(values) >= _LEAST and rms > 0.0
+    lags = min(20, len(values) // 5)
+    return {
+        "rms": rms,
+        "noise": noise,
+        "beyond_noise": max(1.0 - (noise / rms) ** 2, 0.0) if rms > 0.0 else 0.0,
+        "memory_s": length * step,
+        "independent": len(values) / length,
+        "whiteness_p": metrics.whiteness_p(values[:, None], lags) if enough else float("nan"),
+        "relations": cross_correlations(values, given, step) if enough else {},
+    }
+
+
+def cross_correlations(residual: Floats, given: Mapping[str, Floats], step: float) -> dict[str, dict[str, float]]:
+    """How a residual goes with what was there before it.
+
+    Args:
+        residual: (N,), at a constant step.
+        given: signals (N,) by name.
+        step: between values [s].
+
+    Returns:
+        For each signal the ``lag_s`` > 0 [s] at which the whitened series go together best, their ``correlation``
+        there, its size ``z`` in standard deviations, the ``limit`` that chance passes once in twenty, and ``p`` of the
+        largest of all lags and signals being chance.
+    """
+    most = max(1, min(round(_REACH / step), len(residual) // 4))
+    filtered = whitener(residual)
+    white = lfilter(filtered, [1.0], residual - residual.mean())[len(filtered) :]
+    tried = most * len(given)
+    limit = float(-ndtri(CHANCE / (2.0 * tried)))
+    out = {}
+    for name, signal in given.items():
+        alike = lfilter(filtered, [1.0], signal - signal.mean())[len(filtered) :]
+        scale = float(np.sqrt(np.sum(white**2) * np.sum(alike**2)))
+        if scale <= 1e-9 * float(np.sqrt(np.sum(white**2))) * float(np.max(np.abs(signal)) or 1.0):
+            continue
+        rho = np.array([white[k:] @ alike[: len(alike) - k] for k in range(1, most + 1)]) / scale
+        k = int(np.argmax(np.abs(rho)))
+        z = float(rho[k] * np.sqrt(len(white)))
+        out[name] = {
+            "lag_s": (k + 1) * step,
+            "correlation": float(rho[k]),
+            "z": z,
+            "limit": limit,
+            "p": min(1.0, 2.0 * tried * float(ndtr(-abs(z)))),
+        }
+    return out
+
+
+def whitener(series: Floats) -> Floats:
+    """Filter (1, −φ_1, ...) that makes a series white: an autoregression by Yule and Walker, its order by BIC.
+
+    Args:
+        series: (N,).
+    """
+    e = series - series.mean()
+    power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2
+    gamma = np.fft.irfft(power)[: _MOST_ORDER + 1] / len(e)
+    if gamma[0] <= 0.0:
+        return np.ones(1)
+    best, chosen = len(e) * np.log(gamma[0]), np.ones(1)
+    for order in range(1, _MOST_ORDER + 1):
+        # A trace of white noise keeps what is all but singular solvable.
+        column = gamma[:order] + np.eye(1, order)[0] * 1e-9 * gamma[0]
+        phi = solve_toeplitz(column, gamma[1 : order + 1])
+        left = float(gamma[0] - phi @ gamma[1 : order + 1])
+        if left <= 0.0:
+            break
+        criterion = len(e) * np.log(left) + order * np.log(len(e))
+        if criterion < best:
+            best, chosen = criterion, np.concatenate([[1.0], -phi])
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class EquationErrors:
+    """Errors of the equations over all of a recording.
+
+    Attributes:
+        begin: the block from which each was taken (W,).
+        values: (W, 4) in the order and units of ``EQUATIONS``; 0 where something is missing.
+        noise: what the sensors alone give (4,).
+        known: which of them could be worked out.
+    """
+
+    begin: NDArray[np.int64]
+    values: Floats
+    noise: Floats
+    known: tuple[int, ...]
+
+
+def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
+    """Errors of each equation of a model.
+
+    Args:
+        experiment: the recording.
+        point: the model.
+    """
+    trial, p = experiment.trial, experiment.parameters(point)
+    states, _ = experiment.states(point)
+    shown = np.full((len(experiment.measured), 4), np.nan)
+    shown[:, list(experiment.channels)] = experiment.measured
+    noise = np.zeros(4)
+    noise[list(experiment.channels)] = experiment.noise
+    known = [0, 1]
+    moves = ANGLE in experiment.channels
+    if TORQUE in experiment.channels and (moves or trial.joint == "locked"):
+        known.append(2)
+    if moves:
+        known.append(3)
+    begin = np.arange(_NEAR, len(shown) - SPAN - 1, SPAN)
+    start = np.array(
+        [_measured_state(states, shown, block, trial.dt if moves else None, p) for block in range(len(shown))]
+    )
+    factors = np.array([[_flow_of_rate(i, start[b], p) for i in (0, 1)] for b in begin])
+    seconds = SPAN * BLOCK * trial.dt
+
+    def ends_at(block: int, x: Floats) -> Floats:
+        """Pressures' readings and angle at the end of a window (3,)."""
+        first = block * BLOCK + BLOCK // 2
+        run, _ = dynamics.course(x, trial.given[first : first + (SPAN + 1) * BLOCK], p, trial.dt, 1)
+        end = run[SPAN * BLOCK - BLOCK // 2 : SPAN * BLOCK + BLOCK // 2].mean(axis=0)
+        return np.array([sensor.reading(0, end[2], p), sensor.reading(1, end[3], p), end[0]])
+
+    values = np.full((len(begin), 4), np.nan)
+    ends = np.array([ends_at(int(b), start[b]) for b in begin])
+    rates = (shown[begin + SPAN][:, [PRESSURE_1, PRESSURE_1 + 1, ANGLE]] - ends) / seconds
+    values[:, :2] = rates[:, :2] * factors * 1e6
+    torque = np.array([dynamics.torque(x, p) for x in start])
+    lacking = shown[:, TORQUE] - torque
+    values[:, 2] = [lacking[b : b + SPAN].mean() for b in begin]
+    values[:, 3] = np.degrees(rates[:, 2])
+    # What the sensors' noise does at the start and at the end of a window, for some of them.
+    errors = np.zeros(4)
+    velocity = noise[ANGLE] * np.sqrt(2.0) / (2 * _NEAR * BLOCK * trial.dt)
+    of_state = ((0, noise[ANGLE]), (1, velocity if moves else 0.0), (2, noise[PRESSURE_1]), (3, noise[PRESSURE_1 + 1]))
+    probes = np.linspace(0, len(begin) - 1, min(_PROBES, len(begin))).astype(int)
+    for w in probes:
+        for state, std in of_state:
+            if std == 0.0 or (state < 2 and not moves):
+                continue
+            x = start[begin[w]].copy()
+            x[state] += std
+            change = (ends_at(int(begin[w]), x) - ends[w]) / seconds
+            turned = dynamics.torque(x, p) - torque[begin[w]] if state != 1 else 0.0
+            errors[:2] += (change[:2] * factors[w] * 1e6) ** 2
+            errors[2] += turned**2 / SPAN
+            errors[3] += np.degrees(change[2]) ** 2
+    errors /= len(probes)
+    errors[:2] += (noise[PRESSURE_1:] / seconds * np.mean(factors, axis=0) * 1e6) ** 2
+    errors[2] += noise[TORQUE] ** 2 / SPAN
+    errors[3] += np.degrees(noise[ANGLE] / seconds) ** 2
+    return EquationErrors(begin, np.nan_to_num(values), np.sqrt(errors), tuple(known))
+
+
+def _measured_state(states: Floats, shown: Floats, block: int, dt: float | None, p: Floats) -> Floats:
+    """The simulation's state in the middle of a block, with what was measured in place of what was simulated.
+
+    The angle stays the simulation's where `dt` is None.
+    """
+    x = states[block * BLOCK + BLOCK // 2].copy()
+    if dt is not None:
+        low, high = max(block - _NEAR, 0), min(block + _NEAR, len(shown) - 1)
+        x[0] = shown[block, ANGLE]
+        x[1] = (shown[high, ANGLE] - shown[low, ANGLE]) / ((high - low) * BLOCK * dt)
+    for i in (0, 1):
+        x[2 + i] = sensor.pressure_behind(i, shown[block, PRESSURE_1 + i], p)
+    return x
+
+
+def _flow_of_rate(i: int, x: Floats, p: Floats) -> float:
+    """Mass flow [kg/s] that moves a pressure by 1 Pa/s, by equation (4)."""
+    sine, _, _ = muscle.leverage(x[0], p)
+    chamber, _ = muscle.volume(i, muscle.length(i, sine, p), p)
+    still, moved = (flow.pressure_rate(x[2 + i], chamber, 0.0, m, p) for m in (0.0, 1.0))
+    return float(1.0 / (moved - still))

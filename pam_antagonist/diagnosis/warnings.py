@@ -1,0 +1,204 @@
+"""What the user should know: what recordings cannot show, what looks wrong in them or in the rig file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.preparation import Prepared
+from pam_antagonist.inference.angle_driven import BALANCE, sweeps
+from pam_antagonist.inference.candidates import Candidate
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, solve
+from pam_antagonist.inference.trial import ANGLE, TORQUE
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, Effect
+
+
+def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
+    """Base parameters that had to leave their prior: a wrong number in the rig file, or an effect in disguise."""
+    warnings = []
+    for experiment, fitted in zip(experiments, model.fits, strict=True):
+        for direction, amount in zip(experiment.directions, fitted.point.theta, strict=False):
+            if abs(amount) > thresholds.IMPLAUSIBLE * direction.prior:
+                warnings.append(
+                    f"recalibration moves {direction.name} by {100 * amount:+.0f} % in {experiment.trial.name}, "
+                    f"{abs(amount) / direction.prior:.0f} standard deviations of what was expected"
+                )
+    return warnings
+
+
+def explained_in_part(effects: Sequence[str]) -> str:
+    """What to say of effects that explain much of the excess and not all."""
+    which = " and ".join(dict.fromkeys(effects))
+    return (
+        f"beside {which} much is left beyond the sensors' noise: the effect has another form than the catalogue's law, "
+        "or something smaller is there as well; see what is left"
+    )
+
+
+def decided_by_innovations(effects: Sequence[str], evidence: float, taken: bool) -> str:
+    """What the innovations said where pressures alone were measured.
+
+    Args:
+        effects: that the pressures call for.
+        evidence: twice the logarithm of how much likelier the held-out innovations are with them.
+        taken: whether that was enough.
+    """
+    which = " and ".join(effects)
+    if taken:
+        return f"pressures alone were measured: the estimator's innovations, too, speak for {which} ({evidence:+.0f})"
+    return (
+        f"the pressures call for {which}, the estimator's innovations on the held-out part do not ({evidence:+.0f}): "
+        "not taken; expected an angle or a torque to be measured as well"
+    )
+
+
+def flat_profiles(profiles: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Sizes that the recordings do not determine."""
+    flat = [item["parameter"] for item in profiles if item["flat"]]
+    return [f"the likelihood of {', '.join(flat)} is flat: not determined by these recordings"] if flat else []
+
+
+def estimator_worse(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Recordings in which the estimator does worse with what was found than as configured.
+
+    Args:
+        entries: of the report, one a recording; those without the estimator's errors say nothing.
+    """
+    warnings = []
+    for entry in entries:
+        errors = entry.get("ukf")
+        if not errors:
+            continue
+        for what, key, unit in (("angle", "rmse_deg", "°"), ("torque", "rmse_nm", " N m")):
+            before, after = (errors[name][what] for name in ("as_configured", "extended"))
+            if before and after and after[key] > thresholds.ESTIMATOR_WORSE * before[key]:
+                warnings.append(
+                    f"from the pressures alone the estimator does worse in {entry['recording']} with what was fitted "
+                    f"here ({what} {after[key]:.2g}{unit}) than as configured ({before[key]:.2g}{unit}): base "
+                    "parameters bend to what no effect explains; keep the rig file that you have"
+                )
+    return warnings
+
+
+def few_sweeps(prepared: Prepared) -> list[str]:
+    """A warning where a joint that is driven by its angle slides too seldom: all samples of a sweep err alike."""
+    if not prepared.angle_driven:
+        return []
+    cuts = {number: e.fitted for g in prepared.groups for number, e in zip(g.numbers, g.experiments, strict=True)}
+    trials = [(prepared.trials[number], cut) for number, cut in cuts.items()]
+    fitted = sum(sweeps(trial, 0, cut) for trial, cut in trials)
+    held = sum(sweeps(trial, cut, len(trial)) for trial, cut in trials)
+    if min(fitted, held) >= thresholds.FEW_SWEEPS:
+        return []
+    return [
+        f"the joint slides {_times(fitted)} in what was fitted and {_times(held)} in what was held out, and all "
+        "samples of a sweep err alike: errors on held-out data are those of so few; record for minutes, at several "
+        "amplitudes"
+    ]
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[str, ...]:
+    """What no analysis of these recordings can show, one sentence each.
+
+    Args:
+        prepared: the recordings.
+        bases: the recalibrated model of each group, by its name.
+        jobs: threads.
+    """
+    trials = prepared.trials[: prepared.fitted]
+    if prepared.angle_driven:
+        hidden = [effect for effect in CATALOGUE.values() if effect.sealed.part is None]
+        reasons = "; ".join(f"{effect.name} ({effect.sealed.reason})" for effect in hidden)
+        balance = _listed(effect for effect in CATALOGUE.values() if effect.sealed.part == BALANCE)
+        torque = (
+            "The torque from outside is what the drive was told to apply, not what a sensor measured: friction of the "
+            "drive is in it."
+            if any(trial.has(TORQUE) for trial in trials)
+            else f"No torque from outside was recorded: {balance} cannot be seen."
+        )
+        return f"Of a sealed joint cannot be seen: {reasons}.", torque
+    out = []
+    free = [trial for trial in trials if trial.joint == "free"]
+    if not free:
+        moving = _listed(effect for effect in CATALOGUE.values() if effect.needs_motion)
+        out.append(f"The joint was locked throughout: {moving} do not show.")
+    if len(free) == len(trials):
+        out.append(
+            "The joint moved throughout: an error of the force is told from friction and load only by their different "
+            "course; a recording with the joint locked would tell at once."
+        )
+    if not any(trial.has(TORQUE) for trial in trials):
+        out.append("No torque was measured: an error of the force shows only where it moves the joint.")
+    if free and not any(trial.has(ANGLE) for trial in free):
+        hardly = _listed(effect for effect in CATALOGUE.values() if effect.needs_angle)
+        out.append(
+            f"No angle was measured: of the motion only what it does to the pressures shows; {hardly} are hardly seen."
+        )
+    if not any(trial.has(TORQUE) or trial.has(ANGLE) for trial in trials):
+        out.append(
+            "Pressures alone decide here, and of a candidate that they call for the estimator's innovations: only "
+            "effects of the air, the valves and their sensors can be found."
+        )
+    small = [name for g in prepared.groups for name in invisible(g.experiments, bases[g.name], jobs)]
+    if small:
+        out.append(
+            f"Not seen in these recordings at a usual size, even if nothing else were wrong: {', '.join(small)}. "
+            "That they were not found says nothing about them."
+        )
+    return tuple(out)
+
+
+def _listed(effects: Iterable[Effect]) -> str:
+    *others, last = (effect.title for effect in effects)
+    return f"{', '.join(others)} and {last}"
+
+
+def invisible(experiments: Sequence[Experiment], base: Model, jobs: int) -> tuple[str, ...]:
+    """Effects that would not show in these recordings, even if nothing else were wrong.
+
+    An effect shows where one of its sizes, neither small nor large, moves what was measured beyond the sensors' noise
+    in a way that the base parameters cannot imitate, by strong evidence.
+
+    Args:
+        experiments: the recordings.
+        base: the recalibrated model.
+        jobs: threads.
+    """
+    pairs = list(zip(experiments, base.fits, strict=True))
+    names = [candidate.effect for candidate in experiments[0].candidates({})]
+    shown = Parallel(n_jobs=jobs, prefer="threads")(delayed(_shows)(name, *pair) for name in names for pair in pairs)
+    count = len(pairs)
+    out = [name for k, name in enumerate(names) if not any(shown[k * count : (k + 1) * count])]
+    if not any(ANGLE in experiment.channels for experiment in experiments):
+        out.append(DISTURBANCE)
+    return tuple(out)
+
+
+def _shows(name: str, experiment: Experiment, fitted: Fitted) -> bool:
+    candidate = Candidate(name)
+    shapes = {shape.path: shape.item.neutral for shape in candidate.shapes}
+    scale, none = fitted.scale, np.zeros((*fitted.residual.shape, 0))
+    for size in candidate.sizes:
+        values = dict.fromkeys(size.paths, size.bounded(size.item.scale))
+        change = experiment.residual(Point(fitted.point.theta, {**shapes, **values})) - fitted.residual
+        # As a fit would see it, were the rest noise.
+        step = solve(
+            change, fitted.base, none, scale, experiment.prior, np.zeros(experiment.size), rounds=1,
+            first=scale.noise**2, length=np.full(len(scale.noise), BLOCKS_PER_ERROR),
+        )  # fmt: skip
+        rise = np.log1p(np.mean(step.residual**2, axis=0) / scale.noise**2)
+        independent = len(change) / BLOCKS_PER_ERROR
+        if independent * float(rise.sum()) - float(np.log(change.size / BLOCKS_PER_ERROR)) > thresholds.STRONG:
+            return True
+    return False
