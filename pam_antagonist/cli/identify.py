@@ -11,8 +11,8 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.sealed_session import STEPS as SEALED_STEPS
-from pam_antagonist.identification.sealed_session import identify_sealed
+from pam_antagonist.identification.sealed import STEPS as SEALED_STEPS
+from pam_antagonist.identification.sealed import identify_sealed
 from pam_antagonist.identification.session import Identified, Options, identify, steps
 from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.recording.joint import JointCondition, joint_condition

@@ -23,7 +23,7 @@ from pam_antagonist.diagnosis.result import (
     Verdict,
 )
 from pam_antagonist.diagnosis.timings import Timings
-from pam_antagonist.identification.sealed_session import tuned
+from pam_antagonist.identification.sealed import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.rig import Rig
 

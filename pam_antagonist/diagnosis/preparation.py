@@ -17,8 +17,13 @@ import numpy as np
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.sealed import SealedTrial, balance, closed_chambers, sealed_trial
-from pam_antagonist.identification.sealed_session import refuse_moving_valves
+from pam_antagonist.identification.sealed import (
+    SealedTrial,
+    balance,
+    closed_chambers,
+    refuse_moving_valves,
+    sealed_trial,
+)
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven, sweeps
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import moved

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from pam_antagonist.inference.angle_driven import friction_torque
 from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.inference.spread import USUAL_SPREAD, Variation
 from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE, Trial, blocks
-from pam_antagonist.model import dynamics, joint, sensor
+from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model import parameters as par
 
 Floats = NDArray[np.float64]
@@ -129,14 +130,8 @@ def fit_friction(
     kept = _Points(points.time[sliding], points.trial[sliding], states, wanted, points.acceleration[sliding], outside)
 
     def model(q: Floats) -> Floats:
-        out = np.empty(len(states))
-        for k, state in enumerate(states):
-            force_1, force_2 = dynamics.forces(state, q)
-            coulomb = joint.coulomb_torque(force_1, force_2, state[2], state[3], q)
-            # The law wants the velocity before friction acted; while the joint slides, that is ψ̇ + Z T_f.
-            moving = coulomb * np.sign(state[1]) + q[par.VISCOUS] * state[1]
-            out[k] = moving
-        return out
+        # The law wants the velocity before friction acted; while the joint slides, that is ψ̇ + Z T_f.
+        return np.array([friction_torque(state, np.sign(state[1]), q) for state in states])
 
     return _solve(model, kept, p, free, torque_std, np.zeros((len(states), 0)))
 

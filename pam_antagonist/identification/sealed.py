@@ -1,25 +1,31 @@
-"""Parameters of a joint whose muscles are sealed: from its motion, its pressures and the torque applied from outside.
+"""Parameters and tuning of a joint whose muscles are sealed, from its motion, its pressures and the torque applied.
 
-No air flows, so what the staged identification of a valve-driven joint rests on is not there. Instead the
-chambers are closed: each pressure follows the muscle's volume alone (equation (4) without flow), and at the measured
-angle it tells how the volume changes. The torque that moves the joint from outside then tells what holds against it
-(equations (8) to (10)), wherever the joint slides. The muscles' volume at ψ = 0, the polytropic index and the
-force map stay as the rig file declares them: a sealed joint tells only their product, and nothing of how
-the force grows with pressure.
+No air flows, so what the staged identification of a valve-driven joint rests on is not there. Instead the chambers are
+closed: each pressure follows the muscle's volume alone (equation (4) without flow), and at the measured angle it tells
+how the volume changes. The torque that moves the joint from outside then tells what holds against it (equations (8) to
+(10)), wherever the joint slides. The muscles' volume at ψ = 0, the polytropic index and the force map stay as the rig
+file declares them: a sealed joint tells only their product, and nothing of how the force grows with pressure.
+
+What the pressures do not follow are not the sensors' noise but slow strays of the muscles, which no white process noise
+describes. So measurement and process variance and the random walk of the unknown torque are those under which the
+filter's errors of the measured angle are most likely, on the part that is fitted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, joint, rest
-from pam_antagonist.model import parameters as par
+from pam_antagonist.estimation import Estimator
+from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions, torque_needed
+from pam_antagonist.inference.free_parameters import Direction, moved, values_along
+from pam_antagonist.model import rest
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -28,8 +34,6 @@ Floats = NDArray[np.float64]
 _BLOCK_S = 0.02
 _CLUSTER_S = 1.0
 """[s] Residuals closer than this are taken to depend on each other."""
-_SLIDING = 0.02
-"""[rad/s] A joint that moves faster slides; below, friction may be anything up to its bound."""
 _LEAST_RANGE = np.radians(1.0)
 _FEWEST_BLOCKS = 100
 
@@ -55,6 +59,11 @@ class SealedTrial:
     acceleration: Floats
     pressure: Floats
     external: Floats | None
+
+    @property
+    def states(self) -> Floats:
+        """Angle, velocity and pressures (K, 4)."""
+        return np.column_stack([self.angle, self.velocity, self.pressure])
 
 
 @dataclass(frozen=True)
@@ -131,19 +140,13 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
         rig: start values.
         muscle: 0 or 1.
     """
-    volume = getattr(rig, f"muscle_{muscle + 1}").volume
-    length = rig.geometry.length
-    prefix = f"muscle_{muscle + 1}.volume"
+    number = muscle + 1
+    mean = float(np.mean(np.concatenate([trial.pressure[:, muscle] for trial in trials])))
+    start = moved(rig, {f"valves.charge_{number}": mean})
+    directions = chamber_directions(start, number)
 
     def named(theta: Floats) -> dict[str, float]:
-        slope = volume.d2 * (1.0 + theta[0])
-        return {
-            f"{prefix}.d2": slope,
-            f"{prefix}.d3": volume.d3 - (slope - volume.d2) * length,
-            f"valves.charge_{muscle + 1}": measured_mean * (1.0 + theta[1]),
-        }
-
-    measured_mean = float(np.mean(np.concatenate([trial.pressure[:, muscle] for trial in trials])))
+        return values_along(start, directions, theta)
 
     def residual(theta: Floats) -> Floats:
         p = rig.parameters(changes=named(theta))
@@ -156,9 +159,10 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
     solution = least_squares(residual, np.zeros(2), x_scale=[0.1, 1e-3])
     std = _robust_std(solution.jac, solution.fun)
     values = named(solution.x)
-    spread = {f"{prefix}.d2": abs(volume.d2) * std[0], f"valves.charge_{muscle + 1}": measured_mean * std[1]}
+    volume = f"muscle_{number}.volume.d2"
+    spread = {volume: abs(rig.value(volume)) * std[0], f"valves.charge_{number}": mean * std[1]}
     return SealedStage(
-        f"closed chamber of muscle {muscle + 1}",
+        f"closed chamber of muscle {number}",
         values,
         spread,
         float(np.sqrt(np.mean(solution.fun**2))),
@@ -178,7 +182,7 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
         BadInput: no recording has a torque from outside, or the joint slides too seldom.
     """
     used = [trial for trial in trials if trial.external is not None]
-    sliding = [np.abs(trial.velocity) > _SLIDING for trial in used]
+    sliding = [np.abs(trial.velocity) > SLIDING for trial in used]
     count = int(sum(mask.sum() for mask in sliding))
     if count < _FEWEST_BLOCKS:
         raise BadInput(
@@ -186,20 +190,20 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
             f"{_FEWEST_BLOCKS * _BLOCK_S:g} s: record measured/external_torque while the joint is driven to and fro"
         )
     names = ("joint.stiffness", "joint.viscous_friction", "friction.shaft")
+    forces = {f"muscle_{number}.force.w2": way for number, way in ((1, 1.0), (2, -1.0))}
+    directions = [Direction(name, {name: rig.value(name)}) for name in names]
+    directions.append(Direction("difference of the muscles' forces", forces))
 
     def named(theta: Floats) -> dict[str, float]:
-        values = {name: rig.value(name) * (1.0 + theta[k]) for k, name in enumerate(names)}
-        for number, way in ((1, 1.0), (2, -1.0)):
-            path = f"muscle_{number}.force.w2"
-            values[path] = rig.value(path) + way * theta[3]
-        return values
+        return values_along(rig, directions, theta)
 
     def residual(theta: Floats) -> Floats:
         p = rig.parameters(changes=named(theta))
         parts = []
         for trial, mask in zip(used, sliding, strict=True):
             assert trial.external is not None
-            needed = np.array([_needed(trial, int(k), p) for k in np.flatnonzero(mask)])
+            rows = zip(trial.states[mask], trial.acceleration[mask], strict=True)
+            needed = np.array([torque_needed(x, bending, np.sign(x[1]), p) for x, bending in rows])
             parts.append(needed - trial.external[mask])
         return np.concatenate(parts)
 
@@ -222,16 +226,6 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
     )
 
 
-def _needed(trial: SealedTrial, k: int, p: Floats) -> float:
-    """Torque from outside [N m] that the motion needs: equation (8) solved for it."""
-    x = np.array([trial.angle[k], trial.velocity[k], trial.pressure[k, 0], trial.pressure[k, 1]])
-    force_1, force_2 = dynamics.forces(x, p)
-    coulomb = joint.coulomb_torque(force_1, force_2, x[2], x[3], p)
-    friction = coulomb * np.sign(trial.velocity[k]) + p[par.VISCOUS] * trial.velocity[k]
-    inertial = p[par.INERTIA] * trial.acceleration[k]
-    return float(inertial + p[par.STIFFNESS] * trial.angle[k] - dynamics.torque(x, p) + friction)
-
-
 def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
     """Standard deviations that allow for residuals which depend on each other over a cluster of time."""
     length = max(1, round(_CLUSTER_S / _BLOCK_S))
@@ -243,3 +237,147 @@ def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
     clusters, size = len(scores), jacobian.shape[1]
     scatter = sum(np.outer(score, score) for score in scores) * clusters / max(clusters - size, 1)
     return np.asarray(np.sqrt(np.diag(inverse @ scatter @ inverse)))
+
+
+_EVALUATIONS = 50
+STEPS = 3 + _EVALUATIONS + 2
+"""How often :func:`identify_sealed` tells about its progress, at most."""
+_LEAST_MOVE = 0.05
+"""[V] Valves that move more are not those of sealed chambers."""
+_BOUNDS = ((2.0, 8.0), (-3.0, 4.0), (-2.0, 1.0))
+"""Of the logarithms of R [Pa²], Q of a pressure [Pa²] and the torque's random walk [N m/s^0.5]."""
+
+
+@dataclass(frozen=True, eq=False)
+class SealedIdentified:
+    """What was found.
+
+    Attributes:
+        start: the rig as it was configured.
+        rig: the identified one.
+        stages: steps, in their order.
+        held_from: for each recording, the time from which on it was held out [s].
+        likelihood: mean logarithm of the likelihood of an angle's error, with the start's tuning and with the new one.
+        evaluations: how many tunings were tried.
+    """
+
+    start: Rig
+    rig: Rig
+    stages: tuple[SealedStage, ...]
+    held_from: tuple[float, ...]
+    likelihood: tuple[float, float]
+    evaluations: int
+
+
+def identify_sealed(
+    recordings: Sequence[tuple[Recording, str]],
+    rig: Rig,
+    holdout: float = 1.0 / 3.0,
+    progress: Callable[[str], None] | None = None,
+) -> SealedIdentified:
+    """Identify a sealed joint.
+
+    Args:
+        recordings: of one charge, each with its name.
+        rig: start values; ``valves.sealed``.
+        holdout: share at the end of each recording that is not fitted.
+        progress: told what is being done.
+
+    Raises:
+        BadInput: recordings that tell nothing, or valves that moved.
+    """
+    tell = progress or (lambda text: None)
+    refuse_moving_valves(recordings, rig)
+    share = 1.0 - holdout
+    trials = [sealed_trial(recording, name, share) for recording, name in recordings]
+    stages: list[SealedStage] = []
+    now = rig
+    for muscle in (0, 1):
+        tell(f"closed chamber of muscle {muscle + 1}")
+        stages.append(closed_chambers(trials, now, muscle))
+        now = moved(now, stages[-1].values)
+    tell("balance of torques")
+    stages.append(balance(trials, now))
+    now = moved(now, stages[-1].values)
+    best, likelihood, evaluations = tuned(now, recordings, share, tell)
+    held = tuple(share * float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9 for recording, _ in recordings)
+    return SealedIdentified(rig, best, tuple(stages), held, likelihood, evaluations)
+
+
+def refuse_moving_valves(recordings: Sequence[tuple[Recording, str]], rig: Rig) -> None:
+    """Refuse recordings whose valves moved.
+
+    Args:
+        recordings: each with its name.
+        rig: the sealed one.
+
+    Raises:
+        BadInput: a valve moves.
+    """
+    for recording, name in recordings:
+        swing = float(np.nanmax(np.nanmax(recording.voltage, axis=0) - np.nanmin(recording.voltage, axis=0)))
+        if swing > _LEAST_MOVE:
+            raise BadInput(f"{name}: a valve moves by {swing:.2f} V, but the chambers of rig {rig.name} are sealed")
+
+
+def tuned(
+    rig: Rig,
+    recordings: Sequence[tuple[Recording, str]],
+    share: float,
+    tell: Callable[[str], None],
+    evaluations: int = _EVALUATIONS,
+) -> tuple[Rig, tuple[float, float], int]:
+    """The tuning under which the errors of the measured angle are most likely.
+
+    Args:
+        rig: whose default tuning is the start.
+        recordings: each with its name.
+        share: of each, from its start, that may be used.
+        tell: told what is being done.
+        evaluations: at most so many tunings are tried.
+
+    Returns:
+        The rig with that tuning, the mean log likelihood before and after, and how many tunings were tried.
+    """
+    tuning = rig.tuning("default")
+    walk = rig.value("effects.external_torque.noise")
+    parts = [recording.slice(0.0, share * _duration(recording)) for recording, _ in recordings]
+
+    def with_values(logarithm: np.ndarray) -> Rig:
+        r, q, noise = (10.0 ** float(np.clip(v, *bound)) for v, bound in zip(logarithm, _BOUNDS, strict=True))
+        new = tuning.replaced(measurement=(r, r), process=(*tuning.process[:2], q, q))
+        effects = {**rig.effects, "external_torque": {"noise": noise}} if walk else rig.effects
+        return rig.replaced(tunings={**rig.tunings, "default": new}, effects=effects)
+
+    def against(logarithm: np.ndarray) -> float:
+        tell("tuning")
+        return -_angle_likelihood(with_values(logarithm), parts)
+
+    start = np.log10([tuning.measurement[0], max(tuning.process[2], 1e-3), walk or 1.0])
+    steps = np.vstack([np.zeros(3), 0.7 * np.eye(3)])
+    found = minimize(
+        against,
+        start,
+        method="Nelder-Mead",
+        options={"initial_simplex": start + steps, "maxfev": evaluations, "xatol": 0.05, "fatol": 1e-3},
+    )
+    return with_values(found.x), (-against(start), -float(found.fun)), int(found.nfev) + 1
+
+
+def _duration(recording: Recording) -> float:
+    return float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9
+
+
+def _angle_likelihood(rig: Rig, recordings: Sequence[Recording]) -> float:
+    """Mean logarithm of the likelihood of the measured angles' errors [rad], without its constant."""
+    noise = rig.sensors.error("angle") ** 2
+    total, count = 0.0, 0
+    for recording in recordings:
+        run = Estimator(rig).run(recording.stamp_ns, recording.pressure, recording.voltage)
+        assert recording.angle is not None  # sealed_trial has refused a recording without
+        error = run.rows["angle"] - recording.angle[run.index]
+        variance = run.rows["covariance"][:, 0, 0] + noise
+        good = np.isfinite(error)
+        total += float(np.sum(-0.5 * error[good] ** 2 / variance[good] - 0.5 * np.log(variance[good])))
+        count += int(good.sum())
+    return total / count if count else math.nan

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from pam_antagonist._jit import kernel
+from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.excess import in_mean_squares
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
@@ -42,7 +42,7 @@ _STRIDE = 4
 _SMOOTH = 1e-6
 """[rad] White noise below which an angle needs no smoothing: its direction of motion shows as it is."""
 SLIDING = 0.02
-"""[rad/s] Above it a joint slides (:mod:`pam_antagonist.identification.sealed`)."""
+"""[rad/s] Above it a joint slides ; below, friction may be anything up to its bound."""
 _STICKING_LEAST = 1e-9
 _CLEAR = 3.0
 """Standard deviations of its noise that a velocity must reach before it tells a direction."""
@@ -56,6 +56,39 @@ _coulomb_torque, _extra_coulomb_torque, _load_torque = (
     joint.extra_coulomb_torque,
     joint.load_torque,
 )
+
+
+@inlined
+def friction_torque(x, direction, p):  # type: ignore[no-untyped-def]
+    """Torque [N m] by which friction holds a joint back that slides, equation (9).
+
+    Args:
+        x: state, of which angle, velocity and pressures count.
+        direction: of motion, −1 to 1.
+        p: parameter vector.
+    """
+    force_1, force_2 = _forces(x, p)
+    coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p)
+    if p[par.STATELESS_EFFECTS] != 0.0:
+        coulomb = max(coulomb + _extra_coulomb_torque(x[1], p), 0.0)
+    return coulomb * direction + p[par.VISCOUS] * x[1]
+
+
+@inlined
+def torque_needed(x, acceleration, direction, p):  # type: ignore[no-untyped-def]
+    """Torque from outside [N m] that a motion needs: equation (8) solved for it.
+
+    Args:
+        x: state, of which angle, velocity and pressures count.
+        acceleration: [rad/s²].
+        direction: of motion, −1 to 1.
+        p: parameter vector.
+    """
+    load = 0.0
+    if p[par.STATELESS_EFFECTS] != 0.0:
+        load = _load_torque(x[0], p)
+    inertial = p[par.INERTIA] * acceleration + p[par.STIFFNESS] * x[0]
+    return inertial + friction_torque(x, direction, p) - _torque(x, p) - load
 
 
 @kernel
@@ -74,15 +107,7 @@ def _driven(x0, angle, velocity, acceleration, direction, p, dt):  # type: ignor
             _rk4_step(x, u, p, dt, x)
         x[0] = angle[k]
         x[1] = velocity[k]
-        force_1, force_2 = _forces(x, p)
-        coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p)
-        load = 0.0
-        if p[par.STATELESS_EFFECTS] != 0.0:
-            coulomb = max(coulomb + _extra_coulomb_torque(velocity[k], p), 0.0)
-            load = _load_torque(angle[k], p)
-        friction = coulomb * direction[k] + p[par.VISCOUS] * velocity[k]
-        inertial = p[par.INERTIA] * acceleration[k] + p[par.STIFFNESS] * angle[k]
-        needed[k] = inertial + friction - _torque(x, p) - load
+        needed[k] = torque_needed(x, acceleration[k], direction[k], p)
         pressure[k, 0] = x[2]
         pressure[k, 1] = x[3]
     return pressure, needed
@@ -123,6 +148,22 @@ def motion_of(measured: Floats, dt: float) -> Motion:
     return Motion(angle, velocity, np.gradient(velocity, dt), direction)
 
 
+def chamber_directions(rig: Rig, number: int) -> tuple[FreeDirection, FreeDirection]:
+    """What the pressure of a closed muscle tells: the slope of its volume, and its charge.
+
+    Args:
+        rig: start values.
+        number: of the muscle, 1 or 2.
+    """
+    slope, charge = getattr(rig, f"muscle_{number}").volume.d2, f"valves.charge_{number}"
+    # About the volume at angle 0, which stays as declared.
+    turned = {f"muscle_{number}.volume.d2": slope, f"muscle_{number}.volume.d3": -slope * rig.geometry.length}
+    return (
+        FreeDirection(f"muscle_{number}.volume, slope", turned, 0.1),
+        FreeDirection(charge, {charge: rig.value(charge)}, 0.01),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class AngleDriven(Experiment):
     """A part of a driven joint as an experiment: its air, or its balance of torques.
@@ -137,8 +178,8 @@ class AngleDriven(Experiment):
 
     @cached_property
     def directions(self) -> tuple[FreeDirection, ...]:
-        """Free base directions: what :mod:`pam_antagonist.identification.sealed` identifies, but for friction."""
-        rig, length = self.rig, self.rig.geometry.length
+        """Free base directions: what an identification of a sealed joint finds, but for friction."""
+        rig = self.rig
         if self.part == BALANCE:
             apart = {"muscle_1.force.w2": _FORCE, "muscle_2.force.w2": -_FORCE}
             return (
@@ -146,15 +187,7 @@ class AngleDriven(Experiment):
                 FreeDirection("difference of the muscles' forces", apart, 1.0),
                 FreeDirection("joint.viscous_friction", {"joint.viscous_friction": _VISCOUS}, 1.0),
             )
-        found = []
-        for number in (1, 2):
-            slope = getattr(rig, f"muscle_{number}").volume.d2
-            # About the volume at angle 0, which stays as declared.
-            turned = {f"muscle_{number}.volume.d2": slope, f"muscle_{number}.volume.d3": -slope * length}
-            found.append(FreeDirection(f"muscle_{number}.volume, slope", turned, 0.1))
-            charge = f"valves.charge_{number}"
-            found.append(FreeDirection(charge, {charge: rig.value(charge)}, 0.01))
-        return tuple(found)
+        return tuple(direction for number in (1, 2) for direction in chamber_directions(rig, number))
 
     @cached_property
     def channels(self) -> tuple[int, ...]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.excess import in_decibels
-from pam_antagonist.inference.free_parameters import FreeDirection
+from pam_antagonist.inference.free_parameters import FreeDirection, values_along
 from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
 from pam_antagonist.inference.trial import BLOCK, Trial, blocks
 from pam_antagonist.model import parameters as par
@@ -215,11 +215,7 @@ class Experiment(ABC):
 
     def changes(self, point: Point) -> dict[str, float]:
         """Values of the base parameters that differ from the rig file's, by dotted path."""
-        total: dict[str, float] = {}
-        for direction, amount in zip(self.directions, point.theta, strict=False):
-            for name, change in direction.changes.items():
-                total[name] = total.get(name, self.rig.value(name)) + change * float(amount)
-        return total
+        return values_along(self.rig, self.directions, point.theta)
 
     def parameters(self, point: Point) -> Floats:
         """Parameter vector of a point."""

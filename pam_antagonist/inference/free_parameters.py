@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -248,6 +248,21 @@ class FreeEffectParameter:
         if not self.item.is_size:
             return -0.1 if value * 1.1 > self.item.high else 0.1
         return 0.1 * max(1.0, abs(value / self.item.scale))
+
+
+def values_along(rig: Rig, directions: Iterable[Direction], amounts: Iterable[float]) -> dict[str, float]:
+    """Values of the parameters that directions move, by dotted path.
+
+    Args:
+        rig: start values.
+        directions: K of them; further amounts count for nothing.
+        amounts: how far each is gone.
+    """
+    total: dict[str, float] = {}
+    for direction, amount in zip(directions, amounts, strict=False):
+        for name, change in direction.changes.items():
+            total[name] = total.get(name, rig.value(name)) + change * float(amount)
+    return total
 
 
 def moved(rig: Rig, values: Mapping[str, float]) -> Rig:

@@ -9,8 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pam_antagonist.identification.advice import advice
-from pam_antagonist.identification.session import Identified, Start, relative
+from pam_antagonist.identification.session import Identified, Start, recording_that_shows, relative
 from pam_antagonist.identification.stages import Stage
 from pam_antagonist.identification.tuning import ConsideredDirection
 from pam_antagonist.inference.trial import CHANNELS
@@ -291,7 +290,7 @@ def _parameters(found: Identified) -> tuple[ParameterEntry, ...]:
             relative(values[item.name], item.start),
             item.prior_std,
             bool(determined[item.name]),
-            None if determined[item.name] else advice(item.name),
+            None if determined[item.name] else recording_that_shows(item.name),
             tuple(own[item.name] for own in owns),
             tuple(own[item.name] for own in own_stds),
         )

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pam_antagonist.identification.sealed_session import SealedIdentified
+from pam_antagonist.identification.sealed import SealedIdentified
 from pam_antagonist.report import html
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import HeldOut, Judged, held_out_table
