@@ -132,7 +132,8 @@ def _drawn(figure: Figure) -> Any:
             axes.set_title(_plain(panel.title), loc="left", fontsize=12.0, pad=3.0)
     # The margins at the sides are as wide as what stands there.
     renderer = canvas.canvas.get_renderer()
-    found = [axis.get_tightbbox(renderer) for axes in pairs for axis in (axes.xaxis, axes.yaxis)]
+    standing = [part for axes in pairs for part in (axes.xaxis, axes.yaxis, *axes.child_axes)]
+    found = [part.get_tightbbox(renderer) for part in standing]
     # An axis without letters has no box.
     boxes = [box for box in found if box is not None]
     scale = _INCH / canvas.dpi
@@ -172,6 +173,7 @@ def _series(axes: Any, part: Any, panel: Panel, depth: float) -> Any:
         if part.half_width is not None:
             ends = (part.x - part.half_width, part.x + part.half_width)
             axes.hlines(part.y, *ends, color=shade, linewidth=part.bar_width, zorder=depth)
+            style |= {"linestyle": "-", "linewidth": part.bar_width, "color": shade}
         return Line2D([], [], **style)
     if isinstance(part, Bars):
         bars = [other for other in panel.series if isinstance(other, Bars)]
@@ -202,7 +204,7 @@ def _heatmap(axes: Any, part: Heatmap, depth: float) -> None:
     line = {"edgecolors": "white", "linewidth": 1.0} if part.cell else {}
     mesh = axes.pcolormesh(edges, rows, cells, cmap=shades, norm=norm, zorder=depth, **line)
     if part.scale:
-        axes.figure.colorbar(mesh, ax=axes, fraction=0.02, pad=0.02, shrink=0.6)
+        axes.figure.colorbar(mesh, cax=axes.inset_axes((1.02, 0.2, 0.012, 0.6))).outline.set_visible(False)
     if not part.cell:
         return
     for row, values in enumerate(part.values):

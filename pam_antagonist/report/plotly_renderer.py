@@ -210,9 +210,8 @@ def _heatmap(part: Heatmap, panel: Panel) -> Values:
         "type": "heatmap",
         "x": _rounded(part.x, panel.x, 6),
         "y": list(range(len(part.rows))),
-        "z": [_rounded(row, Axis(), 6) for row in part.values],
-        "text": [[_text(name)] * len(part.x) for name in part.rows],
-        "hovertemplate": _template(part.hover) + "<extra></extra>",
+        "z": [_rounded(row, Axis(), 4) for row in part.values],
+        "hovertemplate": _template(part) + "<extra></extra>",
         "colorscale": [[k / steps, color] for k, color in enumerate(part.colors)],
         "zmin": part.bounds[0],
         "zmax": part.bounds[1],
@@ -220,16 +219,18 @@ def _heatmap(part: Heatmap, panel: Panel) -> Values:
     }
     if part.scale:
         out["colorbar"] = {"thickness": 10, "len": 0.6}
-    if part.cell:
-        out |= {"texttemplate": _template(part.cell), "xgap": 1, "ygap": 1}
+    if not part.cell:
+        return {**out, "text": [[_text(name)] * len(part.x) for name in part.rows]}
+    cells = [[part.cell.format(value=value) if math.isfinite(value) else "" for value in row] for row in part.values]
+    return {**out, "text": cells, "texttemplate": "%{text}", "xgap": 1, "ygap": 1}
+
+
+def _template(part: Heatmap) -> str:
+    """The hover text in plotly's form; where cells have a text, the row has its name from the axis."""
+    out = part.hover.replace("\n", "<br>")
+    for name, place in (("row", "y" if part.cell else "text"), ("column", "x"), ("value", "z")):
+        out = re.sub(rf"\{{{name}\b", f"%{{{place}", out)
     return out
-
-
-def _template(text: str) -> str:
-    """A format of ``row``, ``column`` and ``value`` in plotly's form."""
-    for name, place in (("row", "text"), ("column", "x"), ("value", "z")):
-        text = re.sub(rf"\{{{name}\b", f"%{{{place}", text)
-    return text.replace("\n", "<br>")
 
 
 def _reference(part: Reference, suffix: str) -> Values:

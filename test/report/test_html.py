@@ -161,6 +161,15 @@ def test_a_strip_shows_the_categories_that_occur() -> None:
     assert plot["data"][0]["hovertemplate"] == "%{text}<br>%{x} s: %{z:.0%} of the time<extra></extra>"
 
 
+def test_a_cell_without_a_value_has_no_text() -> None:
+    panels = figures.matrix(
+        [("", np.array([[1.25, np.nan]]))], ["a"], ["b", "c"], ("#ffffff", "#000000"), (0, 2), "{value:.0f} %"
+    )
+    (trace,) = plotly_renderer.plot(Figure("t", "", panels))["data"]
+    assert trace["text"] == [["1 %", ""]] and trace["z"] == [[1.25, None]]
+    assert trace["hovertemplate"] == "%{y}, %{x}: %{z:.0f} %<extra></extra>"
+
+
 def test_every_kind_of_series_has_its_trace_or_shape() -> None:
     x = np.array([1.0, 2.0])
     parts = (

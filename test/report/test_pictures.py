@@ -293,6 +293,15 @@ def test_an_interval_is_a_bar_around_its_point_and_rows_have_names() -> None:
     assert np.flatnonzero(red.any(axis=1)).mean() == pytest.approx((10 + 50) * SHARPNESS, abs=3), "the upper row"
 
 
+def test_a_scale_of_colours_stands_beside_its_cells_within_the_picture() -> None:
+    cells = Heatmap(np.arange(2.0), np.zeros((2, 2)), ("r", "s"), (BLUE, "#ffffff", RED), (-1.0, 1.0), "{value}")
+    axes, rows = Axis(labels=("a", "b")), Axis(labels=("r", "s"))
+    without, image = (pixels(alone(Panel(axes, rows, (replace(cells, scale=scale),), 200))) for scale in (False, True))
+    assert not found(without, RED).any() and found(image, RED).any() and found(image, BLUE).any()
+    assert np.flatnonzero(found(image, RED).any(axis=1)).max() < np.flatnonzero(found(image, BLUE).any(axis=1)).min()
+    assert (image[:, -4:] == 255).all(), "its numbers included"
+
+
 def test_cells_have_their_numbers_and_a_panel_its_title() -> None:
     values = np.array([[1.0, np.nan]])
 
