@@ -21,9 +21,8 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.report import close_loop as numbers
-from pam_antagonist.report import close_loop_tables as tables
 from pam_antagonist.report import terminal
-from pam_antagonist.report.close_loop_page import write_report
+from pam_antagonist.report.close_loop_document import summary, write_report
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -108,12 +107,12 @@ def _main(argv: Sequence[str] | None) -> int:
             shutil.rmtree(kept, ignore_errors=True)
         raise
     found = replace(found, warnings=(*given.damage(arguments, recordings), *found.warnings))
-    document = numbers.document(found, rig, hashes, arguments.seed, holdout)
+    report = numbers.report(found, rig, hashes, arguments.seed, holdout)
     with common.output_folder(arguments.out) as folder:
         _write_rigs(folder, found, rig, hashes)
-        write_report(folder, document, found, with_figures=not arguments.no_figures)
+        write_report(folder, report, found, with_figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
-    print(_summary(document))
+    print(terminal.render(summary(report)))
     given.tell_where(arguments, "rig_extended.yaml")
     return common.DONE
 
@@ -189,15 +188,6 @@ def _write_rigs(folder: Path, found: Diagnosis, rig: Rig, hashes: Sequence[str])
 
 def _named(rig: Rig, name: str, source: str) -> Rig:
     return rig.replaced(name=f"{name.removesuffix('_extended')}_extended", source=" ".join(source.split()))
-
-
-def _summary(document: dict) -> str:  # type: ignore[type-arg]
-    said = [textwrap.fill(document["sentence"], 100)]
-    said += [
-        textwrap.fill(f"! {text}", 100, subsequent_indent="  ") for text in (*document["warnings"], *document["unseen"])
-    ]
-    shown = [tables.before_after(document), tables.parameters(document), tables.ranking(document)]
-    return "\n\n".join(["\n".join(said), *(terminal.table(table) for table in shown if table.rows)])
 
 
 if __name__ == "__main__":

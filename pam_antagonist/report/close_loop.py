@@ -1,35 +1,225 @@
-"""``report.json`` of ``close_loop``.
+"""What ``close_loop`` found, as typed numbers: the content of its ``report.json``.
 
-Keys that others read::
-
-    verdict         "effect", "none" or "unexplained"
-    effects         [{name, muscle: 1 | 2 | null, parameters: {p: {value, std, unit}}, delta_bic, holdout_gain, ...}]
-    ambiguous_with  names of effects that the recordings cannot tell from these
-    errors          {as_configured, recalibrated, extended}, each with angle, torque, pressure, on held-out data
-    parts           [{name, verdict, share_explained}] of each part of the joint that was judged by itself
-    ambiguities     [{found, other, ambiguous, evidence, residual, ...}]: rivals that were compared on equal terms
-    reference       errors [N m] of straight-line maps that know no physics, null where there is none
-
-`holdout_gain` is the share of the held-out excess over sensor noise that goes with the effect;
-`share_explained` that of all effects.
+The fields of :class:`CloseLoopReport` and of the classes in it are the keys of ``report.json``.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.result import Diagnosis
+from pam_antagonist.diagnosis.remaining import RemainingResidual
+from pam_antagonist.diagnosis.result import Ambiguity, Diagnosis, FoundEffect
+from pam_antagonist.report.close_loop_errors import ModelErrors, ResidualRow
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
+Verdict = Literal["effect", "none", "unexplained"]
 
-def document(
+
+@dataclass(frozen=True)
+class Size:
+    """A parameter of a found effect."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that was found.
+
+    Attributes:
+        name: in the catalogue.
+        muscle: 1 or 2; None for both, and for an effect that belongs to neither.
+        parameters: by name.
+        delta_bic: evidence for it.
+        holdout_gain: share of the held-out excess over noise that it explains.
+        recordings: that show it.
+    """
+
+    name: str
+    muscle: int | None
+    parameters: Mapping[str, Size]
+    delta_bic: float
+    holdout_gain: float
+    recordings: tuple[str, ...]
+
+    @classmethod
+    def of(cls, found: FoundEffect) -> Effect:
+        """The entry of an effect."""
+        sizes = {name: Size(*size) for name, size in found.parameters.items()}
+        return cls(found.name, found.muscle, sizes, found.delta_bic, found.holdout_gain, tuple(found.recordings))
+
+
+Residuals = Mapping[str, tuple[ResidualRow, ...]]
+"""Rows of the recalibrated and of the extended model."""
+
+
+@dataclass(frozen=True)
+class RecordingEntry:
+    """A recording and what the models make of it.
+
+    Attributes:
+        recording: its name.
+        joint: ``free``, ``locked`` or ``driven``.
+        lock_angle_rad: where a locked joint was held [rad].
+        role: ``fitted``, ``held out``, or ``both``: its end was held out.
+        held_out_from_s: where the held-out part begins [s].
+        errors: on held-out data; None where nothing was held out.
+        sha256: of the bag's files.
+        residuals: on held-out data; None likewise.
+        ukf: errors of the estimator; None where it was not run.
+        sweeps: how often a driven joint slides in the fitted and in the held-out part; None of other joints.
+    """
+
+    recording: str
+    joint: str
+    lock_angle_rad: float | None
+    role: str
+    held_out_from_s: float | None
+    errors: ModelErrors | None
+    sha256: str
+    residuals: Residuals | None = None
+    ukf: ModelErrors | None = None
+    sweeps: Mapping[str, int] | None = None
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any], sha256: str) -> RecordingEntry:
+        """The entry of a diagnosis."""
+        residuals = given.get("residuals")
+        out = {
+            **given,
+            "errors": None if given["errors"] is None else ModelErrors.of(given["errors"]),
+            "ukf": ModelErrors.of(given["ukf"]) if "ukf" in given else None,
+            "residuals": None
+            if residuals is None
+            else {name: tuple(map(ResidualRow.of, rows)) for name, rows in residuals.items()},
+        }
+        return cls(**out, sha256=sha256)
+
+    def to_json(self) -> dict[str, Any]:
+        """Without what was not worked out."""
+        return {
+            item.name: getattr(self, item.name)
+            for item in fields(self)
+            if getattr(self, item.name) is not None or item.name in ("lock_angle_rad", "errors", "held_out_from_s")
+        }
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate in one round; evidence and share are None where its score was too low for a fit."""
+
+    name: str
+    round: int
+    score: float
+    delta_bic: float | None
+    holdout_gain: float | None
+    taken: bool
+    score_by_muscle: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Profile likelihood of a size: values at which it was held, and the rise of −2 log posterior there."""
+
+    parameter: str
+    recording: str
+    value: float
+    std: float
+    unit: str
+    values: tuple[float, ...]
+    rise: tuple[float, ...]
+    flat: bool
+
+
+@dataclass(frozen=True)
+class Part:
+    """The verdict on a part of the joint that was judged by itself."""
+
+    name: str
+    verdict: Verdict
+    share_explained: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What was asked, and the thresholds of the decision."""
+
+    rig: str
+    rig_source: str
+    seed: int
+    holdout: float | tuple[str, ...]
+    strong_evidence: float
+    first_share: float
+    further_share: float
+    explained_share: float
+
+
+@dataclass(frozen=True)
+class CloseLoopReport:
+    """All numbers of a diagnosis.
+
+    Attributes:
+        verdict: ``effect``, ``none`` or ``unexplained``.
+        sentence: the verdict with its evidence.
+        effects: that were found.
+        ambiguous_with: effects that the recordings cannot distinguish from these.
+        experiments: by effect, what would distinguish it.
+        ambiguities: effects that were compared with a found one under equal conditions.
+        share_explained: share of the held-out excess over noise that the effects explain.
+        parts: the verdict on each part of the joint that was judged by itself.
+        reference: errors of straight-line maps without physics [N m]; None where there is none.
+        base_friction_removed: whether the rig file's friction was removed before anything was tested.
+        errors: on held-out data, of all recordings.
+        recordings: the same and more for each.
+        ranking: all candidates.
+        profiles: of the found sizes.
+        remaining: sentences on what is not explained.
+        left: the same as numbers.
+        unseen: sentences on what these recordings cannot show.
+        warnings: what the user should know.
+        settings: what was asked.
+        timing: what took how long [s].
+        software: versions.
+    """
+
+    verdict: Verdict
+    sentence: str
+    effects: tuple[Effect, ...]
+    ambiguous_with: tuple[str, ...]
+    experiments: Mapping[str, str]
+    ambiguities: tuple[Ambiguity, ...]
+    share_explained: float
+    parts: tuple[Part, ...]
+    reference: Mapping[str, float] | None
+    base_friction_removed: bool
+    errors: ModelErrors
+    recordings: tuple[RecordingEntry, ...]
+    ranking: tuple[Candidate, ...]
+    profiles: tuple[Profile, ...]
+    remaining: tuple[str, ...]
+    left: tuple[Mapping[str, Any], ...]
+    unseen: tuple[str, ...]
+    warnings: tuple[str, ...]
+    settings: Settings
+    timing: Mapping[str, float]
+    software: Mapping[str, str]
+
+    @property
+    def driven(self) -> bool:
+        """Whether the measured angle drives the model, as of a sealed joint."""
+        return any(part.joint == "driven" for part in self.recordings)
+
+
+def report(
     found: Diagnosis, rig: Rig, hashes: Sequence[str], seed: int, holdout: float | Sequence[str]
-) -> dict[str, Any]:
-    """What goes into ``report.json``.
+) -> CloseLoopReport:
+    """The numbers of a diagnosis.
 
     Args:
         found: the diagnosis.
@@ -38,77 +228,63 @@ def document(
         seed: as asked.
         holdout: share of each recording that was held out, or names of the recordings that were.
     """
-    return {
-        "verdict": found.verdict,
-        "sentence": found.sentence,
-        "effects": [
-            {
-                "name": effect.name,
-                "muscle": effect.muscle,
-                "parameters": {
-                    name: {"value": value, "std": std, "unit": unit}
-                    for name, (value, std, unit) in effect.parameters.items()
-                },
-                "delta_bic": effect.delta_bic,
-                "holdout_gain": effect.holdout_gain,
-                "recordings": list(effect.recordings),
-            }
-            for effect in found.effects
-        ],
-        "ambiguous_with": list(found.ambiguous_with),
-        "experiments": dict(found.experiment),
-        "share_explained": found.share,
-        "parts": [
-            {"name": part.name, "verdict": part.verdict, "share_explained": part.share} for part in found.parts
-        ],
-        "ambiguities": [
-            {
-                "found": item.found, "other": item.other, "ambiguous": item.ambiguous, "evidence": item.evidence,
-                "residual": list(item.residual), "unit": item.unit, "shape": item.shape, "about": item.about,
-                "size": None if math.isnan(item.size) else item.size,
-            }
-            for item in found.ambiguities
-        ],
-        "reference": None if found.reference is None else dict(found.reference),
-        "base_friction_removed": found.base_friction_removed,
-        "errors": dict(found.errors),
-        "recordings": [
-            {**part, "sha256": value} for part, value in zip(found.by_recording, hashes, strict=True)
-        ],
-        "ranking": [
-            {
-                "name": item.effect, "round": item.round, "score": item.score, "delta_bic": item.delta_bic,
-                "holdout_gain": None if item.shares is None else item.shares[0], "taken": item.taken,
-                "score_by_muscle": None if item.muscles is None else list(item.muscles),
-            }
+    return CloseLoopReport(
+        verdict=found.verdict,
+        sentence=found.sentence,
+        effects=tuple(map(Effect.of, found.effects)),
+        ambiguous_with=tuple(found.ambiguous_with),
+        experiments=dict(found.experiment),
+        ambiguities=tuple(found.ambiguities),
+        share_explained=found.share,
+        parts=tuple(Part(part.name, part.verdict, part.share) for part in found.parts),
+        reference=None if found.reference is None else dict(found.reference),
+        base_friction_removed=found.base_friction_removed,
+        errors=ModelErrors.of(found.errors),
+        recordings=tuple(map(RecordingEntry.of, found.by_recording, hashes)),
+        ranking=tuple(
+            Candidate(
+                item.effect,
+                item.round,
+                item.score,
+                item.delta_bic,
+                None if item.shares is None else item.shares[0],
+                item.taken,
+                item.muscles,
+            )
             for item in found.ranking
-        ],
-        "profiles": [dict(item) for item in found.profiles],
-        "remaining": [left.line() for left in found.remaining],
-        "left": [
-            {
-                "recording": left.recording, "channel": left.channel, "unit": left.unit,
-                "times_noise": left.times_noise, "depends_on": left.depends_on, "bands": left.bands,
-                "period_s": left.period,
-                "form": {
-                    "terms": [{"term": name, "coefficient": value} for name, value in left.form.terms],
-                    "share": left.form.share, "share_held_out": left.form.held_out,
-                },
-            }
-            for left in found.remaining
-        ],
-        "unseen": list(found.unseen),
-        "warnings": list(found.warnings),
-        "settings": {
-            "rig": rig.name,
-            "rig_source": " ".join(rig.source.split()),
-            "seed": seed,
-            "holdout": holdout if isinstance(holdout, float) else list(holdout),
-            "strong_evidence": thresholds.STRONG,
-            "first_share": thresholds.FIRST_SHARE,
-            "further_share": thresholds.FURTHER_SHARE,
-            "explained_share": thresholds.EXPLAINED,
+        ),
+        profiles=tuple(Profile(**item) for item in found.profiles),
+        remaining=tuple(item.line() for item in found.remaining),
+        left=tuple(map(_left, found.remaining)),
+        unseen=tuple(found.unseen),
+        warnings=tuple(found.warnings),
+        settings=Settings(
+            rig.name,
+            " ".join(rig.source.split()),
+            seed,
+            holdout if isinstance(holdout, float) else tuple(holdout),
+            thresholds.STRONG,
+            thresholds.FIRST_SHARE,
+            thresholds.FURTHER_SHARE,
+            thresholds.EXPLAINED,
+        ),
+        timing=dict(found.seconds),
+        software=versions(),
+    )
+
+
+def _left(item: RemainingResidual) -> dict[str, Any]:
+    return {
+        "recording": item.recording,
+        "channel": item.channel,
+        "unit": item.unit,
+        "times_noise": item.times_noise,
+        "depends_on": item.depends_on,
+        "bands": item.bands,
+        "period_s": item.period,
+        "form": {
+            "terms": [{"term": name, "coefficient": value} for name, value in item.form.terms],
+            "share": item.form.share,
+            "share_held_out": item.form.held_out,
         },
-        "timing": dict(found.seconds),
-        "software": versions(),
-    }  # fmt: skip
+    }

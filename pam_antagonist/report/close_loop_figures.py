@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from pam_antagonist.diagnosis.result import Diagnosis, HeldOutComparison
 from pam_antagonist.inference.trial import BLOCK
+from pam_antagonist.report.close_loop import Profile
 from pam_antagonist.report.figure import Figure, Points
 from pam_antagonist.report.figures import profile_panel, residual_figure
 from pam_antagonist.report.style import ESTIMATE, MODEL
@@ -40,33 +41,33 @@ def _held(part: HeldOutComparison) -> str:
     return {
         "both": f"From {from_s:.0f} s on nothing was fitted.",
         "fitted": "All of it was fitted; other recordings are held out.",
-        "held out": f"Held out as a whole: but for its first state, told from its first {from_s:.0f} s, nothing of it "
-        "was fitted.",
+        "held out": f"Held out as a whole. Only its first state was estimated, from its first {from_s:.0f} s.",
     }[part.role]
 
 
-def profiles(document: dict[str, Any]) -> tuple[Figure, ...]:
+def profiles(sizes: Sequence[Profile]) -> tuple[Figure, ...]:
     """Profile likelihood of each size."""
     out = []
-    for item in document["profiles"]:
-        values, rise = np.array(item["values"]), np.array(item["rise"])
-        best, std = item["value"], item["std"]
+    for item in sizes:
+        values, rise = np.array(item.values), np.array(item.rise)
+        best, std = item.value, item.std
         near = np.abs(values - best) <= _NEAR * std
         if near.sum() < 3:
             near[:] = True
         x = np.linspace(values[near].min(), values[near].max(), 61)
         panel = profile_panel(
-            f"{item['parameter']} [{item['unit']}]",
+            f"{item.parameter} [{item.unit}]",
             "Rise of −2 log posterior [-]",
             [Points("tried", values[near], rise[near], MODEL)],
             ("by the standard error", x, ((x - best) / std) ** 2, ESTIMATE),
             3.84,
             182,
         )
-        at = dict(zip(item["values"], item["rise"], strict=True))
+        at = dict(zip(item.values, item.rise, strict=True))
         about = (
-            "Everything else at its best while this number is held; below the dashed line it is as good as the best. "
-            f"At half of it the rise is {at[0.5 * best]:.3g}, without it {at[0.0]:.3g}."
+            "The number is held at each value and everything else is fitted again. Values below the dashed line lie in "
+            "the 95 % interval. "
+            f"At half the size the rise is {at[0.5 * best]:.3g}, at size 0 it is {at[0.0]:.3g}."
         )
-        out.append(Figure(f"Profile likelihood of {item['parameter']} ({item['recording']})", about, (panel,)))
+        out.append(Figure(f"Profile likelihood of {item.parameter} ({item.recording})", about, (panel,)))
     return tuple(out)

@@ -1,83 +1,89 @@
-"""The residuals' part of a ``close_loop`` report: noise, whiteness, what goes before them, and what is left of them."""
+"""The residuals in a ``close_loop`` report: size, whiteness, correlations with signals, and what is not explained."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from pam_antagonist.diagnosis import remaining
 from pam_antagonist.diagnosis.remaining import RemainingResidual
-from pam_antagonist.report.close_loop_sealed import ABOUT_RESIDUALS, is_driven
+from pam_antagonist.report.close_loop import CloseLoopReport, Residuals
+from pam_antagonist.report.close_loop_errors import Relation
 from pam_antagonist.report.document import Block, Finding, Findings, Text
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.figures import matrix
 from pam_antagonist.report.style import ESTIMATE, MODEL, PAPER, QUIET, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
 
-Document = Mapping[str, Any]
 _SIGNED = (MODEL, PAPER, ESTIMATE)
 _SHARES = (PAPER, MODEL)
 _CERTAIN = 0.05
 _SHOWN = 5.0
-"""Colours end at so many times the value that chance alone would give once in twenty."""
+"""Colours end at so many times the value that chance alone exceeds once in twenty times."""
 _POINTS = 300
 _DRAWN = 3
 """Residuals that are drawn over what they depend on, of each recording."""
 _SIGNALS = ("voltage 1", "voltage 2", "pressure 1", "pressure 2", "angle", "velocity")
 _KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
 _ABOUT = (
-    "On held-out data. Sensors: measurement minus model, run from the start on the voltages alone. Equations: what "
-    "flows, torque and motion lack where the model starts from the measurement every fifth of a second, so that one "
-    "error does not hide in the next equation. Innovations: what the pressures are beside the estimator's prediction. "
-    "A residual is compared with what was there up to 2 s before it, not after: commands follow from residuals where "
-    "a loop is closed."
+    "On held-out data. Sensors: measurement minus model, which starts with the recording and gets the voltages only. "
+    "Equations: errors of flow, torque and motion, where the model starts again from the measurement every fifth of a "
+    "second, so that the error of one equation does not enter the next. Innovations: measured pressures minus the "
+    "estimator's prediction. Each residual is compared with signals up to 2 s before it. Later signals do not count: "
+    "in a closed loop, commands follow from residuals."
+)
+_ABOUT_DRIVEN = (
+    "On held-out data: measurement minus model, which is driven by the measured angle. Each residual is compared with "
+    "signals up to 2 s before it."
 )
 
 
-def statistics(document: Document, with_figures: bool) -> tuple[Block, ...]:
+def statistics(report: CloseLoopReport, with_figures: bool) -> tuple[Block, ...]:
     """Table and figure of the residuals of each recording of which something was held out."""
-    out: list[Block] = [Text(ABOUT_RESIDUALS if is_driven(document) else _ABOUT)]
-    models = ("recalibrated", "extended") if document["effects"] else ("recalibrated",)
-    for part in document["recordings"]:
-        if "residuals" not in part:
+    out: list[Block] = [Text(_ABOUT_DRIVEN if report.driven else _ABOUT)]
+    models = ("recalibrated", "extended") if report.effects else ("recalibrated",)
+    for part in report.recordings:
+        if part.residuals is None:
             continue
-        out.append(_table(part, models))
+        out.append(_table(part.recording, part.residuals, models))
         if with_figures:
             about = (
-                "How strongly each residual (left) goes with what was there before it (below): the largest correlation "
-                "of the whitened series, over the one that chance alone would give once in twenty. Beyond ±1 it is no "
-                "chance. The model lacks something that the signal drives; its sign is that of the number."
+                "How strongly each residual (left) is correlated with what came before it (below). The number is the "
+                "largest correlation of the whitened series, relative to the one that chance alone exceeds once in "
+                "twenty times. Outside ±1 it is significant: the model lacks something that depends on the signal. "
+                "The sign is that of the correlation."
             )
-            title = f"What residuals go with, {part['recording']}"
-            out.append(Figure(title, about, _map(part["residuals"], models)))
+            figure = Figure(f"Correlations of the residuals, {part.recording}", about, _map(part.residuals, models))
+            out.append(figure)
     return tuple(out)
 
 
-def _table(part: Mapping[str, Any], models: Sequence[str]) -> Table:
+def _table(recording: str, shown: Residuals, models: Sequence[str]) -> Table:
     rows: list[tuple[str, ...]] = []
     last = models[-1]
-    shown = part["residuals"]
     kind = ""
     for k, row in enumerate(shown[last]):
-        if row["kind"] != kind:
-            kind = row["kind"]
+        if row.kind != kind:
+            kind = row.kind
             rows.append((_KINDS[kind], *[""] * (len(models) + 4)))
-        times = [shown[model][k]["rms"] / shown[model][k]["noise"] for model in models]
-        name = f"  {row['channel'].replace('_', ' ')}, RMS {number(row['rms'], 2)} {row['unit']}"
+        times = [shown[model][k].rms / shown[model][k].noise for model in models]
         rows.append(
             (
-                name, *(number(value, 2) for value in times), percent(row["beyond_noise"]),
-                number(row["memory_s"], 2), _chance(row["whiteness_p"]), _strongest(row["relations"]),
+                f"  {row.title}, RMS {number(row.rms, 2)} {row.unit}",
+                *(number(value, 2) for value in times),
+                percent(row.beyond_noise),
+                number(row.memory_s, 2),
+                _chance(row.whiteness_p),
+                _strongest(row.relations),
             )
-        )  # fmt: skip
-    header = ("Residual", *(f"× noise, {model}" for model in models), "beyond noise", "memory [s]", "white: p", "after")
+        )
+    header = ("Residual", *(f"× noise, {model}" for model in models), "above noise", "memory [s]", "white: p", "after")
     caption = (
-        f"Residuals of {part['recording']}, held out. RMS and what follows are of the {last} model. Beyond noise: "
-        "share of the squares that sensors do not explain. Memory: time for an independent value. White: probability "
-        "that chance alone gives such an autocorrelation. After: the signal that goes before it most clearly, if "
-        "chance does not explain that (p < 0.05), and the lag."
+        f"Residuals of {recording} on held-out data. RMS and the columns from “above noise” on are of the {last} "
+        "model. Above noise: share of the mean square that the sensors' noise does not explain. Memory: time between "
+        "independent values. White: probability of such an autocorrelation in white noise. After: the signal with the "
+        "most significant correlation (p < 0.05), and its lag."
     )
     return Table(header, tuple(rows), caption)
 
@@ -88,30 +94,24 @@ def _chance(p: float | None) -> str:
     return "< 0.001" if p < 1e-3 else f"{p:.3f}"
 
 
-def _strongest(relations: Mapping[str, Mapping[str, float]]) -> str:
-    sure = [(item["p"], name, item["lag_s"]) for name, item in relations.items() if item["p"] < _CERTAIN]
-    if not sure:
+def _strongest(relations: Mapping[str, Relation]) -> str:
+    significant = [(item.p, name, item.lag_s) for name, item in relations.items() if item.p < _CERTAIN]
+    if not significant:
         return MISSING
-    _, name, lag = min(sure)
+    _, name, lag = min(significant)
     return f"{name}, {lag:.2g} s"
 
 
-def _map(shown: Mapping[str, Sequence[Mapping[str, Any]]], models: Sequence[str]) -> tuple[Panel, ...]:
+def _map(shown: Residuals, models: Sequence[str]) -> tuple[Panel, ...]:
     """One map a model, above each other."""
-    known = [s for s in _SIGNALS if any(s in row["relations"] for row in shown[models[0]])]
-    names = [row["channel"].replace("_", " ") for row in shown[models[0]]]
+    known = [signal for signal in _SIGNALS if any(signal in row.relations for row in shown[models[0]])]
     grids = []
     for model in models:
-        cells = [[_over_chance(row["relations"].get(signal)) for signal in known] for row in shown[model]]
+        found = [[row.relations.get(signal) for signal in known] for row in shown[model]]
+        cells = [[float("nan") if item is None else item.over_chance for item in line] for line in found]
         grids.append((model, np.array(cells, dtype=np.float64)))
+    names = [row.title for row in shown[models[0]]]
     return matrix(grids, names, known, _SIGNED, (-_SHOWN, _SHOWN), "{value:.1f}×")
-
-
-def _over_chance(item: Mapping[str, float] | None) -> float:
-    """Size of a correlation over that which chance would give once in twenty, with its sign."""
-    if item is None:
-        return float("nan")
-    return float(item["z"] / item["limit"])
 
 
 def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block, ...]:
@@ -123,16 +123,16 @@ def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block,
         mine = [item for item in found if item.recording == name]
         kinds = list(mine[0].depends_on)
         shares = np.array([[100.0 * item.depends_on[kind] for kind in kinds] for item in mine])
-        about = "Share of each residual's variance that goes with one kind of dependence alone, less what chance gives."
+        about = "Share of each residual's variance that one kind of dependence explains alone, minus what chance gives."
         rows = [item.channel for item in mine]
         grid = matrix([("", shares)], rows, kinds, _SHARES, (0.0, 100.0), "{value:.1f} %")
-        out.append(Figure(f"What the rest depends on, {name}", about, grid))
+        out.append(Figure(f"What the remaining residual depends on, {name}", about, grid))
         widest = max(mine, key=lambda item: len(item.bands))
         power = np.array([[100.0 * item.bands.get(band, float("nan")) for band in widest.bands] for item in mine])
         about = "Share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz."
         bands = [_short(band) for band in widest.bands]
         grid = matrix([("", power)], rows, bands, _SHARES, (0.0, 100.0), "{value:.1f} %")
-        out.append(Figure(f"How fast the rest moves, {name}", about, grid))
+        out.append(Figure(f"Frequencies of the remaining residual, {name}", about, grid))
         clear = sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN]
         out += [_drawn(item) for item in clear]
     return tuple(out)
@@ -167,6 +167,6 @@ def _drawn(item: RemainingResidual) -> Figure:
             named.add(name)
         panels.append(Panel(Axis(title), Axis(f"{item.channel.capitalize()} [{item.unit}]"), tuple(parts), 222))
     form = f" A sparse regression suggests {item.form}." if item.form.terms else ""
-    about = f"The residual over what it changes with most, and means over equal numbers of values.{form}"
+    about = f"The residual over the two signals on which it depends most, and means over equal numbers of values.{form}"
     title = f"{item.recording}: {item.channel} that the model lacks"
     return Figure(title, about, tuple(panels), beside=True)

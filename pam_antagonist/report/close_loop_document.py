@@ -1,0 +1,406 @@
+"""The report of ``close_loop`` as a document: sentences and tables of its typed numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pam_antagonist.diagnosis.result import Ambiguity, Diagnosis
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.report import close_loop_figures as drawn
+from pam_antagonist.report import close_loop_residuals as residuals
+from pam_antagonist.report import html
+from pam_antagonist.report.channels import CHANNELS, TORQUE
+from pam_antagonist.report.close_loop import CloseLoopReport, RecordingEntry
+from pam_antagonist.report.close_loop_errors import ModelErrors
+from pam_antagonist.report.document import (
+    Block,
+    Definitions,
+    Document,
+    Finding,
+    Findings,
+    Section,
+    Text,
+    Tile,
+    Tiles,
+    background,
+)
+from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
+
+_TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
+_DEFINITIONS = (
+    ("As configured", "The model with the values of the rig file."),
+    (
+        "Extended",
+        "The recalibrated model with the effects that were found.",
+    ),
+    (
+        "Held out",
+        "The end of each recording, or whole recordings, which no fit used. All errors in this report are counted "
+        "there.",
+    ),
+    ("Residual", "Measurement minus model. Both are means over 20 samples."),
+    (
+        "Excess over noise",
+        "How far the residual lies above the sensors' noise, in decibels, summed over the seconds of a recording. An "
+        "effect explains a second fully if it brings the residual down to the noise or to a tenth of what it was.",
+    ),
+    (
+        "ΔBIC",
+        "The evidence for an effect: twice the gain in log-likelihood minus a penalty for its free parameters. It "
+        "counts independent errors, not samples; the residual's autocorrelation says how many there are. Above 6 is "
+        "strong.",
+    ),
+    ("Held-out share", "The share of the excess over noise on held-out data that an effect explains."),
+    ("Estimator", "The filter that runs live. It gets the two pressures and, where air flows, the valve voltages."),
+)
+_RECALIBRATED = (
+    "The model of the rig file after its base parameters were fitted to these recordings. So a wrong value in the rig "
+    "file is not called an effect."
+)
+_RECALIBRATED_DRIVEN = (
+    "The base model after a fit as `identify` does it, without Coulomb friction. A hysteresis loop in the torque may "
+    "come from the drive, the joint or the muscles, so each of these effects is tested."
+)
+_DRIVEN = (
+    (
+        "External torque",
+        "The torque that the drive was commanded to apply. The model's value is what the measured motion needs: "
+        "equation (8), solved for it with the measured angle and the modelled pressures. The estimator's value comes "
+        "from the two pressures alone.",
+    ),
+    (
+        "Sliding, sticking",
+        "Faster or slower than 0.02 rad/s. While a joint sticks, friction may have any value up to its bound, so no "
+        "model can predict the torque there. The model then takes the sign of the friction from the slight motion in "
+        "the measured angle. Where the recorded angle was low-pass filtered without phase shift, this motion "
+        "anticipates the true one a little.",
+    ),
+    ("Mean pressure", "Of both muscles. An error of the encoder does not change it: it moves the two pressures apart."),
+)
+
+
+def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_figures: bool = True) -> None:
+    """Write ``report.json`` and ``report.html`` into a folder that exists.
+
+    Args:
+        folder: where to.
+        report: of :func:`pam_antagonist.report.close_loop.report`.
+        found: the diagnosis.
+        with_figures: False leaves the figures out of the page.
+    """
+    html.write(folder, document(report, found, with_figures), report)
+
+
+def summary(report: CloseLoopReport) -> tuple[Block, ...]:
+    """What the terminal shows."""
+    warnings = tuple(Finding("warn", _begun(text)) for text in (*report.warnings, *report.unseen))
+    return Text(report.sentence), Findings(warnings), errors_table(report), sizes_table(report), ranking_table(report)
+
+
+def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = True) -> Document:
+    """The report as a document.
+
+    Args:
+        report: of :func:`pam_antagonist.report.close_loop.report`.
+        found: the diagnosis.
+        with_figures: False leaves the figures out.
+    """
+    lede = (
+        "This report compares the model of the joint with measurements. It traces what the model lacks to a physical "
+        "effect, if one explains it on data that no fit used."
+    )
+    title = _TITLES[report.verdict]
+    if report.effects:
+        title = "Found: " + ", ".join(dict.fromkeys(effect.name.replace("_", " ") for effect in report.effects))
+    parts: list[Block] = [
+        Text(lede, "lede"),
+        Text(report.sentence, "verdict"),
+        Tiles(_tiles(report)),
+        Findings(findings(report)),
+        errors_table(report),
+    ]
+    if with_figures:
+        parts.append(Section("Residual before and after", drawn.residuals(found), 2, "residual"))
+    parts.append(Section("Residuals", residuals.statistics(report, with_figures), 2, "statistics"))
+    parts.append(Section("Candidates", (ranking_table(report), *_laws(report)), 2, "candidates"))
+    if report.effects:
+        figures = drawn.profiles(report.profiles) if with_figures else ()
+        parts.append(Section("Parameters", (sizes_table(report), *figures), 2, "parameters"))
+    if found.remaining:
+        parts.append(Section("What is left", residuals.left(found.remaining, with_figures), 2, "left"))
+    parts.append(Section("What was assumed", (Definitions(_assumed(report)),), folded=True))
+    parts += background(_definitions(report), _provenance(report))
+    return Document("Closing the loop with measured data", title, tuple(parts))
+
+
+# ------------------------------------------------------------------ tables and tiles
+
+
+def errors_table(report: CloseLoopReport) -> Table:
+    """Errors of the three models on held-out data: the model alone, then the estimator."""
+    out = Comparison("", "as configured", "recalibrated", "extended")
+    errors = report.errors
+    if report.driven:
+        out.heading("Model driven by the measured angle")
+        _channel_rows(out, errors, ("torque",), largest=True)
+        for key, name in (("rmse_sliding_nm", "while it slides"), ("rmse_sticking_nm", "while it sticks")):
+            if key in errors.extended.sliding:
+                values = [model.sliding.get(key) for model in errors.all]
+                out.values(f"    torque {name}, RMSE [N m]", values)
+    else:
+        out.heading("Model alone, driven by the voltages")
+        _channel_rows(out, errors, ("angle", "torque"), largest=True)
+    _pressure_rows(out, errors, report.driven)
+    if report.driven and errors.extended.angle is not None:
+        out.heading("Model alone, driven by the external torque")
+        _channel_rows(out, errors, ("angle",))
+    for part in report.recordings:
+        if part.ukf is not None:
+            out.heading(f"Estimator from pressures alone, {part.recording}")
+            _channel_rows(out, part.ukf, ("angle", "torque"))
+    return out.table("Errors on held-out data")
+
+
+def _channel_rows(out: Comparison, errors: ModelErrors, names: Sequence[str], largest: bool = False) -> None:
+    """Rows of the channels; where something is to be compared with the largest errors too, what is missing is said."""
+    for channel in CHANNELS:
+        known = [item for model in errors.all if (item := getattr(model, channel.name)) is not None]
+        if channel.name not in names:
+            continue
+        if len(known) == len(errors.all):
+            out.values(f"  {channel.name} RMSE [{channel.unit}]", [item.rmse for item in known])
+            if largest:
+                out.values(f"  {channel.name} largest [{channel.unit}]", [item.largest for item in known])
+        elif largest:
+            out.text(f"  {channel.name}", "not measured", MISSING, MISSING)
+
+
+def _pressure_rows(out: Comparison, errors: ModelErrors, mean: bool) -> None:
+    means = [model.mean_rmse_pa for model in errors.all]
+    if mean:
+        out.values("  mean pressure RMSE [kPa]", [None if value is None else value / 1e3 for value in means])
+    for muscle in (0, 1):
+        out.values(f"  pressure {muscle + 1} RMSE [kPa]", [model.rmse_pa[muscle] / 1e3 for model in errors.all])
+
+
+def ranking_table(report: CloseLoopReport) -> Table:
+    """All candidates of all rounds."""
+    rows = tuple(
+        (
+            item.name + (" (taken)" if item.taken else ""),
+            str(item.round),
+            f"{item.score:.1f}",
+            " · ".join(f"{value:.1f}" for value in item.score_by_muscle or ()) or MISSING,
+            MISSING if item.delta_bic is None else f"{item.delta_bic:.1f}",
+            percent(None if item.delta_bic is None else item.holdout_gain),
+        )
+        for item in report.ranking
+        if item.round == 1 or item.delta_bic is not None
+    )
+    header = ("Candidate", "round", "score", "muscle 1 · 2 alone", "ΔBIC", "held-out share")
+    caption = (
+        "Score: evidence to first order, on both muscles and on each alone. ΔBIC: evidence after a fit in full "
+        "simulation, for candidates with a high score."
+    )
+    return Table(header, rows, caption)
+
+
+def sizes_table(report: CloseLoopReport) -> Table:
+    """The found effects' parameters."""
+    rows = tuple(
+        (
+            f"{effect.name}{f', muscle {effect.muscle}' if effect.muscle else ''}: {name} [{size.unit}]",
+            number(size.value),
+            number(size.std, 2),
+        )
+        for effect in report.effects
+        for name, size in effect.parameters.items()
+    )
+    return Table(("Parameter", "value", "std. error"), rows, "What was found")
+
+
+def _tiles(report: CloseLoopReport) -> tuple[Tile, ...]:
+    out, errors = [], report.errors
+    if report.effects:
+        evidence = {effect.name: effect.delta_bic for effect in report.effects}
+        out.append(Tile("Explained", percent(report.share_explained), "of the excess over noise on held-out data"))
+        values = " and ".join(f"{value:.0f}" for value in evidence.values())
+        out.append(Tile(f"ΔBIC of {', '.join(evidence)}".replace("_", " "), values, "above 6 is strong"))
+    reference = (report.reference or {}).get("angle_and_pressures")
+    for channel in CHANNELS:
+        before, after = channel_of(errors, channel.name)
+        if before is None or after is None or (report.driven and channel is not TORQUE):
+            continue
+        note = f"was {channel.write(before)}"
+        if channel is TORQUE and reference is not None:
+            note += f"; a straight-line map: {number(reference, 2)}"
+        label = "Torque error, measured angle" if report.driven else f"{channel.title} error (RMS)"
+        out.append(Tile(label, channel.write(after), note))
+    if report.driven:
+        out += _estimator_tiles(report.recordings[0])
+    both = (errors.recalibrated, errors.extended)
+    means = [model.mean_rmse_pa for model in both if model.mean_rmse_pa is not None]
+    if report.driven and len(means) == len(both):
+        label, (was, now) = "Error of the mean pressure", means
+    else:
+        label, (was, now) = "Larger pressure error", [max(model.rmse_pa) for model in both]
+    out.append(Tile(label, f"{number(now / 1e3, 2)} kPa", f"was {number(was / 1e3, 2)} kPa"))
+    return tuple(out)
+
+
+def _estimator_tiles(part: RecordingEntry) -> list[Tile]:
+    out = []
+    for channel in CHANNELS if part.ukf is not None else ():
+        assert part.ukf is not None
+        configured = getattr(part.ukf.as_configured, channel.name)
+        before, after = channel_of(part.ukf, channel.name)
+        if before is not None and after is not None and configured is not None:
+            note = f"was {number(before, 2)}; as configured {number(configured.rmse, 2)}"
+            out.append(Tile(f"{channel.title} error, pressures alone", channel.write(after), note))
+    return out
+
+
+def channel_of(errors: ModelErrors, name: str) -> tuple[float | None, float | None]:
+    """RMSE of a channel, recalibrated and extended; None where it was not measured."""
+    known = [getattr(model, name) for model in (errors.recalibrated, errors.extended)]
+    before, after = (None if item is None else item.rmse for item in known)
+    return before, after
+
+
+# ------------------------------------------------------------------ sentences
+
+
+def findings(report: CloseLoopReport) -> tuple[Finding, ...]:
+    """What a reader should know beside the verdict."""
+    out = [Finding("warn", _begun(text)) for text in report.warnings]
+    rivals = {item.other: item for item in report.ambiguities if item.ambiguous}
+    for name in report.ambiguous_with:
+        text = f"{_title(name)} would explain the data as well{_compared(rivals.get(name))}."
+        out.append(Finding("warn", f"{text} To distinguish them: {report.experiments[name]}."))
+    for item in report.ambiguities:
+        if not item.ambiguous:
+            out.append(Finding("good", f"{_title(item.other)} explains the data less well{_compared(item)}."))
+    if report.effects and not report.ambiguous_with:
+        out.append(Finding("good", "No other candidate explains the data nearly as well as what was found."))
+    out += _of_parts(report)
+    return (*out, *(Finding("note", text) for text in report.unseen))
+
+
+def _title(name: str) -> str:
+    return name.replace("_", " ").capitalize()
+
+
+def _compared(item: Ambiguity | None) -> str:
+    """The numbers behind a comparison under equal conditions."""
+    if item is None:
+        return ""
+    mine, other = (number(value, 2) for value in item.residual)
+    text = (
+        f" {'as' if item.ambiguous else 'than'} {item.found}. Compared {item.about}, {item.found} leaves {mine} and "
+        f"{item.other} {other} {item.unit} (ΔBIC {item.evidence:.1f})"
+    )
+    if item.size == item.size and item.ambiguous:
+        unit = "N m" if item.found == "friction" else "N"
+        text += f". Fitted there alone, {item.found} is {number(item.size, 2)} {unit}"
+    return text
+
+
+def _of_parts(report: CloseLoopReport) -> list[Finding]:
+    out = []
+    if report.effects:
+        before, after = (
+            model.sliding.get("rmse_sliding_nm") for model in (report.errors.as_configured, report.errors.extended)
+        )
+        if before is not None and after is not None and before < after:
+            out.append(
+                Finding(
+                    "note",
+                    f"While the joint slides, the rig as configured has the smaller error ({number(before, 2)} N m, "
+                    f"extended {number(after, 2)} N m). The reason: `identify` fits sliding alone. Here all samples "
+                    "count, and no law predicts the torque while the joint sticks.",
+                )
+            )
+        out += [
+            Finding("warn", f"The residual of the {part.name} is above noise, and no effect explains it.")
+            for part in report.parts
+            if part.verdict == "unexplained"
+        ]
+    if report.base_friction_removed and any(part.name == "torque" for part in report.parts):
+        out.append(
+            Finding(
+                "note",
+                "The rig file has Coulomb friction. It was removed before the test, so that every cause of a "
+                "hysteresis loop was tested. The extended rig has friction as an effect instead.",
+            )
+        )
+    return out
+
+
+def _begun(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def _definitions(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
+    first, *others = _DEFINITIONS
+    recalibrated = ("Recalibrated", _RECALIBRATED_DRIVEN if report.driven else _RECALIBRATED)
+    return (first, recalibrated, *others, *(_DRIVEN if report.driven else ()))
+
+
+def _laws(report: CloseLoopReport) -> tuple[Block, ...]:
+    named = [CATALOGUE[name] for name in dict.fromkeys(effect.name for effect in report.effects)]
+    rows = tuple((item.name, f"{item.law} ({item.source}). {item.signature}") for item in named)
+    return (Definitions(rows),) if rows else ()
+
+
+def _assumed(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
+    settings = report.settings
+    noise = "Gaussian, of unknown size for each channel, at least the sensor's noise."
+    thresholds = (
+        "Thresholds",
+        f"An effect needs a ΔBIC of {settings.strong_evidence:g}. The first effect has to explain "
+        f"{100 * settings.first_share:.0f} % of the excess over noise on held-out data. Each further effect has to "
+        f"explain {100 * settings.further_share:.0f} % of the whole excess, and all effects together "
+        f"{100 * settings.explained_share:.0f} %. The threshold of the ΔBIC comes from statistics, the shares from "
+        "simulated joints.",
+    )
+    if report.driven:
+        return (
+            ("Input", "The measured angle. Where it is noisy, it is smoothed at 3 Hz without a phase shift."),
+            ("Volume and force", "As the rig file declares them, except for what `identify` finds on a sealed joint."),
+            (
+                "Sensors",
+                "The noise of the pressures is estimated from the changes between samples. That of encoder and torque "
+                "is the rig file's; an error of the encoder changes the modelled pressures and torque as well.",
+            ),
+            ("Errors of the model", noise),
+            thresholds,
+        )
+    return (
+        ("Start", "Each recording begins at rest, and slow effects have settled."),
+        ("Base parameters", "Known to 5 % before the fit (the supply to 1 %). Each recording has its own values."),
+        ("Sensors", "White noise, estimated from the changes between samples, and the resolution of their converters."),
+        ("Errors of the model", noise),
+        thresholds,
+        ("Catalogue", f"{', '.join(CATALOGUE)}. Anything else can only be called unexplained."),
+    )
+
+
+def _provenance(report: CloseLoopReport) -> list[tuple[str, str]]:
+    settings = report.settings
+    held = settings.holdout
+    rows = [
+        ("Rig", settings.rig),
+        ("Source of its values", settings.rig_source),
+        ("Seed", str(settings.seed)),
+        (
+            "Held out",
+            f"{percent(held)} at the end of each recording"
+            if isinstance(held, float)
+            else f"{', '.join(held)}: whole recordings",
+        ),
+    ]
+    for part in report.recordings:
+        role = "; held out" if part.role == "held out" else ""
+        rows.append((f"Recording {part.recording}", f"{part.joint}{role}; SHA-256 {part.sha256}"))
+    return rows + [(f"Time for {name}", f"{value:.1f} s") for name, value in report.timing.items()]
