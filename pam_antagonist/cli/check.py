@@ -42,7 +42,7 @@ def parser() -> common.Parser:
     out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
     common.add_rig(out)
     common.add_joint(
-        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, told from the measured angle)"
+        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, from the measured angle)"
     )
     common.add_topics(out)
     out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")

@@ -25,7 +25,7 @@ def add_bags(parser: argparse.ArgumentParser) -> None:
         parser,
         ("auto", "free", "locked"),
         "auto",
-        "could the joint move? (default: auto, told from the measured angle)",
+        "could the joint move? (default: auto, from the measured angle)",
     )
 
 

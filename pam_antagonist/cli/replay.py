@@ -42,7 +42,7 @@ def parser() -> common.Parser:
     common.add_tuning(out)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the report; a new one")
     common.add_joint(
-        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, by the measured angle)"
+        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, from the measured angle)"
     )
     common.add_topics(out)
     out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")

@@ -338,7 +338,10 @@ def _of_parts(report: CloseLoopReport) -> list[Finding]:
 
 
 def _begun(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+    """A sentence; the name of an effect or a recording keeps its first letter."""
+    first = text.split(" ", 1)[0]
+    named = first.endswith(":") or "/" in first or "_" in first
+    return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
 
 
 def _definitions(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:

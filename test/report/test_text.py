@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.report.terminal import table
-from pam_antagonist.strict_json import dumps, write_json
+from pam_antagonist.strict_json import dumps, plain, write_json
 
 
 def _refuse(text: str) -> Any:
@@ -36,6 +37,26 @@ def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
         "scalars": [3, True, 0.5, None, "µ", True, 2**60],
         "1": [],
     }
+
+
+@dataclass(frozen=True)
+class Errors:
+    """A dataclass with the keys of its fields."""
+
+    rmse: float
+    parts: tuple[Any, ...] = ()
+
+
+class Renamed(Errors):
+    """One that names its own keys."""
+
+    def to_json(self) -> dict[str, float]:
+        return {"rmse_deg": self.rmse}
+
+
+def test_a_dataclass_becomes_an_object() -> None:
+    value = plain({"all": Errors(math.nan, (Renamed(1.0), Errors(2.0)))})
+    assert value == {"all": {"rmse": None, "parts": [{"rmse_deg": 1.0}, {"rmse": 2.0, "parts": []}]}}
 
 
 def test_what_has_no_form_is_refused() -> None:

@@ -19,32 +19,32 @@ Floats = NDArray[np.float64]
 _LINK = "soak"
 _SMOOTH = 10  # seconds over which processor time is taken
 _WORDS = {
-    "soak_memory_growth": ("Growth of a node's memory", "the largest of all nodes'"),
-    "soak_recorder_growth": ("Growth of the recorder's", "it keeps an index of its file"),
+    "soak_memory_growth": ("Growth of a node's memory", "the largest of all nodes"),
+    "soak_recorder_growth": ("Growth of the recorder's memory", "it keeps an index of its file"),
     "soak_lost": ("Samples lost", "on the worst topic"),
-    "soak_drift": ("Drift of the clocks", "quickest deliveries"),
+    "soak_drift": ("Drift of the clocks", "from the fastest deliveries"),
     "soak_processor": ("Processor", "of one core, all processes"),
 }
 DEFINITIONS = (
     (
         "Resident memory",
-        "What a process has of the machine's memory, shared libraries included. It is looked at once a second; growth "
-        f"is counted from {WARM_UP:.0f} s on, or after a third of a shorter run.",
+        "The memory of a process, shared libraries included, sampled once a second. Growth counts from "
+        f"{WARM_UP:.0f} s on, or from a third of a shorter run on.",
     ),
     (
         "Lost",
-        "Samples without a message of that topic in the recording, whoever lost them, the recorder included; counted "
-        "from when all nodes have found each other.",
+        "Samples that have no message of a topic in the recording. The recorder's own losses are included. The count "
+        "begins when all nodes have discovered each other.",
     ),
     (
         "Round trip",
-        "From the reception of a sample's first pressure to that of the command that answers it, both at the recorder.",
+        "Time from the reception of a sample's first pressure to the reception of its command, both at the recorder.",
     ),
     (
         "Drift",
-        "The quickest delivery of a pressure in each block, against that of the first block: a busy machine delays "
-        "samples, but not the quickest of ten thousand; what is left is the drift between the device's clock, which "
-        "counts its samples, and the machine's.",
+        "The fastest delivery of a pressure in each block minus that in the first block. A busy machine delays most "
+        "samples, but not the fastest of ten thousand. So the difference is the drift between the device's clock, "
+        "which counts samples, and the machine's clock.",
     ),
 )
 
@@ -60,8 +60,8 @@ def page(soak: Soak, rig: str) -> Document:
     broken = [figure for figure in soak.figures if figure.holds is False]
     verdict = "Every bound held." if not broken else f"{len(broken)} of {len(soak.figures)} figures broke their bound."
     lede = (
-        f"Plant, estimator, controller and recorder as processes for {length}, on rig {rig}, with "
-        "nothing else to do than to go on."
+        f"Plant, estimator, controller and recorder ran as processes for {length} on rig {rig}. The report shows "
+        "growth of memory, losses, delays and drift."
     )
     content: tuple[Block, ...] = (
         Text(lede, "lede"),

@@ -1,0 +1,47 @@
+"""What commands print: marks, wrapped sentences, tables that line up."""
+
+from __future__ import annotations
+
+from pam_antagonist.report.document import Definitions, Finding, Findings, Section, Text
+from pam_antagonist.report.table import Comparison, Table
+from pam_antagonist.report.terminal import WIDTH, render, table, warnings
+
+
+def test_findings_are_marked_and_wrapped() -> None:
+    long = "word " * 40
+    lines = render(
+        (Findings((Finding("good", "right"), Finding("warn", long), Finding("note", "known"))),)
+    ).splitlines()
+    assert lines[0] == "✓ right"
+    assert lines[1].startswith("! word") and lines[2].startswith("  word")
+    assert lines[-1] == "  known"
+    assert all(len(line) <= WIDTH for line in lines)
+
+
+def test_warnings_are_those_of_findings() -> None:
+    assert warnings(["look here", "and here"]) == "! look here\n! and here"
+
+
+def test_blocks_stand_apart_and_what_only_a_page_shows_is_left_out() -> None:
+    numbers = Table(("", "UKF"), (("Angle", "0.1"),))
+    shown = render(
+        (Text("Result."), Table(("a", "b"), ()), Definitions((("UKF", "a filter"),)), Section("More", (numbers,)))
+    )
+    assert shown == "Result.\n\nMore\n         UKF\n  Angle  0.1"
+
+
+def test_text_cells_are_set_to_the_left() -> None:
+    prose = Table(("What", "Which"), (("Rig", "shin2022"), ("Seed", "0")), prose=True)
+    assert table(prose, indent="").splitlines() == ["What  Which", "Rig   shin2022", "Seed  0"]
+
+
+def test_a_comparison_marks_the_best_of_each_row() -> None:
+    out = Comparison("", "before", "after", "own")
+    out.heading("Model alone")
+    out.values("error", [2.0, 1.0, 1.0])
+    out.values("written alike", [1.0001, 1.0002, None])
+    out.values("nothing is better", [2.0, 1.0, 3.0], best=None)
+    done = out.table("Errors")
+    assert done.rows[0] == ("Model alone", "", "", "")
+    assert done.rows[2] == ("written alike", "1.00", "1.00", "–")
+    assert done.marked == (frozenset(), frozenset({2, 3}), frozenset(), frozenset())
