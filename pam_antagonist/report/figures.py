@@ -143,12 +143,12 @@ def nis_figure(x: FloatArray, nis: FloatArray, bounds: tuple[float, float], wind
         Reference(bounds[0], "2.5 %"),
     )
     about = (
-        "Normalised innovation squared: below the lower bound the filter is too cautious about the pressures, above "
-        "the upper one it is surprised by them. One sample in twenty may lie outside."
+        "The pressures' innovations, relative to the covariance that the filter expects. Values below the lower bound "
+        "are smaller than expected, values above the upper one larger. One sample in twenty lies outside by chance."
     )
     top = max(30.0, float(np.nanmax(nis, initial=0.0)) * 1.5)
     panel = Panel(TIME, Axis("NIS [-]", log=True, bounds=(1e-3, top)), parts, 230)
-    return Figure("Does the filter believe what it should? (NIS)", about, (panel,), link)
+    return Figure("Normalised innovation squared (NIS)", about, (panel,), link)
 
 
 def profile_panel(

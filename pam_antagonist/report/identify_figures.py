@@ -80,8 +80,8 @@ def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, pl
         Panel(TIME, Axis(f"UKF error [{unit}]"), (shade, *filtered), 170),
     )
     about = (
-        "Errors are estimate minus measurement, mean over 0.1 s. The shaded end was held out: neither parameters nor "
-        "tuning have seen it."
+        "Errors are estimate minus measurement, mean over 0.1 s. The shaded end was held out: it was used neither for "
+        "the parameters nor for the tuning."
     )
     return Figure(f"{title}: before and after", about, panels, judged.name)
 
@@ -135,7 +135,7 @@ def _balance_figure(stage: Stage) -> Figure:
     )
     panel = Panel(Axis("Torque from the measurement [N m]"), Axis("Residual [N m]"), parts, 202)
     about = "Each point is a mean over 20 samples: the model's torque at measured pressures minus what was measured."
-    return Figure(f"{stage.name.capitalize()}: what is left of the torque", about, (panel,), stage.name)
+    return Figure(f"{stage.name.capitalize()}: residual torque", about, (panel,), stage.name)
 
 
 def _residual_figure(stage: Stage, trials: Sequence[Trial]) -> Figure:
@@ -173,8 +173,8 @@ def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
     )
     names = tuple(item.name for item in items)
     panel = Panel(Axis("Change from the configured value [%]"), Axis(labels=names), parts, 12 + 24 * len(items))
-    about = "Where a blue bar is as wide as the grey one, the recordings contain nothing on that parameter."
-    return Figure("Parameters and what is known of them", about, (panel,), "parameters")
+    about = "Where a blue bar is as wide as the grey one, the recordings do not determine that parameter."
+    return Figure("Parameters with 95 % intervals", about, (panel,), "parameters")
 
 
 def profiles_figure(found: Identified) -> Figure | None:
@@ -196,8 +196,8 @@ def profiles_figure(found: Identified) -> Figure | None:
         262,
     )
     about = (
-        "How much worse the best fit gets while one parameter is held elsewhere and the others are fitted anew. Below "
-        "the dotted parabola the data say less than the standard error claims, above it more."
+        "One parameter is held away from its best value and the others are fitted again. A profile below the dotted "
+        "parabola means a wider interval than the standard error gives, a profile above it a narrower one."
     )
     return Figure("Profile likelihoods", about, (panel,), "profiles")
 

@@ -21,7 +21,6 @@ from pam_antagonist.report.figure import Axis, Band, Bars, Figure, Heatmap, Line
 from pam_antagonist.report.style import GRID, INK, QUIET, VEIL, ZERO
 
 FloatArray = NDArray[np.float64]
-Ends = tuple[float, float]
 
 WIDTH = 900
 """Of a picture, in the pixels of the figure's own sizes."""
@@ -44,6 +43,9 @@ _TICK = {"x": 60.0, "y": 32.0}
 _DASHES = {"": (), "dot": (1.0, 1.0), "dash": (3.0, 3.0)}
 """Lengths in line widths; a thin line's are those of one of 3 px, as plotly has them."""
 _RGBA = re.compile(r"rgba\((.+),(.+),(.+),(.+)\)")
+_LETTERS = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
+_SETTINGS = {"font.size": 12.0, "axes.labelsize": 12.0, "legend.fontsize": 12.0, "axes.axisbelow": True,
+             "axes.facecolor": "none", "agg.path.chunksize": 10000, **dict.fromkeys(_LETTERS, INK)}  # fmt: skip
 _BOTTOM = 3.0
 """Series lie above grid and zero line, in the order in which they are given."""
 
@@ -66,10 +68,7 @@ def picture(figure: Figure) -> bytes:
     out = io.BytesIO()
     with matplotlib.rc_context(), warnings.catch_warnings():
         matplotlib.rcdefaults()
-        letters = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
-        sizes = ("font.size", "axes.labelsize", "legend.fontsize")
-        matplotlib.rcParams.update({**dict.fromkeys(letters, INK), **dict.fromkeys(sizes, 12.0)})
-        matplotlib.rcParams.update({"axes.axisbelow": True, "axes.facecolor": "none", "agg.path.chunksize": 10000})
+        matplotlib.rcParams.update(_SETTINGS)
         # A letter that the font lacks would be an empty box.
         warnings.filterwarnings("error", message="Glyph")
         try:
@@ -118,7 +117,7 @@ def _drawn(figure: Figure) -> Any:
             key = _series(axes, part, panel, _BOTTOM + 1e-3 * number)
             if key is not None and not getattr(part, "quiet", True):
                 keys.setdefault(_plain(part.name), key)  # type: ignore[union-attr]
-    left, right, top, bottom = figure.margins
+    left, right, _, _ = figure.margins
     legend = _legend(canvas, keys, WIDTH - left - right)
     _place(canvas, figure, pairs, legend, (left, right))
     for axes, panel in zip(pairs, figure.panels, strict=True):
@@ -219,7 +218,7 @@ def _heatmap(axes: Any, part: Heatmap, depth: float) -> None:
 def _edges(x: FloatArray) -> FloatArray:
     """Edges of columns: between their neighbours' middles."""
     half = np.diff(x) / 2 if len(x) > 1 else np.array([0.5])
-    return np.concatenate([x[:1] - half[:1], x[:-1] + half if len(x) > 1 else x[:0], x[-1:] + half[-1:]])
+    return np.concatenate([x[:1] - half[:1], (x[:-1] + x[1:]) / 2, x[-1:] + half[-1:]])
 
 
 def _steps(bars: list[Bars]) -> tuple[FloatArray, float]:
@@ -278,7 +277,7 @@ def _reach(part: Any, side: str, panel: Panel) -> tuple[FloatArray, bool]:
     return (part.x, isinstance(part, Points)) if side == "x" else (part.y, True)
 
 
-def _ends(panel: Panel, side: str, panels: tuple[Panel, ...]) -> Ends:
+def _ends(panel: Panel, side: str, panels: tuple[Panel, ...]) -> tuple[float, float]:
     """The range of an axis: as wide as the series of these panels need, with plotly's margin."""
     axis: Axis = getattr(panel, side)
     if axis.bounds:
@@ -301,9 +300,9 @@ def _ends(panel: Panel, side: str, panels: tuple[Panel, ...]) -> Ends:
     return (10.0**low, 10.0**high) if axis.log else (low, high)
 
 
-def _dress(axes: Any, side: str, panel: Panel, ends: Ends, labelled: bool) -> None:
+def _dress(axes: Any, side: str, panel: Panel, ends: tuple[float, float], labelled: bool) -> None:
     """Range, ticks, labels, title and lines of one axis."""
-    from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullLocator, ScalarFormatter
+    from matplotlib.ticker import MaxNLocator, NullLocator, ScalarFormatter
 
     axis: Axis = getattr(panel, side)
     drawn = getattr(axes, f"{side}axis")
@@ -313,13 +312,11 @@ def _dress(axes: Any, side: str, panel: Panel, ends: Ends, labelled: bool) -> No
     most = max(2, min(12 if side == "x" else 6, int(length / _TICK[side])))
     size = 12.0
     if axis.labels:
-        drawn.set_major_locator(FixedLocator(list(range(len(axis.labels)))))
-        drawn.set_major_formatter(FixedFormatter([_plain(name) for name in axis.labels]))
+        drawn.set_ticks(range(len(axis.labels)), [_plain(name) for name in axis.labels])
         size = 12.0 if length / len(axis.labels) > (60.0 if side == "x" else 20.0) else 9.0
     elif axis.log:
         places = _log_ticks(ends, most)
-        drawn.set_major_locator(FixedLocator(places))
-        drawn.set_major_formatter(FixedFormatter([f"{place:g}" for place in places]))
+        drawn.set_ticks(places, [f"{place:g}" for place in places])
     else:
         drawn.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
         drawn.set_major_formatter(ScalarFormatter(useOffset=False))
@@ -339,7 +336,7 @@ def _dress(axes: Any, side: str, panel: Panel, ends: Ends, labelled: bool) -> No
         (axes.axvline if side == "x" else axes.axhline)(0.0, color=_color(ZERO), linewidth=1.0, zorder=1.5)
 
 
-def _log_ticks(ends: Ends, most: int) -> list[float]:
+def _log_ticks(ends: tuple[float, float], most: int) -> list[float]:
     """Round numbers between two: as many of a decade as make at least three of them, else evenly spaced ones."""
     from matplotlib.ticker import MaxNLocator
 
@@ -387,23 +384,16 @@ def _place(
     canvas: Any, figure: Figure, pairs: list[Any], legend: Any, sides: tuple[float, float], lower: float = 0.0
 ) -> None:
     """Put axes and legend where they belong; what needs more room than its margin makes the picture taller."""
-    gap = 6.0
-    (left, right), (_, _, top, bottom) = sides, figure.margins
-    inner = figure.height - top - bottom
-    above = float(top)
+    (left, right), (_, _, top, bottom), gap = sides, figure.margins, 6.0
+    inner, above = figure.height - top - bottom, float(top)
     if legend is not None:
         box = legend.get_window_extent(canvas.canvas.get_renderer())
         above = max(above, box.height * _INCH / canvas.dpi + 2 * gap)
     height, width = above + inner + bottom + lower, WIDTH - left - right
     canvas.set_size_inches(WIDTH / _INCH, height / _INCH)
     for axes, (start, end, low, high) in zip(pairs, figure.areas(), strict=True):
-        axes.set_position(
-            (
-                (left + start * width) / WIDTH,
-                (bottom + lower + low * inner) / height,
-                (end - start) * width / WIDTH,
-                (high - low) * inner / height,
-            )
-        )
+        x0, x1 = ((left + share * width) / WIDTH for share in (start, end))
+        y0, y1 = ((bottom + lower + share * inner) / height for share in (low, high))
+        axes.set_position((x0, y0, x1 - x0, y1 - y0))
     if legend is not None:
         legend.set_bbox_to_anchor((left / WIDTH, (height - above + gap) / height))

@@ -80,7 +80,7 @@ def _estimate_figure(
     signal += [Line("model alone", x, model, MODEL), Line("UKF", x, value, ESTIMATE)]
     panels = [Panel(TIME, Axis(f"{quantity} [{unit}]"), tuple(signal), 250)]
     if measured is None:
-        about = "It was not measured, so the error is not known."
+        about = "There was no sensor for it, so its error is not known."
     else:
         errors: tuple[Series, ...] = (
             Band("95 % interval", x, -half, half, BAND, quiet=True),
@@ -90,25 +90,22 @@ def _estimate_figure(
         )
         panels.append(Panel(TIME, Axis(f"Error [{unit}]"), errors, 190))
         about = (
-            "Below: estimate minus measurement, every sample faint, the mean over 0.1 s in front. An honest filter "
-            "stays within its shaded interval 95 % of the time."
+            "Below: estimate minus measurement. Single samples are faint, the mean over 0.1 s is in front. The error "
+            "of a right filter lies in the shaded interval 95 % of the time."
         )
     return Figure(f"{title}: measured, estimated, and by the model alone", about, tuple(panels), link)
 
 
 def _disturbance(replay: Replay, x: FloatArray, link: str) -> Figure | None:
-    """The torque from outside, where the rig's filter estimates it."""
+    """The disturbance torque, where the rig's filter estimates it."""
     estimate = replay.run.added.get("external_torque")
     if estimate is None:
         return None
     applied = replay.recording.external_torque
     parts = [] if applied is None else [Line("applied", x, applied[replay.run.index], MEASURED)]
     parts.append(Line("UKF", x, estimate, ESTIMATE))
-    about = (
-        "What the filter takes for a torque from outside, which it is not given. Where the joint sticks, friction "
-        "hides it."
-    )
-    return Figure("Torque from outside", about, (Panel(TIME, Axis("Torque [N m]"), tuple(parts), 220),), link)
+    about = "The filter estimates the disturbance torque from the pressures. Where the joint sticks, friction hides it."
+    return Figure("Disturbance torque", about, (Panel(TIME, Axis("Torque [N m]"), tuple(parts), 220),), link)
 
 
 def _pressures(replay: Replay, x: FloatArray, link: str) -> Figure:
@@ -123,8 +120,8 @@ def _pressures(replay: Replay, x: FloatArray, link: str) -> Figure:
         named = [replace(line, quiet=muscle > 0) for line in (mean_model, mean_ukf)]
         panels.append(Panel(TIME, Axis(f"P{muscle + 1} error [kPa]"), (faint_model, faint_ukf, *named), 150))
     about = (
-        "Above: the measured absolute pressures. Below: what the model alone and the filter make of them, minus the "
-        "measurement. The filter is given the pressures, so its error is what it takes for sensor noise."
+        "Above: the measured absolute pressures. Below: the pressures of the model alone and of the filter, minus the "
+        "measurement. The filter gets the measured pressures, so its error is what it counts as sensor noise."
     )
     return Figure("Muscle pressures", about, tuple(panels), link)
 
@@ -132,7 +129,9 @@ def _pressures(replay: Replay, x: FloatArray, link: str) -> Figure:
 def _voltages(replay: Replay, x: FloatArray, link: str) -> Figure:
     voltage = replay.recording.voltage[replay.run.index]
     parts = (Line("u1", x, voltage[:, 0], MEASURED), Line("u2", x, voltage[:, 1], SECOND))
-    return Figure("Valve voltages", "What drove the joint.", (Panel(TIME, Axis("Voltage [V]"), parts, 180),), link)
+    return Figure(
+        "Valve voltages", "Measured voltages on the two valves.", (Panel(TIME, Axis("Voltage [V]"), parts, 180),), link
+    )
 
 
 def _correlation(replay: Replay, link: str) -> Figure | None:
@@ -145,9 +144,9 @@ def _correlation(replay: Replay, link: str) -> Figure | None:
     own = np.diagonal(gamma, axis1=1, axis2=2) / np.diagonal(gamma[0])
     lag = np.arange(1.0, _LAGS + 1.0) * (replay.rig.sample_period * 1e3)
     groups = [(f"P{muscle + 1}", own[1:, muscle], (MEASURED, SECOND)[muscle]) for muscle in (0, 1)]
-    about = "Correlation of the innovation with itself some time later. A right model's stays between the dashed lines."
+    about = "Correlation of each innovation with itself at a lag. White innovations stay between the dashed lines."
     panel = figures.autocorrelation(lag, groups, float(1.96 / np.sqrt(present)))
-    return Figure("Is anything left in the pressures? (innovation autocorrelation)", about, (panel,), f"{link} lags")
+    return Figure("Innovation autocorrelation", about, (panel,), f"{link} lags")
 
 
 def _subsystems(replay: Replay, x: FloatArray, link: str) -> Figure:

@@ -15,7 +15,7 @@ from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, SECOND
 
 COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND}
 """Of the forms of the force map, wherever they are compared."""
-_LENGTH_COLORS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#c9a400")
+_LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
 """From the shortest length to the longest: lighter is longer, also without colour vision."""
 _POINTS = 60
 
@@ -69,10 +69,10 @@ def form_figure(forms: dict[str, Any]) -> Figure:
             parts.append(Points(name, lengths, errors, COLORS[name], 7.0, quiet=True))
     panel = Panel(Axis("Length left out [mm]"), Axis("RMS error there [N]", from_zero=True), tuple(parts), 222)
     about = (
-        "Each form was fitted without one length and then asked for the forces measured at it. At the ends that is "
-        "extrapolation. A length at which every point was slack has no value here."
+        "Each form was fitted without one length and then predicted the forces measured at it. At the two ends this "
+        "is extrapolation. A length at which every point was slack has no value here."
     )
-    return Figure("How wrong each form is at a length it has not seen", about, (panel,), "forms")
+    return Figure("Error of each form at a length that was left out", about, (panel,), "forms")
 
 
 def volume_figure(table: VolumeTable, fit: VolumeFit, result: StaticResult) -> Figure:
