@@ -281,7 +281,7 @@ def identify_sealed(
         recordings: of one charge, each with its name.
         rig: start values; ``valves.sealed``.
         holdout: share at the end of each recording that is not fitted.
-        progress: told what is being done.
+        progress: called with what is being done.
 
     Raises:
         BadInput: recordings that tell nothing, or valves that moved.

@@ -133,7 +133,7 @@ def identify(
         recordings: each with its joint's condition and a name for reports.
         rig: start values, priors and bounds.
         options: what is asked.
-        progress: told what is being done.
+        progress: called with what is being done.
 
     Raises:
         BadInput: recordings that tell nothing, or that are not of one rig.
@@ -151,7 +151,7 @@ def identify(
                 f"{_SHORTEST_HOLDOUT:g} s, to judge the result by"
             )
         part = trial.part(0.0, split)
-        check(part, rig.valves.sealed)
+        check(part)
         held_from.append(split)
         fitted.append(part)
     free, warnings = _freedom(rig, fitted, options)

@@ -264,7 +264,7 @@ def tune(
         inner: the same fit of the first share of these parts: what it makes of the rest tells how wrong a fit is
             where it was not fitted.
         jobs: threads.
-        progress: told what is being done.
+        progress: called with what is being done.
     """
     tell = progress or (lambda text: None)
     tell("sensor noise")

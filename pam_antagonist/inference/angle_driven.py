@@ -45,7 +45,7 @@ SLIDING = 0.02
 """[rad/s] Above it a joint slides ; below, friction may be anything up to its bound."""
 _STICKING_LEAST = 1e-9
 _CLEAR = 3.0
-"""Standard deviations of its noise that a velocity must reach before it tells a direction."""
+"""Standard deviations of its noise that a velocity must reach before it shows a direction."""
 _FORCE = 10.0
 """[N] By so much the forces of two muscles of one make may differ."""
 _VISCOUS = 0.02
@@ -149,7 +149,7 @@ def motion_of(measured: Floats, dt: float) -> Motion:
 
 
 def chamber_directions(rig: Rig, number: int) -> tuple[FreeDirection, FreeDirection]:
-    """What the pressure of a closed muscle tells: the slope of its volume, and its charge.
+    """What the pressure of a closed muscle determines: the slope of its volume, and its charge.
 
     Args:
         rig: start values.
@@ -170,7 +170,7 @@ class AngleDriven(Experiment):
 
     Attributes:
         part: ``air`` or ``balance``.
-        resolved: only samples count in which the joint slides, where the encoder tells the direction of motion.
+        resolved: only samples count in which the joint slides, where the encoder shows the direction of motion.
     """
 
     part: str = AIR

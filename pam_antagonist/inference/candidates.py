@@ -1,4 +1,4 @@
-"""What could be wrong: every effect of the catalogue, on each muscle and on both, with its unknowns."""
+"""What could be wrong: every effect of the catalogue, on each muscle and on both, with its free parameters."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class Candidate:
     @property
     def sizes(self) -> tuple[FreeEffectParameter, ...]:
         """Those with which it vanishes."""
-        return tuple(unknown for unknown in self.free if unknown.item.is_size)
+        return tuple(parameter for parameter in self.free if parameter.item.is_size)
 
     @property
     def shapes(self) -> tuple[FreeEffectParameter, ...]:
         """Those that say how it acts."""
-        return tuple(unknown for unknown in self.free if not unknown.item.is_size)
+        return tuple(parameter for parameter in self.free if not parameter.item.is_size)
 
     def grid(self) -> list[dict[str, float]]:
         """Shapes to try."""

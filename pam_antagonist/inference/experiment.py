@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.excess import in_decibels
 from pam_antagonist.inference.free_parameters import FreeDirection, values_along
-from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
+from pam_antagonist.inference.likelihood import Scale, solve
 from pam_antagonist.inference.trial import BLOCK, Trial, blocks
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -151,7 +151,7 @@ class Experiment(ABC):
         return self.rig.parameters(self.trial.joint, self.trial.lock_angle)
 
     def depends_on(self, k: int) -> bool:
-        """Whether anything that is compared depends on a base unknown."""
+        """Whether anything that is compared depends on a base coordinate."""
         return True
 
     def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
@@ -196,7 +196,7 @@ class Experiment(ABC):
 
     @property
     def size(self) -> int:
-        """How many base unknowns there are, the start's included (K + S)."""
+        """How many base coordinates there are, the start's included (K + S)."""
         return len(self.directions) + len(self.start_std)
 
     @property
@@ -206,7 +206,7 @@ class Experiment(ABC):
 
     @cached_property
     def prior(self) -> Floats:
-        """Precision of the prior of each base unknown (K + S,)."""
+        """Precision of the prior of each base coordinate (K + S,)."""
         return np.array([direction.prior**-2 for direction in self.directions] + [1.0] * len(self.start_std))
 
     def start_shift(self, point: Point) -> Floats:
@@ -271,21 +271,23 @@ class Experiment(ABC):
     def started(self, point: Point) -> Point:
         """A point with the start's deviations fitted to the fitted samples, and everything else as it is."""
         count, starts = len(self.directions), len(self.start_std)
+        if not starts:
+            return point
         now = Point(np.concatenate([point.theta[:count], np.zeros(starts)]), point.effects)
         residual = self.residual(now)
         shifts = np.eye(self.size)[count:]
         moved_by = (Point(now.theta + shift, now.effects) for shift in shifts)
         columns = np.stack(self.differences(now, residual, moved_by), axis=2)
         # Weighed and counted as in any fit, and pulled to what the sensors showed.
-        weight = 1.0 / (np.maximum(np.mean(residual**2, axis=0), self.noise**2) * BLOCKS_PER_ERROR)
-        information = np.einsum("c,bci,bcj->ij", weight, columns, columns, optimize=True) + np.eye(starts)
-        step = -np.linalg.solve(information, np.einsum("c,bci,bc->i", weight, columns, residual, optimize=True))
+        scale, none = Scale(self.noise, np.ones(len(self.noise))), np.zeros((*residual.shape, 0))
+        step = solve(residual, columns, none, scale, np.ones(starts), np.zeros(starts), rounds=1).theta
         moved = Point(np.concatenate([point.theta[:count], step]), point.effects)
+        weight = 1.0 / (scale.variances(residual) * scale.blocks_per_error)
         before, after = (weight @ np.sum(part**2, axis=0) for part in (residual, self.residual(moved)))
         return moved if after + step @ step < before else now
 
     def jacobian(self, point: Point, residual: Floats) -> Floats:
-        """Derivatives of the residual by the base unknowns (B, C, K + S)."""
+        """Derivatives of the residual by the base coordinates (B, C, K + S)."""
         result = np.zeros((*residual.shape, self.size))
         free = [k for k in range(self.size) if self.depends_on(k)]
         steps = np.where(np.arange(self.size) < len(self.directions), _STEP, 1.0)

@@ -1,7 +1,7 @@
 """Which parameters may move in a fit, by how much they are expected to, and within what bounds.
 
 There is one concept, the :class:`Direction`: parameters that move together. A fit of several recordings moves single
-parameters (:class:`FreeParameter`), a fit of one recording moves what the data can tell apart (:class:`FreeDirection`),
+parameters (:class:`FreeParameter`), a fit of one recording moves what the data can separate (:class:`FreeDirection`),
 and a model with effects moves those effects' numbers beside them (:class:`FreeEffectParameter`).
 """
 

@@ -20,7 +20,7 @@ _ENOUGH = 0.5
 _ENOUGH_OF_ALL = 2e-3
 """A step is the last one that gains less than these: in −2 log posterior, and of what was gained before."""
 AT_NOISE = 1.1
-"""A channel is at its noise whose residual is at most so many times as large: 60 s tell the noise to a few per cent."""
+"""A channel is at its noise whose residual is at most so many times as large: a minute shows it to a few per cent."""
 _SHARES = (1.0, 0.4, 0.1)
 """Shares of a Gauss-Newton step that are tried."""
 _CAREFUL = (0.01, 0.1, 1.0)
@@ -45,11 +45,11 @@ class Fitted:
         point: where it is.
         free: parameters of effects that were free.
         residual: measured minus simulated (B, C) of the part that was fitted.
-        base: its derivatives by the base unknowns (B, C, K + S).
-        effect: its derivatives by the unknowns' coordinates (B, C, m).
+        base: its derivatives by the base coordinates (B, C, K + S).
+        effect: its derivatives by the effects' coordinates (B, C, m).
         scale: how its residual is judged.
         cost: −2 log posterior, up to a constant.
-        covariance: of the base unknowns and the effects' coordinates.
+        covariance: of the base coordinates and the effects' coordinates.
     """
 
     point: Point
@@ -69,7 +69,7 @@ class Fitted:
 
 
 def prior_cost(experiment: Experiment, theta: Floats) -> float:
-    """−2 log prior of the base unknowns, up to a constant."""
+    """−2 log prior of the base coordinates, up to a constant."""
     return float(np.sum(experiment.prior * theta**2))
 
 
@@ -84,11 +84,11 @@ def effect_jacobian(
     """Derivatives of the residual by the coordinates of effects (B, C, m)."""
     result = np.zeros((*residual.shape, len(free)))
     points, steps = [], []
-    for unknown in free:
-        value = point.effects.get(unknown.path, unknown.item.neutral)
-        step = unknown.step(value)
-        moved = unknown.value(unknown.coordinate(value) + step)
-        points.append(Point(point.theta, {**point.effects, **dict.fromkeys(unknown.paths, moved)}))
+    for parameter in free:
+        value = point.effects.get(parameter.path, parameter.item.neutral)
+        step = parameter.step(value)
+        moved = parameter.value(parameter.coordinate(value) + step)
+        points.append(Point(point.theta, {**point.effects, **dict.fromkeys(parameter.paths, moved)}))
         steps.append(step)
     for k, difference in enumerate(experiment.differences(point, residual, points)):
         result[:, :, k] = difference / steps[k]
@@ -105,15 +105,15 @@ def refit(
     blocks_per_error: float = BLOCKS_PER_ERROR,
     careful: int = 12,
 ) -> Fitted:
-    """Gauss-Newton, with the derivatives by the base unknowns kept from step to step while they serve.
+    """Gauss-Newton, with the derivatives by the base coordinates kept from step to step while they serve.
 
     Args:
         experiment: the recording.
-        point: where to start; the unknowns' values in it are their starts.
+        point: where to start; the free parameters' values in it are their starts.
         free: parameters of effects that may move beside the base parameters.
-        base: derivatives by the base unknowns from a point nearby; default: worked out here.
+        base: derivatives by the base coordinates from a point nearby; default: worked out here.
         rounds: at most so many steps.
-        renewals: how often the derivatives by the base unknowns may be worked out.
+        renewals: how often the derivatives by the base coordinates may be worked out.
         blocks_per_error: blocks per value that is counted.
         careful: how many steps may be damped ones, which are tried where the others lead nowhere.
     """
@@ -181,7 +181,7 @@ def _step(
         experiment: the recording.
         point: where to start.
         free: parameters of effects that may move.
-        linear: the residual (B, C), and its derivatives by the base unknowns and by those.
+        linear: the residual (B, C), and its derivatives by the base coordinates and by those.
         scale: how residuals are judged.
         number: from 0.
     """
@@ -196,7 +196,7 @@ def _step(
 def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
     """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
 
-    Its derivatives by the base unknowns may be those of a point nearby: :func:`relinearised` renews them.
+    Its derivatives by the base coordinates may be those of a point nearby: :func:`relinearised` renews them.
 
     Args:
         experiment: the recording; its seed draws the starts.
@@ -223,7 +223,7 @@ def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list
     if not fitted.free or starts == 0:
         return []
     # Each model has draws of its own, whatever was fitted before it and on which thread.
-    name = zlib.crc32(" ".join(unknown.path for unknown in fitted.free).encode())
+    name = zlib.crc32(" ".join(parameter.path for parameter in fitted.free).encode())
     rng = np.random.default_rng([experiment.seed, name])
     drawn = [
         refit(experiment, _drawn(fitted, rng), fitted.free, fitted.base, rounds=_TRIED, renewals=0, careful=0)
@@ -238,33 +238,33 @@ def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list
 def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:
     """Another start: sizes of another magnitude, also where one was 0, and any shape that makes sense."""
     effects = dict(fitted.point.effects)
-    for unknown in fitted.free:
-        value, item = effects.get(unknown.path, unknown.item.neutral), unknown.item
+    for parameter in fitted.free:
+        value, item = effects.get(parameter.path, parameter.item.neutral), parameter.item
         if item.is_size:
             drawn = (value if value and rng.random() < 0.5 else item.scale) * float(np.exp(rng.normal()))
             drawn = -drawn if item.low < 0.0 and rng.random() < 0.25 else drawn
         else:
             drawn = item.scale * float(np.exp(rng.uniform(-_SPREAD, _SPREAD)))
-        effects.update(dict.fromkeys(unknown.paths, unknown.bounded(drawn)))
+        effects.update(dict.fromkeys(parameter.paths, parameter.bounded(drawn)))
     return Point(fitted.point.theta, effects)
 
 
 def _moved(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, effect: Floats) -> Point:
     effects = dict(point.effects)
-    for unknown, change in zip(free, effect, strict=True):
-        value = effects.get(unknown.path, unknown.item.neutral)
-        bound = np.inf if unknown.item.is_size else _LEAP
-        moved = unknown.bounded(unknown.value(unknown.coordinate(value) + float(np.clip(change, -bound, bound))))
-        effects.update(dict.fromkeys(unknown.paths, moved))
+    for parameter, change in zip(free, effect, strict=True):
+        value = effects.get(parameter.path, parameter.item.neutral)
+        bound = np.inf if parameter.item.is_size else _LEAP
+        moved = parameter.bounded(parameter.value(parameter.coordinate(value) + float(np.clip(change, -bound, bound))))
+        effects.update(dict.fromkeys(parameter.paths, moved))
     return Point(point.theta + theta, effects)
 
 
 def _held(point: Point, free: Sequence[FreeEffectParameter]) -> list[int]:
     """Shapes of an effect without size: nothing depends on them."""
     held = []
-    for k, unknown in enumerate(free):
-        effect = unknown.path.rsplit(".", 1)[0] + "."
+    for k, parameter in enumerate(free):
+        effect = parameter.path.rsplit(".", 1)[0] + "."
         sizes = [u for u in free if u.item.is_size and u.path.startswith(effect)]
-        if not unknown.item.is_size and not any(point.effects.get(size.path, 0.0) for size in sizes):
+        if not parameter.item.is_size and not any(point.effects.get(size.path, 0.0) for size in sizes):
             held.append(k)
     return held

@@ -1,6 +1,6 @@
 """The most probable parameters of one rig from several recordings, by Gauss-Newton, and what the answer is worth.
 
-The recordings may deviate from each other a little. How far they do tells whether they are of one rig at all.
+The recordings may deviate from each other a little. How far they do shows whether they are of one rig at all.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class JointFit:
         theta: fitted vector.
         full: covariance of the fitted vector (size, size).
         weights: for each trial, standard deviation of the block residuals of each compared channel.
-        memory: for each trial and channel, how many blocks tell as much as one independent one.
+        memory: for each trial and channel, blocks per independent one.
         cost: half the sum of the squared weighted residuals and of the prior's.
         spread: how much the trials deviate from their common values in each direction, relative (G,); None where they
             share everything.
@@ -101,7 +101,7 @@ class JointFit:
 
     @property
     def determined(self) -> dict[str, bool]:
-        """Whether the data told a parameter; where not, it stayed near its prior."""
+        """Whether the data determine a parameter; where not, it stays near its prior."""
         deviations = np.sqrt(np.diag(self.covariance))
         return {item.name: bool(s < _DETERMINED) for item, s in zip(self.problem.free, deviations, strict=True)}
 
@@ -131,7 +131,7 @@ def joint_fit(
         start: values of the free parameters to start from, in units of the prior; default: the rig's values.
         rounds: how often weights and spread are estimated anew.
         deviations: how trials may deviate from their common parameters; None where they may not.
-        progress: told what is being done, after every round.
+        progress: called with what is being done, after every round.
     """
     if deviations is None or deviations.shape.shape[1] == 0 or len(problem.trials) < 2:
         spread, problem = None, problem.with_between(None)

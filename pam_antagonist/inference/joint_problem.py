@@ -2,7 +2,7 @@
 
 The recordings share the free parameters, and each may deviate from them a little, see
 :mod:`~pam_antagonist.inference.spread`. The coefficients of a force map nearly cancel each other: moved one by one,
-each throws a joint out of stiction, and the differences of such slopes claim to know what the data do not tell. So the
+each throws a joint out of stiction, and the differences of such slopes claim to know what the data do not show. So the
 map's coefficients are moved along combinations that change the force in independent ways, and each by a thousandth of
 the force.
 """

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 BLOCKS_PER_ERROR = 50.0
 """[blocks] What a model lacks moves with the commands: a fit counts one independent error a second and channel."""
 _SHORTEST = 10.0
-"""The correlation length is not told from fewer of them in a series."""
+"""A series has at least so many of them for its correlation length to be estimated."""
 
 
 def correlation_length(residual: Floats) -> float:
@@ -107,10 +107,10 @@ class Step:
     """Solution of a linear problem.
 
     Attributes:
-        theta: change of the base unknowns (K + S,).
-        effect: change of the effects' unknowns (m,).
+        theta: change of the base coordinates (K + S,).
+        effect: change of the effects' coordinates (m,).
         residual: what the linear model leaves (B, C).
-        covariance: of all unknowns, the base first (K + S + m, K + S + m).
+        covariance: of all coordinates, the base first (K + S + m, K + S + m).
     """
 
     theta: Floats
@@ -136,13 +136,13 @@ def solve(
 
     Args:
         residual: measured minus simulated (B, C).
-        base: its derivatives by the base unknowns (B, C, K + S).
-        effect: its derivatives by the effects' unknowns (B, C, m).
+        base: its derivatives by the base coordinates (B, C, K + S).
+        effect: its derivatives by the effects' coordinates (B, C, m).
         scale: how residuals are judged.
-        prior: precision of each base unknown (K + S,).
-        theta: the base unknowns now, which the prior pulls to 0.
+        prior: precision of each base coordinate (K + S,).
+        theta: the base coordinates now, which the prior pulls to 0.
         rounds: how often the variances are estimated.
-        held: effects' unknowns that may not move.
+        held: effects' coordinates that may not move.
         first: variances (C,) of the first round; default: those of the residual.
         length: blocks per value (C,); default: as fits count.
         damping: share by which the diagonal of the information grows (Marquardt 1963), for shorter steps.
@@ -171,7 +171,7 @@ def solve(
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats:
-    """Solution with the unknowns scaled to a diagonal of 1, and those without influence left where they are."""
+    """Solution with the coordinates scaled to a diagonal of 1, and those without influence left where they are."""
     dead = np.diag(matrix) <= 0.0
     diagonal = np.where(dead, 1.0, np.sqrt(np.where(dead, 1.0, np.diag(matrix))))
     scaled = matrix / np.outer(diagonal, diagonal) + (1e-10 + dead) * np.eye(len(matrix))

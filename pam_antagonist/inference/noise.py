@@ -53,7 +53,7 @@ def converter_step(values: Floats) -> float:
 def block_noise(values: Floats) -> float:
     """Standard deviation that a sensor gives to the mean of a block of samples.
 
-    Noise is told from what changes between samples only: the second difference of a signal that is smooth over three
+    Noise is what changes between samples: the second difference of a signal that is smooth over three
     samples is noise of six times the variance. Its largest twentieth is left out: a joint that jumps is not noise. A
     converter whose step is coarser than the noise rounds all samples of a block alike; its error does not average out.
 

@@ -88,7 +88,7 @@ def shared_profiles(
         found: the fit.
         names: parameters.
         jobs: threads.
-        progress: told which parameter is done.
+        progress: called with the parameter that is done.
     """
     problem = found.problem
     weights = [w * np.sqrt(m) for w, m in zip(found.weights, found.memory, strict=True)]

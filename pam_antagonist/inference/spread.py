@@ -10,7 +10,7 @@ parameters, deviations and starts the evidence of a spread is a Gaussian integra
 
     log Z(s) = −½ log det H(s) + ½ bᵀ H(s)⁻¹ b,   H = I + Σ Mᵀ A M,   b = Σ Mᵀ a,
 
-with A and a the information of a trial and M what it sees of all unknowns, in which the spread s stands (MacKay,
+with A and a the information of a trial and M what it sees of all that is free, in which the spread s stands (MacKay,
 *Information Theory, Inference, and Learning Algorithms*, 2003, chapter 28).
 """
 
@@ -125,7 +125,7 @@ class Local:
     Attributes:
         information: JᵀJ of its weighted residuals (K, K).
         pull: Jᵀ(J θ − r) (K,): where it wants them.
-        memory: by channel, how many blocks tell as much as one.
+        memory: by channel, blocks per independent one.
     """
 
     information: Floats
@@ -159,7 +159,7 @@ def log_evidence(trials: Sequence[Local], between: Floats) -> float:
 def most_likely_spread(trials: Sequence[Local], deviations: Deviations) -> tuple[Floats, float]:
     """The spread of each group at which evidence and prior are highest.
 
-    Groups that the recordings tell little about follow the others: the logarithm of each group's spread is normal
+    Groups that the recordings hardly determine follow the others: the logarithm of each group's spread is normal
     about a common one.
 
     Args:
@@ -173,13 +173,13 @@ def most_likely_spread(trials: Sequence[Local], deviations: Deviations) -> tuple
     groups = int(deviations.group.max()) + 1
     low, high = np.log(_LEAST), np.log(_LARGEST)
 
-    def spread(unknown: Floats) -> Floats:
-        return np.asarray(np.exp(np.clip(unknown[0] + _ALIKE * unknown[1:], low, high))[deviations.group])
+    def spread(logarithms: Floats) -> Floats:
+        return np.asarray(np.exp(np.clip(logarithms[0] + _ALIKE * logarithms[1:], low, high))[deviations.group])
 
-    def against(unknown: Floats) -> float:
-        common = float(np.exp(np.clip(unknown[0], low, high)))
-        prior = float(np.log1p((common / _USUAL) ** 2) + 0.5 * np.sum(unknown[1:] ** 2))
-        return -log_evidence(trials, spread(unknown) * deviations.shape) + prior
+    def against(logarithms: Floats) -> float:
+        common = float(np.exp(np.clip(logarithms[0], low, high)))
+        prior = float(np.log1p((common / _USUAL) ** 2) + 0.5 * np.sum(logarithms[1:] ** 2))
+        return -log_evidence(trials, spread(logarithms) * deviations.shape) + prior
 
     # Coarse over the common spread, then all together.
     grid = np.linspace(low, high, 18)

@@ -64,7 +64,7 @@ class Trial:
         return np.asarray(np.arange(len(self)) * self.dt)
 
     def has(self, channel: int) -> bool:
-        """Whether anything was measured on a channel, and can tell something (a locked joint's angle cannot)."""
+        """Whether anything was measured on a channel, and can show something (a locked joint's angle cannot)."""
         if channel == ANGLE and self.joint == "locked":
             return False
         return bool(np.isfinite(self.measured[:, channel]).any())
@@ -94,7 +94,7 @@ def blocks(values: Floats, size: int = BLOCK) -> Floats:
 
 
 def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, name: str) -> Trial:
-    """Put a recording on an even grid; :func:`check` tells whether there is something to learn from it.
+    """Put a recording on an even grid; :func:`check` checks that there is something to learn from it.
 
     Args:
         recording: the recording.
@@ -135,12 +135,11 @@ def _held(voltage: Floats, name: str) -> Floats:
     return voltage[source]
 
 
-def check(trial: Trial, sealed: bool = False) -> None:
-    """Refuse a trial that tells nothing.
+def check(trial: Trial) -> None:
+    """Refuse a trial from which nothing can be learned.
 
     Args:
         trial: the part that is to be fitted.
-        sealed: the chambers were sealed, so that valves have nothing to say.
 
     Raises:
         BadInput: too short, too many samples missing, valves that never moved, pressures that never moved, or a
@@ -156,7 +155,7 @@ def check(trial: Trial, sealed: bool = False) -> None:
     if missing > _LARGEST_MISSING_SHARE:
         raise BadInput(f"{trial.name}: {100 * missing:.0f} % of the pressures are missing; expected at most "
                        f"{100 * _LARGEST_MISSING_SHARE:.0f} %")  # fmt: skip
-    if not sealed and np.ptp(trial.voltage, axis=0).max() < _LEAST_VOLTAGE_SWING:
+    if np.ptp(trial.voltage, axis=0).max() < _LEAST_VOLTAGE_SWING:
         raise BadInput(
             f"{trial.name}: the valves never moved (by {np.ptp(trial.voltage, axis=0).max():.2f} V); record steps of "
             "both valves over their working range"

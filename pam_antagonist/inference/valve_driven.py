@@ -51,7 +51,7 @@ class ValveDriven(Experiment):
 
     @cached_property
     def channels(self) -> tuple[int, ...]:
-        """What was measured and can tell something, indices of ``CHANNELS``."""
+        """What was measured and can show something, indices of ``CHANNELS``."""
         return tuple(c for c in range(len(CHANNELS)) if self.trial.has(c))
 
     @property
@@ -90,7 +90,7 @@ class ValveDriven(Experiment):
         return candidates(taken)
 
     def depends_on(self, k: int) -> bool:
-        """Whether anything that is compared depends on a base unknown."""
+        """Whether anything that is compared depends on a base coordinate."""
         if self.trial.joint != "locked":
             return True
         if k < len(self.directions):
