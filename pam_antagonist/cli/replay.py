@@ -53,7 +53,7 @@ def parser() -> common.Parser:
     )  # fmt: skip
     common.add_recover(out)
     given.add_corrections(out)
-    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
+    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
     out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
     return out
 

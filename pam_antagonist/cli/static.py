@@ -66,7 +66,7 @@ def parser() -> common.Parser:
         help="muscle length at angle 0 [m], in place of the rig's geometry.length",
     )
     out.add_argument("--report-only", action="store_true", help="write no rig.yaml; then any muscle will do")
-    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (5 MB less)")
+    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
     out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
     return out
 

@@ -94,7 +94,7 @@ def document(
     Args:
         replays: at least one, all of one rig and tuning.
         title: default: the recording's name.
-        with_figures: False leaves the figures (and plotly's 5 MB) out.
+        with_figures: False leaves the figures (and plotly's 2 MB) out.
         first: blocks of another command that uses a replay, put before the recordings.
     """
     reports = [replay.report for replay in replays]
