@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import add_options, from_options
+from pam_antagonist.report import terminal
 from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
@@ -82,9 +82,7 @@ def _text(bag: Path, recording: Recording, rig: Rig, checked: Checked) -> str:
         said = finding.text
         if finding.options:
             said += f". Type {' '.join(finding.options)}"
-        lines.append(
-            textwrap.fill(f"{said}.", 100, initial_indent=f"{_MARKS[finding.status]} ", subsequent_indent="  ")
-        )
+        lines.append(terminal.marked(f"{said}.", _MARKS[finding.status]))
     options = checked.corrections.options()
     if options:
         lines.append(f"With these options every command reads it corrected: {' '.join(options)}")

@@ -147,6 +147,52 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Term:
+    """A term of a sum."""
+
+    term: str
+    coefficient: float
+
+
+@dataclass(frozen=True)
+class Form:
+    """A sum that looks like a residual, and the share of the residual that it explains, fitted and held out."""
+
+    terms: tuple[Term, ...]
+    share: float
+    share_held_out: float
+
+
+@dataclass(frozen=True)
+class Left:
+    """A residual that no effect explains, see :class:`RemainingResidual`."""
+
+    recording: str
+    channel: str
+    unit: str
+    times_noise: float
+    depends_on: Mapping[str, float]
+    bands: Mapping[str, float]
+    period_s: float
+    form: Form
+
+    @classmethod
+    def of(cls, item: RemainingResidual) -> Left:
+        """The entry of a residual."""
+        form = Form(tuple(Term(*term) for term in item.form.terms), item.form.share, item.form.held_out)
+        return cls(
+            item.recording,
+            item.channel,
+            item.unit,
+            item.times_noise,
+            item.depends_on,
+            item.bands,
+            item.period,
+            form,
+        )
+
+
+@dataclass(frozen=True)
 class Settings:
     """What was asked, and the thresholds of the decision."""
 
@@ -203,7 +249,7 @@ class CloseLoopReport:
     ranking: tuple[Candidate, ...]
     profiles: tuple[Profile, ...]
     remaining: tuple[str, ...]
-    left: tuple[Mapping[str, Any], ...]
+    left: tuple[Left, ...]
     unseen: tuple[str, ...]
     warnings: tuple[str, ...]
     settings: Settings
@@ -255,7 +301,7 @@ def report(
         ),
         profiles=tuple(Profile(**item) for item in found.profiles),
         remaining=tuple(item.line() for item in found.remaining),
-        left=tuple(map(_left, found.remaining)),
+        left=tuple(map(Left.of, found.remaining)),
         unseen=tuple(found.unseen),
         warnings=tuple(found.warnings),
         settings=Settings(
@@ -271,20 +317,3 @@ def report(
         timing=dict(found.seconds),
         software=versions(),
     )
-
-
-def _left(item: RemainingResidual) -> dict[str, Any]:
-    return {
-        "recording": item.recording,
-        "channel": item.channel,
-        "unit": item.unit,
-        "times_noise": item.times_noise,
-        "depends_on": item.depends_on,
-        "bands": item.bands,
-        "period_s": item.period,
-        "form": {
-            "terms": [{"term": name, "coefficient": value} for name, value in item.form.terms],
-            "share": item.form.share,
-            "share_held_out": item.form.held_out,
-        },
-    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from pam_antagonist.diagnosis.result import Ambiguity, Diagnosis
+from pam_antagonist.diagnosis.result import Diagnosis
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report import close_loop_figures as drawn
 from pam_antagonist.report import close_loop_residuals as residuals
@@ -13,6 +13,7 @@ from pam_antagonist.report import html
 from pam_antagonist.report.channels import CHANNELS, TORQUE
 from pam_antagonist.report.close_loop import CloseLoopReport, RecordingEntry
 from pam_antagonist.report.close_loop_errors import ModelErrors
+from pam_antagonist.report.close_loop_findings import assumed, definitions, findings, sentence
 from pam_antagonist.report.document import (
     Block,
     Definitions,
@@ -28,56 +29,6 @@ from pam_antagonist.report.document import (
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
-_DEFINITIONS = (
-    ("As configured", "The model with the values of the rig file."),
-    (
-        "Extended",
-        "The recalibrated model with the effects that were found.",
-    ),
-    (
-        "Held out",
-        "The end of each recording, or whole recordings, which no fit used. All errors in this report are counted "
-        "there.",
-    ),
-    ("Residual", "Measurement minus model. Both are means over 20 samples."),
-    (
-        "Excess over noise",
-        "How far the residual lies above the sensors' noise, in decibels, summed over the seconds of a recording. An "
-        "effect explains a second fully if it brings the residual down to the noise or to a tenth of what it was.",
-    ),
-    (
-        "ΔBIC",
-        "The evidence for an effect: twice the gain in log-likelihood minus a penalty for its free parameters. It "
-        "counts independent errors, not samples; the residual's autocorrelation says how many there are. Above 6 is "
-        "strong.",
-    ),
-    ("Held-out share", "The share of the excess over noise on held-out data that an effect explains."),
-    ("Estimator", "The filter that runs live. It gets the two pressures and, where air flows, the valve voltages."),
-)
-_RECALIBRATED = (
-    "The model of the rig file after its base parameters were fitted to these recordings. So a wrong value in the rig "
-    "file is not called an effect."
-)
-_RECALIBRATED_DRIVEN = (
-    "The base model after a fit as `identify` does it, without Coulomb friction. A hysteresis loop in the torque may "
-    "come from the drive, the joint or the muscles, so each of these effects is tested."
-)
-_DRIVEN = (
-    (
-        "External torque",
-        "The torque that the drive was commanded to apply. The model's value is what the measured motion needs: "
-        "equation (8), solved for it with the measured angle and the modelled pressures. The estimator's value comes "
-        "from the two pressures alone.",
-    ),
-    (
-        "Sliding, sticking",
-        "Faster or slower than 0.02 rad/s. While a joint sticks, friction may have any value up to its bound, so no "
-        "model can predict the torque there. The model then takes the sign of the friction from the slight motion in "
-        "the measured angle. Where the recorded angle was low-pass filtered without phase shift, this motion "
-        "anticipates the true one a little.",
-    ),
-    ("Mean pressure", "Of both muscles. An error of the encoder does not change it: it moves the two pressures apart."),
-)
 
 
 def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_figures: bool = True) -> None:
@@ -94,7 +45,7 @@ def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_f
 
 def summary(report: CloseLoopReport) -> tuple[Block, ...]:
     """What the terminal shows."""
-    warnings = tuple(Finding("warn", _begun(text)) for text in (*report.warnings, *report.unseen))
+    warnings = tuple(Finding("warn", sentence(text)) for text in (*report.warnings, *report.unseen))
     return Text(report.sentence), Findings(warnings), errors_table(report), sizes_table(report), ranking_table(report)
 
 
@@ -129,8 +80,8 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
         parts.append(Section("Parameters", (sizes_table(report), *figures), 2, "parameters"))
     if found.remaining:
         parts.append(Section("What is left", residuals.left(found.remaining, with_figures), 2, "left"))
-    parts.append(Section("What was assumed", (Definitions(_assumed(report)),), folded=True))
-    parts += background(_definitions(report), _provenance(report))
+    parts.append(Section("What was assumed", (Definitions(assumed(report)),), folded=True))
+    parts += background(definitions(report), _provenance(report))
     return Document("Closing the loop with measured data", title, tuple(parts))
 
 
@@ -268,125 +219,10 @@ def channel_of(errors: ModelErrors, name: str) -> tuple[float | None, float | No
     return before, after
 
 
-# ------------------------------------------------------------------ sentences
-
-
-def findings(report: CloseLoopReport) -> tuple[Finding, ...]:
-    """What a reader should know beside the verdict."""
-    out = [Finding("warn", _begun(text)) for text in report.warnings]
-    rivals = {item.other: item for item in report.ambiguities if item.ambiguous}
-    for name in report.ambiguous_with:
-        text = f"{_title(name)} would explain the data as well{_compared(rivals.get(name))}."
-        out.append(Finding("warn", f"{text} To distinguish them: {report.experiments[name]}."))
-    for item in report.ambiguities:
-        if not item.ambiguous:
-            out.append(Finding("good", f"{_title(item.other)} explains the data less well{_compared(item)}."))
-    if report.effects and not report.ambiguous_with:
-        out.append(Finding("good", "No other candidate explains the data nearly as well as what was found."))
-    out += _of_parts(report)
-    return (*out, *(Finding("note", text) for text in report.unseen))
-
-
-def _title(name: str) -> str:
-    return name.replace("_", " ").capitalize()
-
-
-def _compared(item: Ambiguity | None) -> str:
-    """The numbers behind a comparison under equal conditions."""
-    if item is None:
-        return ""
-    mine, other = (number(value, 2) for value in item.residual)
-    text = (
-        f" {'as' if item.ambiguous else 'than'} {item.found}. Compared {item.about}, {item.found} leaves {mine} and "
-        f"{item.other} {other} {item.unit} (ΔBIC {item.evidence:.1f})"
-    )
-    if item.size == item.size and item.ambiguous:
-        unit = "N m" if item.found == "friction" else "N"
-        text += f". Fitted there alone, {item.found} is {number(item.size, 2)} {unit}"
-    return text
-
-
-def _of_parts(report: CloseLoopReport) -> list[Finding]:
-    out = []
-    if report.effects:
-        before, after = (
-            model.sliding.get("rmse_sliding_nm") for model in (report.errors.as_configured, report.errors.extended)
-        )
-        if before is not None and after is not None and before < after:
-            out.append(
-                Finding(
-                    "note",
-                    f"While the joint slides, the rig as configured has the smaller error ({number(before, 2)} N m, "
-                    f"extended {number(after, 2)} N m). The reason: `identify` fits sliding alone. Here all samples "
-                    "count, and no law predicts the torque while the joint sticks.",
-                )
-            )
-        out += [
-            Finding("warn", f"The residual of the {part.name} is above noise, and no effect explains it.")
-            for part in report.parts
-            if part.verdict == "unexplained"
-        ]
-    if report.base_friction_removed and any(part.name == "torque" for part in report.parts):
-        out.append(
-            Finding(
-                "note",
-                "The rig file has Coulomb friction. It was removed before the test, so that every cause of a "
-                "hysteresis loop was tested. The extended rig has friction as an effect instead.",
-            )
-        )
-    return out
-
-
-def _begun(text: str) -> str:
-    """A sentence; the name of an effect or a recording keeps its first letter."""
-    first = text.split(" ", 1)[0]
-    named = first.endswith(":") or "/" in first or "_" in first
-    return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
-
-
-def _definitions(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
-    first, *others = _DEFINITIONS
-    recalibrated = ("Recalibrated", _RECALIBRATED_DRIVEN if report.driven else _RECALIBRATED)
-    return (first, recalibrated, *others, *(_DRIVEN if report.driven else ()))
-
-
 def _laws(report: CloseLoopReport) -> tuple[Block, ...]:
     named = [CATALOGUE[name] for name in dict.fromkeys(effect.name for effect in report.effects)]
     rows = tuple((item.name, f"{item.law} ({item.source}). {item.signature}") for item in named)
     return (Definitions(rows),) if rows else ()
-
-
-def _assumed(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
-    settings = report.settings
-    noise = "Gaussian, of unknown size for each channel, at least the sensor's noise."
-    thresholds = (
-        "Thresholds",
-        f"An effect needs a ΔBIC of {settings.strong_evidence:g}. The first effect has to explain "
-        f"{100 * settings.first_share:.0f} % of the excess over noise on held-out data. Each further effect has to "
-        f"explain {100 * settings.further_share:.0f} % of the whole excess, and all effects together "
-        f"{100 * settings.explained_share:.0f} %. The threshold of the ΔBIC comes from statistics, the shares from "
-        "simulated joints.",
-    )
-    if report.driven:
-        return (
-            ("Input", "The measured angle. Where it is noisy, it is smoothed at 3 Hz without a phase shift."),
-            ("Volume and force", "As the rig file declares them, except for what `identify` finds on a sealed joint."),
-            (
-                "Sensors",
-                "The noise of the pressures is estimated from the changes between samples. That of encoder and torque "
-                "is the rig file's; an error of the encoder changes the modelled pressures and torque as well.",
-            ),
-            ("Errors of the model", noise),
-            thresholds,
-        )
-    return (
-        ("Start", "Each recording begins at rest, and slow effects have settled."),
-        ("Base parameters", "Known to 5 % before the fit (the supply to 1 %). Each recording has its own values."),
-        ("Sensors", "White noise, estimated from the changes between samples, and the resolution of their converters."),
-        ("Errors of the model", noise),
-        thresholds,
-        ("Catalogue", f"{', '.join(CATALOGUE)}. Anything else can only be called unexplained."),
-    )
 
 
 def _provenance(report: CloseLoopReport) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ from pam_antagonist.report import html
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import HeldOut, Judged, held_out_table
 from pam_antagonist.report.identify import Change
-from pam_antagonist.report.identify_document import DEFINITIONS
+from pam_antagonist.report.identify_findings import DEFINITIONS
 from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.software import versions

@@ -9,7 +9,7 @@ from pam_antagonist.report.document import Block, Finding, Findings, Section, Te
 from pam_antagonist.report.table import Table
 
 WIDTH = 100
-_MARKS = {"good": "✓ ", "warn": "! ", "note": "  "}
+_MARKS = {"good": "✓", "warn": "!", "note": " "}
 
 
 def render(blocks: Sequence[Block]) -> str:
@@ -33,7 +33,12 @@ def _block(block: Block) -> str:
 
 def finding(item: Finding) -> str:
     """One finding with its mark, wrapped."""
-    return textwrap.fill(item.text, WIDTH, initial_indent=_MARKS[item.status], subsequent_indent="  ")
+    return marked(item.text, _MARKS[item.status])
+
+
+def marked(text: str, mark: str) -> str:
+    """A wrapped sentence behind a mark of one character."""
+    return textwrap.fill(text, WIDTH, initial_indent=f"{mark} ", subsequent_indent="  ")
 
 
 def warnings(texts: Sequence[str]) -> str:

@@ -9,8 +9,9 @@ import pytest
 
 from pam_antagonist.diagnosis.result import Ambiguity
 from pam_antagonist.report.close_loop import CloseLoopReport, Effect, Part, RecordingEntry, Settings, Size
-from pam_antagonist.report.close_loop_document import errors_table, findings, summary
+from pam_antagonist.report.close_loop_document import errors_table, summary
 from pam_antagonist.report.close_loop_errors import ModelErrors
+from pam_antagonist.report.close_loop_findings import findings
 from pam_antagonist.report.document import Findings
 from pam_antagonist.strict_json import plain
 
