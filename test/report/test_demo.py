@@ -1,0 +1,52 @@
+"""The report of ``demo``: how the reference was followed, beside the replay of its recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.control import Mode
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import RecordedReference, Recording
+from pam_antagonist.replay import replay
+from pam_antagonist.report import terminal
+from pam_antagonist.report.demo import Demo, Simulated, summary, write_report
+from pam_antagonist.rig import Rig
+
+Changed = Callable[..., Recording]
+
+
+@pytest.fixture
+def recording(free: Recording, changed: Changed) -> Recording:
+    """Six seconds with the reference at 0, then at 2°."""
+    stamps = free.stamp_ns[[0, 3000]]
+    reference = RecordedReference(stamps, np.full(2, int(Mode.ANGLE), dtype=np.uint8), np.radians([0.0, 2.0]))
+    return changed(free, reference=reference)
+
+
+def test_the_report_holds_replay_and_control(rig: Rig, recording: Recording, tmp_path: Path) -> None:
+    demo = Demo.of(replay(recording, rig), Mode.ANGLE, Simulated(0.02, 7))
+    write_report(tmp_path, demo, with_figures=False)
+    written = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert recording.angle is not None
+    error = np.where(np.arange(len(recording.angle)) < 3000, 0.0, 2.0) - np.degrees(recording.angle)
+    tracking = written["demo"]["tracking"]
+    assert tracking["rmse_deg"] == pytest.approx(float(np.sqrt(np.mean(error**2))))
+    assert [step["reference_deg"] for step in tracking["steps"]] == pytest.approx([0.0, 2.0])
+    assert written["demo"]["simulated_joint"] == {"mismatch": 0.02, "seed": 7}
+    assert written["demo"]["pipeline"] is None
+    assert written["ukf"]["angle"]["rmse_deg"] == demo.replay.report.ukf.angle.rmse
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<h1>Sensor-less control, live</h1>" in page and "Worst steady-state error" in page
+    shown = terminal.render(summary(demo))
+    assert "not judged: a stage of it is missing in the recording" in shown
+    assert "in the 95 % interval" in shown
+
+
+def test_without_a_reference_there_is_nothing_to_judge(rig: Rig, free: Recording) -> None:
+    with pytest.raises(BadInput, match="no reference"):
+        Demo.of(replay(free, rig), Mode.ANGLE, Simulated(0.0, 0))
