@@ -281,9 +281,9 @@ def estimator_errors(recording: Recording, rig: Rig, experiment: Experiment) -> 
     estimate = np.column_stack([rows["angle"], rows["torque"], rows["pressure"]])
     torque = recording.torque
     if experiment.trial.joint == DRIVEN:
-        outside = run.added.get(DISTURBANCE)
-        estimate[:, TORQUE] = np.nan if outside is None else outside[late]
-        torque = None if outside is None else recording.external_torque
+        estimated = run.added.get(DISTURBANCE)
+        estimate[:, TORQUE] = np.nan if estimated is None else estimated[late]
+        torque = None if estimated is None else recording.external_torque
         del variance[TORQUE]
     measured = np.full((len(rows), len(CHANNELS)), np.nan)
     for channel, values in ((ANGLE, recording.angle), (TORQUE, torque)):
@@ -306,6 +306,24 @@ def estimator_errors(recording: Recording, rig: Rig, experiment: Experiment) -> 
     }
     time = (recording.stamp_ns[index] - recording.stamp_ns[0]) * 1e-9
     return EstimatorErrors(result, np.asarray(time, dtype=np.float64), np.asarray(normal, dtype=np.float64))
+
+
+def deciding_evidence(
+    prepared: Prepared, group: Group, base: Model, model: Model, effects: Mapping[str, float], jobs: int
+) -> float | None:
+    """Evidence of the estimator's innovations where nothing but pressures was measured; None where anything else was.
+
+    Args:
+        prepared: the recordings.
+        group: those that are judged.
+        base: the recalibrated model.
+        model: the extended one.
+        effects: values of its effects that suit all recordings, by dotted path.
+        jobs: threads.
+    """
+    if any(e.trial.has(c) for e in (*group.experiments, *group.held_out) for c in (ANGLE, TORQUE)):
+        return None
+    return innovation_evidence(prepared, compare(group, base, model, effects), jobs)
 
 
 def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison], jobs: int) -> float:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from pam_antagonist.diagnosis import agreement, disturbance, explained, findings, held_out, thresholds, warnings
+from pam_antagonist.diagnosis import agreement, disturbance_search, explained, findings, held_out, thresholds, warnings
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.description import describe
-from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, prepare
+from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings, prepare
 from pam_antagonist.diagnosis.result import Diagnosis, Judged, Verdict
 from pam_antagonist.diagnosis.selection import Selection, recalibrate, select
-from pam_antagonist.diagnosis.timings import Timings
-from pam_antagonist.inference.trial import ANGLE, TORQUE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -96,7 +94,7 @@ def judge(prepared: Prepared, group: Group, selection: Selection, settings: Sett
     experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
     verdict, share = _verdict(group, selection)
     about_base = (*warnings.implausible(experiments, base), *agreement.base_contradictions(experiments, base))
-    found = disturbance.search(experiments, base, chosen, verdict, settings.jobs, settings.progress)
+    found = disturbance_search.search(experiments, base, chosen, verdict, settings.jobs, settings.progress)
     if found is not None:
         share = share if verdict == "effect" else found.share
         notes = (*about_base, *found.warnings)
@@ -130,10 +128,8 @@ def _by_effects(
     model = findings.backward_elimination(experiments, base, selection.model, jobs)
     found = findings.found(experiments, base, model, jobs)
     notes = list(found.contradictions)
-    if not any(e.trial.has(channel) for e in (*experiments, *group.held_out) for channel in (ANGLE, TORQUE)):
-        settings.progress("innovations before and after")
-        compared = held_out.compare(group, base, model, found.values)
-        gained = held_out.innovation_evidence(prepared, compared, jobs)
+    gained = held_out.deciding_evidence(prepared, group, base, model, found.values, jobs)
+    if gained is not None:
         taken = gained >= thresholds.STRONG
         notes.append(warnings.decided_by_innovations(selection.model.effects, gained, taken))
         if not taken:

@@ -82,6 +82,28 @@ def test_friction_and_a_leak_of_one_muscle_are_found_with_their_sizes(recorded, 
     assert found.rig_extended.friction.shaft == 0.0
 
 
+def test_each_part_of_the_joint_is_judged_by_itself(recorded, joint) -> None:
+    found = diagnosed(recorded({"leak": {"area_1": 2e-11, "area_2": 2e-11}}), joint)
+    assert {part.name: part.verdict for part in found.parts} == {"pressures": "effect", "torque": "none"}
+    assert found.share == next(part.share for part in found.parts if part.name == "pressures")
+    assert [tried.effect for tried in found.ranking if tried.taken] == ["leak"]
+
+
+def test_each_recording_has_its_own_rig_beside_the_common_one(recorded, joint) -> None:
+    """On a warmer day the charge is higher: each recording's own rig has its charge, the common one is between them."""
+    warmer = (1.0, 1.004)
+    taken = [recorded({}, seconds=14.0, seed=seed) for seed in (3, 4)]
+    recordings = [
+        dataclasses.replace(recording, path=Path(f"take/{k}"), pressure=factor * recording.pressure)
+        for k, (recording, factor) in enumerate(zip(taken, warmer, strict=True))
+    ]
+    found = diagnose(recordings, joint, profiles=False, estimator=False)
+    assert [name for name, _ in found.own] == ["take/0", "take/1"]
+    own = [rig.valves.charge_1 / joint.valves.charge_1 for _, rig in found.own]
+    assert own == pytest.approx(warmer, abs=5e-4)
+    assert own[0] < found.rig_recalibrated.valves.charge_1 / joint.valves.charge_1 < own[1]
+
+
 def test_a_wide_hysteresis_is_not_called_friction(recorded, joint) -> None:
     found = diagnosed(recorded({"hysteresis": {"amplitude_1": 12.0, "amplitude_2": 12.0, "width": 4e-4}}), joint)
     assert [effect.name for effect in found.effects] == ["hysteresis"]
