@@ -30,7 +30,7 @@ def test_a_leak_is_found_on_its_muscle(leaking) -> None:
 
 
 def test_every_candidate_is_ranked_on_each_muscle(leaking) -> None:
-    first = {item.name: item for item in leaking.ranking if item.round == 1}
+    first = {item.effect: item for item in leaking.ranking if item.round == 1}
     assert set(first) == set(CATALOGUE) - {"external_torque"}
     leak = first["leak"]
     assert leak.muscles[0] > 0.9 * leak.score

@@ -116,11 +116,11 @@ class Outcome:
 
 
 Diagnose = Callable[[tuple[Recording, Recording]], Any]
-"""Takes the recordings; the result has ``verdict``, ``effects``, ``ambiguous_with``, ``errors`` and ``trials``."""
+"""Takes the recordings; the result has ``verdict``, ``effects``, ``ambiguous_with``, ``errors`` and ``ranking``."""
 
 
 _LEADING = 3
-_REFUSAL = SimpleNamespace(verdict="refused", effects=(), ambiguous_with=(), errors={}, trials=())
+_REFUSAL = SimpleNamespace(verdict="refused", effects=(), ambiguous_with=(), errors={}, ranking=())
 
 
 def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: int = 1) -> Outcome:
@@ -157,7 +157,7 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
         verdict=str(said.verdict),
         found=tuple((str(effect.name), effect.muscle) for effect in said.effects),
         ambiguous_with=tuple(str(name) for name in said.ambiguous_with),
-        leading=_leading(said.trials),
+        leading=_leading(said.ranking),
         channel=channel,
         errors=errors,
         seconds=seconds,
@@ -165,9 +165,9 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
     )
 
 
-def _leading(trials: Iterable[Any]) -> tuple[Candidate, ...]:
-    first = [t for t in trials if t.round == 1 and t.shares is not None]
-    return tuple(Candidate(t.effect, t.delta_bic, t.foretold, *t.shares) for t in first[:_LEADING])
+def _leading(ranking: Iterable[Any]) -> tuple[Candidate, ...]:
+    first = [t for t in ranking if t.round == 1 and t.shares is not None]
+    return tuple(Candidate(t.effect, t.delta_bic, t.held_out_evidence, *t.shares) for t in first[:_LEADING])
 
 
 def _by_channel(moved: Mapping[str, float]) -> dict[str, float]:

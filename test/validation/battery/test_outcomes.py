@@ -27,8 +27,9 @@ def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=No
         verdict=verdict,
         effects=[SimpleNamespace(name=name, muscle=muscle) for name, muscle in effects],
         ambiguous_with=list(ambiguous),
-        trials=[
-            SimpleNamespace(effect=n, round=1, delta_bic=30.0, foretold=8.0, shares=(0.9, 0.8)) for n, _ in effects
+        ranking=[
+            SimpleNamespace(effect=n, round=1, delta_bic=30.0, held_out_evidence=8.0, shares=(0.9, 0.8))
+            for n, _ in effects
         ],
         errors={"recalibrated": before or errors(1, 1, (1e4, 1e4)), "extended": after or errors(1, 1, (1e4, 1e4))},
     )
