@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.experiment import Experiment, Point
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, prior_cost
 from pam_antagonist.inference.likelihood import Scale, Step, solve
 

@@ -12,8 +12,8 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.preparation import Prepared
 from pam_antagonist.inference.angle_driven import BALANCE, sweeps
-from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, solve
 from pam_antagonist.inference.trial import ANGLE, TORQUE

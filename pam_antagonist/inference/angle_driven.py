@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from pam_antagonist._jit import inlined, kernel
-from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.excess import in_mean_squares
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
-from pam_antagonist.inference.free_parameters import FreeDirection
+from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, blocks
 from pam_antagonist.inference.valve_driven import predict, start_of

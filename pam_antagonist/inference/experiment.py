@@ -17,9 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.excess import in_decibels
-from pam_antagonist.inference.free_parameters import FreeDirection, values_along
+from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, values_along
 from pam_antagonist.inference.likelihood import Scale, solve
 from pam_antagonist.inference.trial import BLOCK, Trial, blocks
 from pam_antagonist.model import parameters as par

@@ -12,9 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.candidates import Candidate, candidates
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
-from pam_antagonist.inference.free_parameters import FreeDirection, base_directions
+from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, base_directions, candidates
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.trial import ANGLE, BLOCK, CHANNELS, PRESSURE_1, Trial, blocks
 from pam_antagonist.model import dynamics, rest, sensor

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.inference.candidates import Candidate, candidates
 from pam_antagonist.inference.experiment import Point
-from pam_antagonist.inference.free_parameters import base_directions
+from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.trial import BLOCK, blocks

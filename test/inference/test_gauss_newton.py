@@ -7,8 +7,8 @@ import pytest
 
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.selection import refitted_without, shared
-from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.experiment import Point
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import refit
 
 DROOP = Candidate("supply_droop")

@@ -9,9 +9,8 @@ from functools import cached_property
 import numpy as np
 import pytest
 
-from pam_antagonist.inference.candidates import Candidate
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
-from pam_antagonist.inference.free_parameters import FreeDirection, moved
+from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, moved
 from pam_antagonist.inference.gauss_newton import best_of_starts, refit, relinearised
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.profile import effect_profile
