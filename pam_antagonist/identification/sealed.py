@@ -284,22 +284,22 @@ def identify_sealed(
         progress: called with what is being done.
 
     Raises:
-        BadInput: recordings that tell nothing, or valves that moved.
+        BadInput: recordings from which nothing can be learned, or valves that moved.
     """
-    tell = progress or (lambda text: None)
+    progress = progress or (lambda text: None)
     refuse_moving_valves(recordings, rig)
     share = 1.0 - holdout
     trials = [sealed_trial(recording, name, share) for recording, name in recordings]
     stages: list[SealedStage] = []
     now = rig
     for muscle in (0, 1):
-        tell(f"closed chamber of muscle {muscle + 1}")
+        progress(f"closed chamber of muscle {muscle + 1}")
         stages.append(closed_chambers(trials, now, muscle))
         now = moved(now, stages[-1].values)
-    tell("balance of torques")
+    progress("balance of torques")
     stages.append(balance(trials, now))
     now = moved(now, stages[-1].values)
-    best, likelihood, evaluations = tuned(now, recordings, share, tell)
+    best, likelihood, evaluations = tuned(now, recordings, share, progress)
     held = tuple(share * float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9 for recording, _ in recordings)
     return SealedIdentified(rig, best, tuple(stages), held, likelihood, evaluations)
 
@@ -324,7 +324,7 @@ def tuned(
     rig: Rig,
     recordings: Sequence[tuple[Recording, str]],
     share: float,
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
     evaluations: int = _EVALUATIONS,
 ) -> tuple[Rig, tuple[float, float], int]:
     """The tuning under which the errors of the measured angle are most likely.
@@ -333,7 +333,7 @@ def tuned(
         rig: whose default tuning is the start.
         recordings: each with its name.
         share: of each, from its start, that may be used.
-        tell: told what is being done.
+        progress: called with what is being done.
         evaluations: at most so many tunings are tried.
 
     Returns:
@@ -350,7 +350,7 @@ def tuned(
         return rig.replaced(tunings={**rig.tunings, "default": new}, effects=effects)
 
     def against(logarithm: np.ndarray) -> float:
-        tell("tuning")
+        progress("tuning")
         return -_angle_likelihood(with_values(logarithm), parts)
 
     start = np.log10([tuning.measurement[0], max(tuning.process[2], 1e-3), walk or 1.0])

@@ -136,9 +136,9 @@ def identify(
         progress: called with what is being done.
 
     Raises:
-        BadInput: recordings that tell nothing, or that are not of one rig.
+        BadInput: recordings from which nothing can be learned, or that are not of one rig.
     """
-    tell = progress or (lambda text: None)
+    progress = progress or (lambda text: None)
     trials = [
         make_trial(recording, rig, state.condition, state.lock_angle, name) for recording, state, name in recordings
     ]
@@ -156,17 +156,17 @@ def identify(
         fitted.append(part)
     free, warnings = _freedom(rig, fitted, options)
     ways = variations(rig, free)
-    stages, found = run_stages(rig, fitted, free, options.jobs, ways, tell)
-    found, starts = _further_starts(found, ways, options, tell)
+    stages, found = run_stages(rig, fitted, free, options.jobs, ways, progress)
+    found, starts = _further_starts(found, ways, options, progress)
     check_same_rig(found, ways)
     chosen = _worth_a_profile(found)
-    drawn = shared_profiles(found, chosen, options.jobs, tell)
+    drawn = shared_profiles(found, chosen, options.jobs, progress)
     result = moved(found.problem.rig, found.values)
-    inner = _inner(found, fitted, ways, tell)
-    tuned = tune(result, fitted, found, inner, options.jobs, tell)
+    inner = _inner(found, fitted, ways, progress)
+    tuned = tune(result, fitted, found, inner, options.jobs, progress)
     own = []
     for index, part in enumerate(fitted if len(fitted) > 1 else []):
-        tell(f"own values of {part.name}")
+        progress(f"own values of {part.name}")
         own.append(own_tuning(tuned.rig, part, found, inner, index, options.jobs))
     return Identified(
         rig,
@@ -188,13 +188,13 @@ def identify(
 
 
 def _inner(
-    found: JointFit, trials: Sequence[Trial], ways: tuple[Variation, ...], tell: Callable[[str], None]
+    found: JointFit, trials: Sequence[Trial], ways: tuple[Variation, ...], progress: Callable[[str], None]
 ) -> JointFit:
     """The joint refinement of the first share of each part, from where the whole ended."""
     begin = [trial.part(0.0, round(INNER_SHARE * len(trial)) * trial.dt) for trial in trials]
     problem = dataclasses.replace(found.problem, trials=begin, between=None)
     own = deviations(ways, problem.free)
-    return joint_fit(problem, found.theta, 2, own, progress=lambda text: tell(f"inner fit, {text}"))
+    return joint_fit(problem, found.theta, 2, own, progress=lambda text: progress(f"inner fit, {text}"))
 
 
 def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[FreeParameter], list[str]]:
@@ -212,15 +212,15 @@ def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[
             "no recording has a measured angle or torque, and pressures alone tell nothing of the free parameters: "
             f"{', '.join(sorted(asked or {item.name for item in free}))}"
         )
-    told = ", ".join(item.name for item in kept)
+    names = ", ".join(item.name for item in kept)
     return kept, [
-        f"No recording has a measured angle or torque: pressures alone tell {told}; all others stay as configured. "
+        f"No recording has a measured angle or torque: pressures alone tell {names}; all others stay as configured. "
         "Record the angle of a free joint and the torque of a locked one for the rest."
     ]
 
 
 def _further_starts(
-    found: JointFit, ways: tuple[Variation, ...], options: Options, tell: Callable[[str], None]
+    found: JointFit, ways: tuple[Variation, ...], options: Options, progress: Callable[[str], None]
 ) -> tuple[JointFit, list[Start]]:
     """The joint refinement again from scattered places; the best is kept."""
     rng = np.random.default_rng(options.seed)
@@ -230,8 +230,8 @@ def _further_starts(
     for number in range(1, options.starts):
         begin = found.theta[: len(plain.free)] + _START_STD * rng.standard_normal(len(plain.free))
         name = f"scattered start {number}"
-        told = functools.partial(lambda name, text: tell(f"{name}, {text}"), name)
-        fits.append((name, joint_fit(plain, begin, deviations=own, progress=told)))
+        named = functools.partial(lambda name, text: progress(f"{name}, {text}"), name)
+        fits.append((name, joint_fit(plain, begin, deviations=own, progress=named)))
     best = min(range(len(fits)), key=lambda k: fits[k][1].cost)
     starts = [Start(name, item.cost, k == best) for k, (name, item) in enumerate(fits)]
     return fits[best][1], starts

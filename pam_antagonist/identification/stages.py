@@ -119,21 +119,23 @@ def run_stages(
     Returns:
         The steps, the joint refinement last, and its fit; its problem holds the rig with the curves that were found.
     """
-    tell = progress or (lambda text: None)
+    progress = progress or (lambda text: None)
     whole = JointProblem(rig, trials, free, jobs=jobs)
     state = _Progress(whole, np.zeros(whole.size))
-    tell("force map")
+    progress("force map")
     _force_map(state, ways)
-    tell("valve curve")
+    progress("valve curve")
     _curves(state)
-    tell("friction")
+    progress("friction")
     _friction(state)
-    tell("flow")
+    progress("flow")
     _flow(state, ways)
     earlier = padded(state.whole, state.theta)
     before = state.whole.values(state.theta)
     own = deviations(ways, state.whole.free)
-    final = joint_fit(state.whole, state.theta, deviations=own, progress=lambda text: tell(f"joint refinement, {text}"))
+    final = joint_fit(
+        state.whole, state.theta, deviations=own, progress=lambda text: progress(f"joint refinement, {text}")
+    )
     later = padded(final.problem, final.theta)
     values = {name: (before[name], value) for name, value in final.values.items()}
     traces = tuple(zip(earlier, later, strict=True))

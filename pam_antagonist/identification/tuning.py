@@ -266,19 +266,19 @@ def tune(
         jobs: threads.
         progress: called with what is being done.
     """
-    tell = progress or (lambda text: None)
-    tell("sensor noise")
+    progress = progress or (lambda text: None)
+    progress("sensor noise")
     fitted = {item.name for item in found.problem.free}
     # What was not fitted stays as uncertain as it was declared.
     rig = rig.replaced(uncertainty={name: std for name, std in rig.uncertainty.items() if name not in fitted})
     rig = with_noise(rig, trials)
     parts = [short_part(trial) for trial in trials]
-    tell("uncertain directions")
+    progress("uncertain directions")
     directions = considered_directions(rig, parts, found.problem.free, found.predictive, jobs)
     rig = with_directions(rig, directions, 1.0)
-    tell("process noise")
+    progress("process noise")
     rig, likelihood, evaluations = _tune_process(rig, parts, jobs)
-    tell("scale of the uncertainty")
+    progress("scale of the uncertainty")
     scale, calibrated = calibrate(moved(rig, inner.values), trials, inner, inner.predictive, jobs)
     return Tuned(with_directions(rig, directions, scale), directions, scale, likelihood, evaluations, calibrated)
 
