@@ -9,7 +9,8 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import filter as kernels
-from pam_antagonist.estimation.filter import COUNTERS, ESTIMATE_DTYPE, ROW
+from pam_antagonist.estimation import ukf
+from pam_antagonist.estimation.filter import ESTIMATE_DTYPE
 from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
@@ -139,34 +140,23 @@ class Estimator:
         sets = parameter_sets(rig, chosen, joint, lock_angle)
         n, m = int(sets[0, par.STATES]), (len(sets) - 1) // 2
         initial, process = _of_states(sets[0], chosen, rig.sample_period, joint == "locked")
-        self._settings = (
-            sets,
-            initial,
-            process,
-            np.array(chosen.measurement),
-            np.array(chosen.measurement) * (2.0 if chosen.gain == "printed" else 1.0),
-            np.array([rig.sample_period, chosen.kappa, chosen.gate, lock_angle]),
+        measurement = np.array(chosen.measurement)
+        self._settings = kernels.Settings(
+            parameter_sets=sets,
+            initial=initial,
+            process_noise=process,
+            measurement_noise=measurement,
+            gain_noise=measurement * (2.0 if chosen.gain == "printed" else 1.0),
+            period=rig.sample_period,
+            kappa=chosen.kappa,
+            gate=chosen.gate,
+            lock_angle=lock_angle,
         )
         self._added = par.added_states(sets[0])
-        self._clock = np.zeros(kernels.CLOCK_SIZE, dtype=np.int64)
-        self._counts = np.zeros(len(COUNTERS), dtype=np.int64)
-        self._memory = (
-            np.zeros(n),
-            np.zeros((n, n)),
-            np.zeros((n, m)),
-            np.zeros(2),
-            self._clock,
-            self._counts,
-            np.zeros(2),
-            np.zeros((2, 2)),
-            np.zeros(2 + n),
-            np.zeros(n),
-        )
-        self._work = kernels.make_work(n, m)
-        self._row = np.zeros(ROW)
-        self._view = self._row.view(ESTIMATE_DTYPE)
-        self._y = np.zeros(2)
-        self._u = np.zeros(2)
+        self._memory = kernels.make_memory(n, m)
+        # What the kernels take: plain tuples, see filter.process_one.
+        self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, m))
+        self._row = np.zeros(1, ESTIMATE_DTYPE)
         self._compile()
 
     def _compile(self) -> None:
@@ -174,11 +164,11 @@ class Estimator:
         for stamp in (1, 1_000_001):
             self.step(stamp, 4e5, 4e5, 5.0, 5.0)
         self.reset()
-        self._counts[:] = 0
+        self._memory.counts[:] = 0
 
     def reset(self) -> None:
         """Forget the estimate; the next sample with both pressures and voltages starts the filter."""
-        self._clock[:] = 0
+        self._memory.clock[:] = 0
 
     def set_state(
         self, stamp_ns: int, angle: float, velocity: float, pressure: tuple[float, float], voltage: tuple[float, float]
@@ -198,10 +188,10 @@ class Estimator:
         Raises:
             BadInput: a value that is not finite or not physical, or another angle than that of a locked joint.
         """
-        p = self._settings[0][0]
+        p = self._settings.parameter_sets[0]
         locked = p[par.LOCKED] != 0.0
         bound = min(float(p[par.INDEX["joint.stop"]]), 0.5 * math.pi)
-        at = float(self._settings[5][3])
+        at = self._settings.lock_angle
         if locked and not (angle == at and velocity == 0.0):
             raise BadInput(
                 f"angle {angle:g} rad, velocity {velocity:g} rad/s: expected {at:g} and 0, the joint is locked"
@@ -216,24 +206,24 @@ class Estimator:
                 raise BadInput(f"pressure {value:g} Pa: expected {low:g} to {high:g} Pa, absolute")
         if not all(math.isfinite(value) for value in voltage):
             raise BadInput(f"voltage {list(voltage)}: expected two finite numbers")
-        x, covariance, cross, held = self._memory[:4]
+        memory = self._memory
         inputs = np.array(voltage, dtype=np.float64)
-        x[:] = rest.initial_state(angle, pressure[0], pressure[1], inputs, p)
-        x[dynamics.VELOCITY] = velocity
-        covariance[:] = np.diag(self._settings[1])
-        cross[:] = 0.0
-        held[:] = inputs
-        self._clock[:] = kernels.running_since(stamp_ns)
+        memory.x[:] = rest.initial_state(angle, pressure[0], pressure[1], inputs, p)
+        memory.x[dynamics.VELOCITY] = velocity
+        memory.covariance[:] = np.diag(self._settings.initial)
+        memory.cross[:] = 0.0
+        memory.held[:] = inputs
+        memory.clock[:] = kernels.running_since(stamp_ns)
 
     @property
     def counts(self) -> Counts:
         """What became of the samples so far."""
-        return Counts(*(int(value) for value in self._counts))
+        return Counts(*(int(value) for value in self._memory.counts))
 
     @property
     def started_ns(self) -> int | None:
         """Stamp [ns] of the sample that started the running filter, None before that."""
-        return kernels.started_ns(self._clock)
+        return kernels.started_ns(self._memory.clock)
 
     def step(self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float) -> np.void | None:
         """Take one sample in.
@@ -249,13 +239,8 @@ class Estimator:
             The estimate (an ``ESTIMATE_DTYPE``, overwritten by the next call), or None where there is none:
             the sample was not newer than the last one, or the filter is not started yet.
         """
-        y, u = self._y, self._u
-        y[0] = p1
-        y[1] = p2
-        u[0] = u1
-        u[1] = u2
-        if kernels.process(stamp_ns, y, u, self._memory, self._settings, self._work, self._row):
-            return self._view[0]
+        if kernels.process_one(stamp_ns, float(p1), float(p2), float(u1), float(u2), *self._fields, self._row):
+            return self._row[0]
         return None
 
     def run(self, stamp_ns: np.ndarray, pressure: np.ndarray, voltage: np.ndarray) -> EstimateRun:
@@ -267,8 +252,8 @@ class Estimator:
             voltage: voltages (N, 2) [V], NaN where missing.
         """
         samples = len(stamp_ns)
-        rows = np.zeros((samples, ROW))
-        states = np.zeros((samples, len(self._memory[0])))
+        rows = np.zeros(samples, ESTIMATE_DTYPE)
+        states = np.zeros((samples, len(self._memory.x)))
         index = np.zeros(samples, dtype=np.int64)
         started = np.zeros(samples, dtype=np.int64)
         stamps = np.ascontiguousarray(stamp_ns, dtype=np.int64)
@@ -276,16 +261,14 @@ class Estimator:
             stamps,
             np.array(pressure, dtype=np.float64, order="C"),
             np.array(voltage, dtype=np.float64, order="C"),
-            self._memory,
-            self._settings,
-            self._work,
+            *self._fields,
             rows,
             states,
             index,
             started,
         )
         return EstimateRun(
-            rows=rows[:count].view(ESTIMATE_DTYPE)[:, 0],
+            rows=rows[:count],
             added={name: states[:count, par.BASE_STATES + k] for k, name in enumerate(self._added)},
             stamp_ns=stamps[index[:count]],
             index=index[:count],

@@ -1,7 +1,7 @@
 """One sample after another through the filter: time, missing values and outliers, as one compiled kernel.
 
-The live node calls :func:`process` once a sample, a replay calls it in a loop: there is no second path, so
-both give the same bits.
+The live node calls :func:`process_one` once a sample, a replay calls :func:`process_all`. Both go through
+:func:`process`, so both give the same bits.
 
 A sample is two pressures at a stamp and the voltages that were on the valves over the step that ends
 there. What can be wrong with it is decided here, by stamps alone and never by the time of arrival:
@@ -19,12 +19,13 @@ there. What can be wrong with it is decided here, by stamps alone and never by t
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pam_antagonist._jit import kernel
+from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.estimation import ukf
+from pam_antagonist.estimation.ukf import Work
 from pam_antagonist.model import dynamics, rest, sensor
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 from pam_antagonist.model.parameters import LOCKED
@@ -59,57 +60,109 @@ ESTIMATE_DTYPE = np.dtype(
     ]
 )
 """One estimate: rad, rad/s, N m, their covariance, Pa, N, N m/rad, Pa, Pa², and what helps to judge it."""
-ROW = ESTIMATE_DTYPE.itemsize // 8
-_COVARIANCE, _PRESSURE, _FORCE, _STIFFNESS, _INNOVATION, _INNOVATION_COVARIANCE, _NIS, _SUBSYSTEM, _FLAGS = (
-    ESTIMATE_DTYPE.fields[name][1] // 8  # type: ignore[index]
-    for name in ESTIMATE_DTYPE.names[3:]  # type: ignore[index]
-)
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
 _start_angle, _forces, _torque_slope = rest.start_angle, dynamics.forces, dynamics.torque_slope
 _subsystem, _initial_state, _pressure_behind = dynamics.subsystem, rest.initial_state, sensor.pressure_behind
 
 
-def make_work(states: int, considered: int) -> tuple[np.ndarray, ...]:
-    """Scratch arrays of the kernels, so that no step allocates.
+class Settings(NamedTuple):
+    """What a filter is set to; n states, m consider parameters.
+
+    Attributes:
+        parameter_sets: parameter vectors of the sigma points (1 + 2 m, parameters.SIZE), the nominal one first.
+        initial: diagonal of P(0) (n,).
+        process_noise: diagonal of Q a sample period (n,).
+        measurement_noise: diagonal of R (2,) [Pa²].
+        gain_noise: what stands for R in the gain (2,) [Pa²], see :func:`pam_antagonist.estimation.ukf.update`.
+        period: sample period [s].
+        kappa: κ, the scaling of the sigma points [-].
+        gate: largest Mahalanobis distance of a pressure that is used [-].
+        lock_angle: angle of a locked joint [rad].
+    """
+
+    parameter_sets: np.ndarray
+    initial: np.ndarray
+    process_noise: np.ndarray
+    measurement_noise: np.ndarray
+    gain_noise: np.ndarray
+    period: float
+    kappa: float
+    gate: float
+    lock_angle: float
+
+
+class Memory(NamedTuple):
+    """What a filter remembers from sample to sample, changed in place.
+
+    Attributes:
+        x: estimate of the state (n,) [rad, rad/s, Pa, Pa, added states].
+        covariance: P (n, n).
+        cross: covariance with the consider parameters C (n, m).
+        held: last known voltages (2,) [V].
+        clock: whether the filter runs, last stamp [ns], stamp of the start [ns], rejected samples in a row (4,).
+        counts: what became of the samples (len(COUNTERS),).
+        innovation: of the last sample (2,) [Pa], NaN where a pressure was not used.
+        innovation_covariance: (2, 2) [Pa²].
+        torque_moments: mean of the torque [N m], its variance, its covariance with each state (2 + n,).
+        noise: diagonal of Q for the step at hand (n,).
+    """
+
+    x: np.ndarray
+    covariance: np.ndarray
+    cross: np.ndarray
+    held: np.ndarray
+    clock: np.ndarray
+    counts: np.ndarray
+    innovation: np.ndarray
+    innovation_covariance: np.ndarray
+    torque_moments: np.ndarray
+    noise: np.ndarray
+
+
+def make_memory(states: int, considered: int) -> Memory:
+    """The memory of a filter that has not begun.
 
     Args:
         states: n.
         considered: m.
     """
-    points = 1 + 2 * (states + considered)
-    return (
-        np.zeros((points, states)),
-        np.zeros((states, states)),
-        np.zeros((states, states)),
-        np.zeros((states, 2)),
-        np.zeros(points),
+    n = states
+    return Memory(
+        x=np.zeros(n),
+        covariance=np.zeros((n, n)),
+        cross=np.zeros((n, considered)),
+        held=np.zeros(2),
+        clock=np.zeros(CLOCK_SIZE, dtype=np.int64),
+        counts=np.zeros(len(COUNTERS), dtype=np.int64),
+        innovation=np.zeros(2),
+        innovation_covariance=np.zeros((2, 2)),
+        torque_moments=np.zeros(2 + n),
+        noise=np.zeros(n),
     )
 
 
 @kernel
 def _start(stamp, y, u, memory, settings):
     """Set the filter to what a first sample tells: its pressures, and a joint at rest under them."""
-    x, covariance, cross, held, clock, counts, _, _, _, _ = memory
-    parameter_sets, initial, _, _, _, scalars = settings
-    n = x.shape[0]
-    p = parameter_sets[0]
+    p = settings.parameter_sets[0]
     pressure_1, pressure_2 = _pressure_behind(0, y[0], p), _pressure_behind(1, y[1], p)
-    angle = scalars[3] if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
-    x[:] = _initial_state(angle, pressure_1, pressure_2, u, p)
-    covariance[:] = 0.0
-    cross[:] = 0.0
-    for i in range(n):
-        covariance[i, i] = initial[i]
-    held[0] = u[0]
-    held[1] = u[1]
+    angle = settings.lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
+    memory.x[:] = _initial_state(angle, pressure_1, pressure_2, u, p)
+    memory.covariance[:] = 0.0
+    memory.cross[:] = 0.0
+    for i in range(memory.x.shape[0]):
+        memory.covariance[i, i] = settings.initial[i]
+    memory.held[0] = u[0]
+    memory.held[1] = u[1]
+    clock = memory.clock
     clock[_RUNNING] = 1
     clock[_LAST] = stamp
     clock[_STARTED] = stamp
     clock[_REJECTED] = 0
 
 
-@kernel
+@inlined
 def _select(innovation, s, usable_1, usable_2, gate):
     """Which pressures lie within the gate: the joint Mahalanobis distance first, then the better one alone."""
     v1 = innovation[0]
@@ -131,7 +184,7 @@ def _select(innovation, s, usable_1, usable_2, gate):
     return usable_1, usable_2
 
 
-@kernel
+@inlined
 def _finite(x, covariance):
     for i in range(x.shape[0]):
         if not (math.isfinite(x[i]) and math.isfinite(covariance[i, i])):
@@ -142,33 +195,156 @@ def _finite(x, covariance):
 @kernel
 def _write(row, memory, settings, nis, flags, work):
     """Put the estimate into its row; False where the covariance is lost."""
-    x, covariance, cross, held, _, _, innovation, innovation_covariance, moments, _ = memory
-    parameter_sets, _, _, _, _, scalars = settings
-    p = parameter_sets[0]
-    if _torque_moments(x, covariance, cross, parameter_sets, scalars[1], work, moments) < 0:
+    x, covariance, moments = memory.x, memory.covariance, memory.torque_moments
+    sets = settings.parameter_sets
+    p = sets[0]
+    if _torque_moments(x, covariance, memory.cross, sets, settings.kappa, work, moments) < 0:
         return False
-    row[0] = x[ANGLE]
-    row[1] = x[VELOCITY]
-    row[2] = moments[0]
+    row.angle = x[ANGLE]
+    row.velocity = x[VELOCITY]
+    row.torque = moments[0]
     for i in range(2):
         for j in range(2):
-            row[_COVARIANCE + 3 * i + j] = covariance[i, j]
-        row[_COVARIANCE + 3 * i + 2] = moments[2 + i]
-        row[_COVARIANCE + 6 + i] = moments[2 + i]
-        row[_PRESSURE + i] = x[PRESSURE_1 + i]
-        row[_INNOVATION + i] = innovation[i]
-        for j in range(2):
-            row[_INNOVATION_COVARIANCE + 2 * i + j] = innovation_covariance[i, j]
-    row[_COVARIANCE + 8] = moments[1]
-    row[_FORCE], row[_FORCE + 1] = _forces(x, p)
-    row[_STIFFNESS] = _torque_slope(x, p)
-    row[_NIS] = nis
-    row[_SUBSYSTEM] = _subsystem(x, p)
-    row[_FLAGS] = flags
-    return math.isfinite(row[2]) and math.isfinite(row[_COVARIANCE + 8])
+            row.covariance[i, j] = covariance[i, j]
+            row.innovation_covariance[i, j] = memory.innovation_covariance[i, j]
+        row.covariance[i, 2] = moments[2 + i]
+        row.covariance[2, i] = moments[2 + i]
+        row.pressure[i] = x[PRESSURE_1 + i]
+        row.innovation[i] = memory.innovation[i]
+    row.covariance[2, 2] = moments[1]
+    row.force[0], row.force[1] = _forces(x, p)
+    row.stiffness = _torque_slope(x, p)
+    row.nis = nis
+    row.subsystem = _subsystem(x, p)
+    row.flags = flags
+    return math.isfinite(moments[0]) and math.isfinite(moments[1])
+
+
+@inlined
+def _dropped(elapsed, memory):
+    """Whether a running filter has no use for a sample at that distance [ns]; stops one that has to begin again."""
+    clock, counts = memory.clock, memory.counts
+    if clock[_RUNNING] == 0:
+        return False
+    if elapsed == 0:
+        counts[_DUPLICATES] += 1
+        return True
+    if -RESTART_AFTER_NS <= elapsed < 0:
+        counts[_LATE] += 1
+        return True
+    if elapsed < 0 or elapsed > LONGEST_GAP_NS or not _finite(memory.x, memory.covariance):
+        clock[_RUNNING] = 0
+        counts[_RESTARTS] += 1
+    return False
 
 
 @kernel
+def _begin(stamp, y, u, memory, settings, work, row):
+    """Start with a sample that has everything; whether there is an estimate."""
+    _start(stamp, y, u, memory, settings)
+    memory.counts[_PROCESSED] += 1
+    return _write(row, memory, settings, np.nan, 0, work)
+
+
+@inlined
+def _advance(elapsed, u, known_u, memory, settings, work):
+    """Predict over the time since the last sample [ns], missing samples included; how many steps, repaired pivots."""
+    seconds = elapsed / 1e9
+    steps = max(1, int(seconds / settings.period + 0.5))
+    dt = seconds / steps
+    for i in range(memory.x.shape[0]):
+        memory.noise[i] = settings.process_noise[i] * (dt / settings.period)
+    repaired = 0
+    for step in range(steps):
+        if step == steps - 1 and known_u:
+            memory.held[0] = u[0]
+            memory.held[1] = u[1]
+        outcome = _spread_predict(
+            memory.x,
+            memory.covariance,
+            memory.cross,
+            memory.held,
+            settings.parameter_sets,
+            dt,
+            memory.noise,
+            settings.kappa,
+            work,
+        )
+        if outcome < 0:
+            break
+        repaired += outcome
+    return steps, repaired
+
+
+@inlined
+def _gate(y, finite_1, finite_2, memory, settings):
+    """Innovation of the pressures, which of them to use, and whether one was left out as an outlier."""
+    innovation, covariance = memory.innovation, memory.innovation_covariance
+    p = settings.parameter_sets[0]
+    for i in range(2):
+        innovation[i] = _pressure_behind(i, y[i], p)
+    _innovate(memory.x, memory.covariance, innovation, settings.measurement_noise, innovation, covariance)
+    use_1, use_2 = _select(innovation, covariance, finite_1, finite_2, settings.gate)
+    clock = memory.clock
+    if use_1 == finite_1 and use_2 == finite_2:
+        clock[_REJECTED] = 0
+        return use_1, use_2, False
+    clock[_REJECTED] += 1
+    if clock[_REJECTED] > PATIENCE:
+        return finite_1, finite_2, False
+    return use_1, use_2, True
+
+
+@inlined
+def _correct(use_1, use_2, memory, settings, work):
+    """Update with the pressures that are used, forget the innovation of the others; the squared innovation."""
+    innovation = memory.innovation
+    nis = np.nan
+    if use_1 or use_2:
+        nis = _update(
+            memory.x,
+            memory.covariance,
+            memory.cross,
+            innovation,
+            settings.measurement_noise,
+            settings.gain_noise,
+            use_1,
+            use_2,
+            work,
+        )
+    else:
+        memory.counts[_PREDICTED_ONLY] += 1
+    if not use_1:
+        innovation[0] = np.nan
+    if not use_2:
+        innovation[1] = np.nan
+    return nis
+
+
+@inlined
+def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
+    """Flags of an estimate; its sample is counted as what it was."""
+    flags = 0
+    if not finite_1:
+        flags |= MISSING_PRESSURE_1
+    if not finite_2:
+        flags |= MISSING_PRESSURE_2
+    if not known_u:
+        flags |= MISSING_VALVE
+    if flags != 0:
+        counts[_MISSING] += 1
+    if outlier:
+        counts[_OUTLIERS] += 1
+        flags |= OUTLIER
+    if gap:
+        flags |= GAP
+    if repaired:
+        counts[_REPAIRS] += 1
+        flags |= REPAIRED
+    return flags
+
+
+@inlined
 def process(stamp, y, u, memory, settings, work, row):
     """Take one sample in.
 
@@ -176,119 +352,82 @@ def process(stamp, y, u, memory, settings, work, row):
         stamp: [ns].
         y: pressures (2,) [Pa], NaN where missing.
         u: voltages (2,) [V] over the step that ends at the stamp, NaN where missing.
-        memory: what the filter remembers, see :class:`pam_antagonist.estimation.Estimator`.
-        settings: its settings, likewise.
-        work: scratch of :func:`make_work`.
-        row: result (ROW,), an ``ESTIMATE_DTYPE`` as floats.
+        memory: :class:`Memory` of the filter, changed in place.
+        settings: its :class:`Settings`.
+        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
+        row: result, a record of ``ESTIMATE_DTYPE``.
 
     Returns:
         True where ``row`` holds an estimate; False where the sample was dropped, or no filter could be
         started from it.
     """
-    x, covariance, cross, held, clock, counts, innovation, innovation_covariance, _, noise = memory
-    parameter_sets, _, process_noise, measurement_noise, gain_noise, scalars = settings
-    period, kappa, gate = scalars[0], scalars[1], scalars[2]
+    clock, counts = memory.clock, memory.counts
     finite_1 = math.isfinite(y[0])
     finite_2 = math.isfinite(y[1])
     known_u = math.isfinite(u[0]) and math.isfinite(u[1])
-    innovation[:] = np.nan
-    innovation_covariance[:] = np.nan
-    flags = 0
+    complete = finite_1 and finite_2 and known_u
+    memory.innovation[:] = np.nan
+    memory.innovation_covariance[:] = np.nan
     elapsed = stamp - clock[_LAST]
-    if clock[_RUNNING] == 1:
-        if elapsed == 0:
-            counts[_DUPLICATES] += 1
-            return False
-        if -RESTART_AFTER_NS <= elapsed < 0:
-            counts[_LATE] += 1
-            return False
-        if elapsed < 0 or elapsed > LONGEST_GAP_NS or not _finite(x, covariance):
-            clock[_RUNNING] = 0
-            counts[_RESTARTS] += 1
+    if _dropped(elapsed, memory):
+        return False
     if clock[_RUNNING] == 0:
-        if not (finite_1 and finite_2 and known_u):
-            counts[_MISSING] += 1
-            return False
-        _start(stamp, y, u, memory, settings)
-        counts[_PROCESSED] += 1
-        return _write(row, memory, settings, np.nan, 0, work)
+        if complete:
+            return _begin(stamp, y, u, memory, settings, work, row)
+        counts[_MISSING] += 1
+        return False
 
-    seconds = elapsed / 1e9
-    steps = max(1, int(seconds / period + 0.5))
+    steps, repaired = _advance(elapsed, u, known_u, memory, settings, work)
     if steps > 1:
         counts[_GAPS] += 1
-        flags |= GAP
-    dt = seconds / steps
-    for i in range(x.shape[0]):
-        noise[i] = process_noise[i] * (dt / period)
-    repaired = 0
-    for step in range(steps):
-        if step == steps - 1 and known_u:
-            held[0] = u[0]
-            held[1] = u[1]
-        outcome = _spread_predict(x, covariance, cross, held, parameter_sets, dt, noise, kappa, work)
-        if outcome < 0:
-            break
-        repaired += outcome
     clock[_LAST] = stamp
-    if not _finite(x, covariance):
+    if not _finite(memory.x, memory.covariance):
         # Nothing of the old estimate is of use: begin again with this sample, or with the next good one.
         clock[_RUNNING] = 0
         counts[_RESTARTS] += 1
-        if not (finite_1 and finite_2 and known_u):
-            return False
-        _start(stamp, y, u, memory, settings)
-        counts[_PROCESSED] += 1
-        return _write(row, memory, settings, np.nan, 0, work)
+        return complete and _begin(stamp, y, u, memory, settings, work, row)
 
-    p = parameter_sets[0]
-    for i in range(2):
-        innovation[i] = _pressure_behind(i, y[i], p)
-    _innovate(x, covariance, innovation, measurement_noise, innovation, innovation_covariance)
-    use_1, use_2 = _select(innovation, innovation_covariance, finite_1, finite_2, gate)
-    if (finite_1 and not use_1) or (finite_2 and not use_2):
-        clock[_REJECTED] += 1
-        if clock[_REJECTED] > PATIENCE:
-            use_1, use_2 = finite_1, finite_2
-        else:
-            flags |= OUTLIER
-            counts[_OUTLIERS] += 1
-    else:
-        clock[_REJECTED] = 0
-    nis = np.nan
-    if use_1 or use_2:
-        nis = _update(x, covariance, cross, innovation, measurement_noise, gain_noise, use_1, use_2, work)
-    else:
-        counts[_PREDICTED_ONLY] += 1
-    if not use_1:
-        innovation[0] = np.nan
-    if not use_2:
-        innovation[1] = np.nan
-    if not finite_1:
-        flags |= MISSING_PRESSURE_1
-    if not finite_2:
-        flags |= MISSING_PRESSURE_2
-    if not known_u:
-        flags |= MISSING_VALVE
-    if not (finite_1 and finite_2 and known_u):
-        counts[_MISSING] += 1
-    if repaired > 0:
-        counts[_REPAIRS] += 1
-        flags |= REPAIRED
+    use_1, use_2, outlier = _gate(y, finite_1, finite_2, memory, settings)
+    nis = _correct(use_1, use_2, memory, settings, work)
+    flags = _flagged(finite_1, finite_2, known_u, outlier, steps > 1, repaired > 0, counts)
     counts[_PROCESSED] += 1
     return _write(row, memory, settings, nis, flags, work)
 
 
 @kernel
-def process_all(stamps, pressures, voltages, memory, settings, work, rows, states, index, started):
-    """:func:`process` for every sample of a recording.
+def process_one(stamp, p1, p2, u1, u2, memory, settings, work, rows):
+    """:func:`process` for one sample, called from Python.
+
+    Args:
+        stamp: [ns].
+        p1: pressure of muscle 1 [Pa].
+        p2: pressure of muscle 2 [Pa].
+        u1: voltage on valve 1 [V].
+        u2: voltage on valve 2 [V].
+        memory: fields of :class:`Memory` as a plain tuple, which numba takes from Python in a third of the time.
+        settings: fields of :class:`Settings`, likewise.
+        work: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise.
+        rows: result (1,) of ``ESTIMATE_DTYPE``.
+
+    Returns:
+        Whether there is an estimate.
+    """
+    y, u = np.array((p1, p2)), np.array((u1, u2))
+    return process(stamp, y, u, Memory(*memory), Settings(*settings), Work(*work), rows[0])
+
+
+@kernel
+def process_all(stamps, pressures, voltages, memory_fields, settings_fields, work_fields, rows, states, index, started):
+    """:func:`process` for every sample of a recording, called from Python.
 
     Args:
         stamps: (N,) [ns].
         pressures: (N, 2) [Pa].
         voltages: (N, 2) [V].
-        memory, settings, work: as for :func:`process`.
-        rows: results (N, ROW).
+        memory_fields: as for :func:`process_one`.
+        settings_fields: likewise.
+        work_fields: likewise.
+        rows: results (N,) of ``ESTIMATE_DTYPE``.
         states: result (N, n), the whole state behind each estimate.
         index: for each result the sample it belongs to (N,).
         started: for each result the stamp [ns] at which its filter was started (N,).
@@ -296,13 +435,13 @@ def process_all(stamps, pressures, voltages, memory, settings, work, rows, state
     Returns:
         How many results there are.
     """
+    memory, settings, work = Memory(*memory_fields), Settings(*settings_fields), Work(*work_fields)
     count = 0
-    clock = memory[4]
     for k in range(stamps.shape[0]):
         if process(stamps[k], pressures[k], voltages[k], memory, settings, work, rows[count]):
-            states[count] = memory[0]
+            states[count] = memory.x
             index[count] = k
-            started[count] = clock[_STARTED]
+            started[count] = memory.clock[_STARTED]
             count += 1
     return count
 

@@ -18,6 +18,10 @@ printed one is an option of a tuning); rows of the matrix square root in (14), (
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
 from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.estimation.factor import factorise
 from pam_antagonist.model import dynamics
@@ -25,6 +29,35 @@ from pam_antagonist.model.dynamics import PRESSURE_1
 
 _rk4_step, _torque = dynamics.rk4_step, dynamics.torque
 OUTPUTS = 2
+
+
+class Work(NamedTuple):
+    """Scratch arrays of the kernels, so that no step allocates.
+
+    Attributes:
+        points: sigma points (1 + 2 m + 2 n, n).
+        lower: lower factor (n, n).
+        scratch: (n, n).
+        gain: K (n, 2).
+        torques: torque of each sigma point (1 + 2 m + 2 n,) [N m].
+    """
+
+    points: np.ndarray
+    lower: np.ndarray
+    scratch: np.ndarray
+    gain: np.ndarray
+    torques: np.ndarray
+
+
+def make_work(states: int, considered: int) -> Work:
+    """Scratch arrays for a number of states and parameters.
+
+    Args:
+        states: n.
+        considered: m.
+    """
+    n, points = states, 1 + 2 * (states + considered)
+    return Work(np.zeros((points, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, 2)), np.zeros(points))
 
 
 @kernel
@@ -55,6 +88,12 @@ def spread_points(x, cross, lower, reach, points):
 @kernel
 def conditional_factor(covariance, cross, scratch, lower):
     """L with L Lᵀ = P − C Cᵀ; where a pivot was lost, P is set to C Cᵀ + L Lᵀ so that it is definite.
+
+    Args:
+        covariance: P (n, n).
+        cross: C (n, m).
+        scratch: (n, n), overwritten.
+        lower: result (n, n).
 
     Returns:
         Repaired pivots, -1 for a covariance that is not finite.
@@ -96,17 +135,17 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
         dt: step [s].
         noise: diagonal of Q (n,) for this step.
         kappa: κ.
-        work: scratch, see :func:`pam_antagonist.estimation.filter.make_work`.
+        work: :class:`Work`, scratch.
 
     Returns:
         Repaired pivots, -1 where the covariance is not finite.
     """
-    points, lower, scratch, _, _ = work
+    points, lower = work.points, work.lower
     n = x.shape[0]
     m = cross.shape[1]
     spread = m + n + kappa
     reach = spread**0.5
-    repaired = conditional_factor(covariance, cross, scratch, lower)
+    repaired = conditional_factor(covariance, cross, work.scratch, lower)
     if repaired < 0:
         return repaired
     spread_points(x, cross, lower, reach, points)
@@ -189,12 +228,12 @@ def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, wo
         gain_noise: what stands for it in the gain: R, or 2 R for the gain as it is printed.
         use_1: whether the first pressure is used.
         use_2: whether the second one is.
-        work: scratch.
+        work: :class:`Work`, scratch.
 
     Returns:
         Normalised innovation squared of the pressures used.
     """
-    _, factor, scratch, gain, _ = work
+    factor, scratch, gain = work.lower, work.scratch, work.gain
     n = x.shape[0]
     m = cross.shape[1]
     v1 = innovation[0] if use_1 else 0.0
@@ -241,16 +280,22 @@ def torque_moments(x, covariance, cross, parameter_sets, kappa, work, moments):
     """Torque and its covariances by the unscented transform of equation (9).
 
     Args:
+        x: estimate (n,).
+        covariance: P (n, n).
+        cross: C (n, m).
+        parameter_sets: (1 + 2 m, SIZE), as for :func:`predict`.
+        kappa: κ.
+        work: :class:`Work`, scratch.
         moments: result (1 + 1 + n,): mean of τ [N m], its variance, its covariance with each state.
 
     Returns:
         Repaired pivots, -1 where the covariance is not finite.
     """
-    points, lower, scratch, _, torques = work
+    points, lower, torques = work.points, work.lower, work.torques
     n = x.shape[0]
     m = cross.shape[1]
     spread = m + n + kappa
-    repaired = conditional_factor(covariance, cross, scratch, lower)
+    repaired = conditional_factor(covariance, cross, work.scratch, lower)
     if repaired < 0:
         return repaired
     spread_points(x, cross, lower, spread**0.5, points)

@@ -7,7 +7,6 @@ import numpy as np
 from pam_antagonist._jit import kernel
 from pam_antagonist.estimation import Estimator, simulate_model, ukf
 from pam_antagonist.estimation.estimator import parameter_sets
-from pam_antagonist.estimation.filter import make_work
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.parameters import BASE_STATES as STATES
 from pam_antagonist.rig import Rig
@@ -60,7 +59,7 @@ class _Case:
         self.considered = (len(self.parameter_sets) - 1) // 2
         self.sigma_points = 1 + 2 * (STATES + self.considered)
         self._points = np.zeros((self.sigma_points, STATES))
-        self._work = make_work(STATES, self.considered)
+        self._work = ukf.make_work(STATES, self.considered)
         self.estimator = Estimator(rig, tuning)
 
     def bare(self) -> None:
