@@ -19,7 +19,7 @@ from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain
 from pam_antagonist.rig import Rig, load_rig
 
 if TYPE_CHECKING:
-    from pam_antagonist.nodes.watch import Watch
+    from pam_antagonist.nodes.client import ReferenceClient
 
 _DESCRIPTION = """\
 Run a sensor-less closed loop live and judge it.
@@ -189,9 +189,9 @@ def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], d
     from tqdm import tqdm
 
     # ROS is imported while the nodes are starting.
-    from pam_antagonist.nodes.watch import Watch
+    from pam_antagonist.nodes.client import ReferenceClient
 
-    with Watch() as watch:
+    with ReferenceClient() as watch:
         processes.wait(watch.missing)
         took = f"plant, estimator and controller are running after {_since_start():.1f} s"
         print(f"{took}; recording {duration:g} s", flush=True)
@@ -218,9 +218,9 @@ def _since_start() -> float:
         return float(uptime.read().split()[0]) - ticks / os.sysconf("SC_CLK_TCK")
 
 
-def _seen(watch: Watch, mode: Mode, reference: float) -> str:
+def _seen(watch: ReferenceClient, mode: Mode, reference: float) -> str:
     """Reference, estimate and measurement now."""
-    estimate, measured = watch.look(mode)
+    estimate, measured = watch.read(mode)
     if mode is Mode.ANGLE:
         return "reference {:+5.1f}°  estimate {:+6.2f}°  measured {:+6.2f}°".format(
             *(math.degrees(value) for value in (reference, estimate, measured))

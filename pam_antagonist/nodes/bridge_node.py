@@ -16,9 +16,9 @@ from pam_antagonist.hardware.calibration import Converter, load_calibration
 from pam_antagonist.hardware.device import Device
 from pam_antagonist.hardware.link import Link, Sample, Wanted
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.hardware.rest import RestMeasurement
 from pam_antagonist.hardware.serial_device import SerialDevice
 from pam_antagonist.hardware.transport import SerialTransport
+from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
 from pam_antagonist.nodes import bridge_health, wire
 from pam_antagonist.nodes.bridge import PARAMETERS
 from pam_antagonist.nodes.health import Health
@@ -102,7 +102,7 @@ class BridgeNode(PamNode):
         self._sent_ns = self._commands_sent = 0
         self._session = 0
         self._told = ""
-        self._rest = RestMeasurement(self._converter)
+        self._rest = ZeroPressureMeasurement(self._converter)
         self._pressures = tuple(
             wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
             for i in (1, 2)

@@ -20,9 +20,9 @@ from pam_antagonist.hardware.device import DeviceInfo, RawSample
 from pam_antagonist.hardware.firmware import Firmware, Readings
 from pam_antagonist.hardware.link import SILENCE, Link, Sample, Wanted
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.hardware.rest import RestMeasurement
 from pam_antagonist.hardware.serial_device import SerialDevice
 from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
+from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
 from pam_antagonist.safety import SafeAction
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "hardware.md"
@@ -343,7 +343,7 @@ def test_a_port_is_opened_by_one_program_only() -> None:
 
 def test_offsets_at_rest_bring_the_pressures_to_the_atmospheres() -> None:
     converter = Converter(load_calibration("example"), (100.0, -50.0))
-    rest = RestMeasurement(converter)
+    rest = ZeroPressureMeasurement(converter)
     for k in range(1000):
         rest.add(converter.pressure((0.502 + 1e-4 * (-1) ** k, 0.497)))
     converter.rest = rest.result()
@@ -361,7 +361,7 @@ def test_offsets_at_rest_bring_the_pressures_to_the_atmospheres() -> None:
     ],
 )
 def test_what_is_not_at_rest_is_not_measured(pressures: list[tuple[float, float]], words: str) -> None:
-    rest = RestMeasurement(Converter(load_calibration("example")))
+    rest = ZeroPressureMeasurement(Converter(load_calibration("example")))
     for pressure in pressures:
         rest.add(pressure)
     with pytest.raises(Exception, match=words):

@@ -184,14 +184,14 @@ def check_node(name: str, has: Rules) -> None:
 
 @pytest.mark.ros
 def test_the_policy_allows_what_the_nodes_do(tmp_path: Path, auditor: Auditor) -> None:
-    from pam_antagonist.nodes.watch import Watch
+    from pam_antagonist.nodes.client import ReferenceClient
 
     names = ("plant", "estimator", "controller", "recorder")
     with Processes(tmp_path) as processes:
         processes.start("record", ["--out", str(tmp_path / "bag")])
         for name in names[:3]:
             processes.start(name)
-        with Watch() as watch:
+        with ReferenceClient() as watch:
             processes.wait(watch.missing)
         auditor.wait(processes, *names)
         for name in names:

@@ -152,14 +152,14 @@ def _start_passthrough(period: float) -> Callable[[Processes], None]:
 def _run(start: Callable[[Processes], None], duration: float, period: float) -> _Run:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(free_domain())
-    from pam_antagonist.nodes.watch import Watch
+    from pam_antagonist.nodes.client import ReferenceClient
 
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as name:
         folder = Path(name)
         with Processes(folder) as processes:
             processes.start("record", ["--out", str(folder / "bag")])
             start(processes)
-            with Watch() as watch:
+            with ReferenceClient() as watch:
                 processes.wait(watch.missing)
             time.sleep(_SETTLE)
             nodes = {node: processes.running[node] for node in NODES}

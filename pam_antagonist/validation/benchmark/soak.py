@@ -90,14 +90,14 @@ def measure(rig: str, duration: float, progress: Callable[[float], object] = lam
 def _run(rig: str, duration: float, progress: Callable[[float], object]) -> tuple[Usage, Recording]:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(free_domain())
-    from pam_antagonist.nodes.watch import Watch
+    from pam_antagonist.nodes.client import ReferenceClient
 
     with tempfile.TemporaryDirectory(prefix="pam_soak_") as name:
         folder = Path(name)
         with Processes(folder) as processes:
             processes.start("record", ["--out", str(folder / "bag"), "--max-duration", str(_FILE)])
             start_real(rig)(processes)
-            with Watch() as watch:
+            with ReferenceClient() as watch:
                 processes.wait(watch.missing)
             usage = _watch(processes, duration, progress)
             processes.stop("plant")

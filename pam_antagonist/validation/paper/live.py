@@ -99,12 +99,12 @@ def estimation(context: Context, joint: str, tuning: str, seconds: float) -> Rec
     Raises:
         ProcessFailed: a node has ended or does not start.
     """
-    from pam_antagonist.nodes.drive import Drive
+    from pam_antagonist.nodes.client import VoltageClient
 
     folder = context.folder / f"online_{joint}"
     period = context.work.rig.declared.sample_period
     voltage = context.work.voltage[: round(seconds / period)]
-    with _pipeline(context, folder, joint, tuning, controlled=False) as processes, Drive() as drive:
+    with _pipeline(context, folder, joint, tuning, controlled=False) as processes, VoltageClient() as drive:
 
         def missing() -> str:
             drive.send(voltage[0])
@@ -129,12 +129,12 @@ def control(context: Context, mode: Mode, tuning: str, steps: list[tuple[float, 
     Raises:
         ProcessFailed: a node has ended or does not start.
     """
-    from pam_antagonist.nodes.watch import Watch
+    from pam_antagonist.nodes.client import ReferenceClient
 
     name = mode.name.lower()
     folder = context.folder / f"control_{name}"
     joint = "free" if mode is Mode.ANGLE else "locked"
-    with _pipeline(context, folder, joint, tuning, controlled=True) as processes, Watch() as watch:
+    with _pipeline(context, folder, joint, tuning, controlled=True) as processes, ReferenceClient() as watch:
         processes.wait(watch.missing)
         with _bar(seconds, f"live, {name} control") as bar:
             start = time.monotonic()

@@ -1,4 +1,4 @@
-"""What pressure sensors show with the muscles open to the air, where the pressure is known."""
+"""Zero of the pressure sensors: what they show while the muscles are open to the air, whose pressure is known."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FARTHEST = 30e3  # a sensor that is further off is broken, or the muscle is not
 _LOUDEST = 3e3  # standard deviation, above which air still moves [Pa]
 
 
-class RestMeasurement:
+class ZeroPressureMeasurement:
     """The last thousand samples of both pressures.
 
     Args:

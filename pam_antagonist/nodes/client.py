@@ -1,0 +1,174 @@
+"""Clients of a running pipeline: nodes of a command that read its latest messages and publish one topic."""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, TypeVar
+
+import numpy as np
+import rclpy
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+
+from pam_antagonist.control import Mode
+from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.spin import tune_middleware
+from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS
+from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
+
+_SUBSCRIBERS = 2
+"""Of what a client publishes: the node that obeys, and the recorder."""
+_TICK = 0.004  # between two commands [s]; the valves take the last one until then
+_PROGRESS_PERIOD = 0.2  # between two reports of progress [s]
+_Self = TypeVar("_Self", bound="PipelineClient")
+
+
+class PipelineClient:
+    """A node without an executor. It takes the latest message when asked, and costs nothing in between.
+
+    Use it as a context manager. Inside, SIGINT and SIGTERM become a ``KeyboardInterrupt`` with the next call of a
+    method, or at the end. In the middle of a call into rclpy, the exception would become another one.
+
+    Args:
+        name: of the node.
+        namespace: of the pipeline.
+        subscribed: types of messages by topic (logical name).
+        published: topic (logical name), type of message and quality of service of what it publishes.
+    """
+
+    def __init__(
+        self, name: str, namespace: str, subscribed: Mapping[str, type], published: tuple[str, type, QoSProfile]
+    ) -> None:
+        tune_middleware()
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(name, namespace=namespace, context=self._context, start_parameter_services=False)
+        self._published, kind, profile = published
+        self._publisher = self._node.create_publisher(kind, TOPICS[self._published].relative, profile)
+        self._topics = {
+            topic: self._node.create_subscription(kind, TOPICS[topic].relative, lambda message: None, qos.GLANCE)
+            for topic, kind in subscribed.items()
+        }
+        self._latest: dict[str, Any] = {}
+
+    def __enter__(self: _Self) -> _Self:
+        self._interrupted = False
+        self._handlers = {number: signal.signal(number, self._interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def _interrupt(self, number: int, frame: object) -> None:
+        self._interrupted = True
+
+    def _check(self) -> None:
+        if self._interrupted:
+            self._interrupted = False
+            raise KeyboardInterrupt
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        if value is None:
+            self._check()
+
+    def latest(self, topic: str) -> Any:
+        """The newest message of a topic (logical name), None if none has come."""
+        self._check()
+        subscription = self._topics[topic]
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, False)
+        if taken is not None:
+            self._latest[topic] = taken[0]
+        return self._latest.get(topic)
+
+    def missing(self) -> str:
+        """What does not deliver or listen yet, in words; empty when everything does."""
+        parts = [f"nothing on {TOPICS[topic].relative}" for topic in self._topics if self.latest(topic) is None]
+        if self._publisher.get_subscription_count() < _SUBSCRIBERS:
+            parts.append(f"nobody listens to {TOPICS[self._published].relative}")
+        return ", ".join(parts)
+
+    def _publish(self, message: Any) -> None:
+        """Publish a message, stamped now."""
+        self._check()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+
+class VoltageClient(PipelineClient):
+    """Commands valve voltages in a pipeline that has no controller.
+
+    Args:
+        namespace: of the pipeline.
+    """
+
+    def __init__(self, namespace: str = DEFAULT_NAMESPACE) -> None:
+        published = ("valve_command", ValveCommand, qos.COMMAND)
+        super().__init__("drive", namespace, {"joint_estimate": JointEstimate}, published)
+
+    def send(self, voltage: NDArray[np.float64]) -> None:
+        """Command two voltages [V] now."""
+        self._publish(ValveCommand(voltage=[float(value) for value in voltage]))
+
+    def follow(
+        self, voltage: NDArray[np.float64], period: float, check: Callable[[], None], progress: Callable[[float], None]
+    ) -> None:
+        """Command a profile in real time.
+
+        Args:
+            voltage: (N, 2) [V], a row a period.
+            period: [s].
+            check: called often; it raises when there is no point in going on.
+            progress: called with the time since the start [s].
+        """
+        start, reported = time.monotonic(), 0.0
+        while (elapsed := time.monotonic() - start) < len(voltage) * period:
+            self.send(voltage[min(int(elapsed / period), len(voltage) - 1)])
+            if elapsed - reported > _PROGRESS_PERIOD:
+                check()
+                progress(elapsed)
+                reported = elapsed
+            time.sleep(_TICK)
+
+
+class ReferenceClient(PipelineClient):
+    """Reads estimate, measurement and commands, and publishes references.
+
+    Args:
+        namespace: of the pipeline.
+    """
+
+    def __init__(self, namespace: str = DEFAULT_NAMESPACE) -> None:
+        subscribed = {
+            "joint_estimate": JointEstimate,
+            "measured_joint_states": JointState,
+            "valve_command": ValveCommand,
+        }
+        super().__init__("watch", namespace, subscribed, ("reference", JointReference, qos.REFERENCE))
+
+    def send(self, mode: Mode, value: float) -> None:
+        """Publish a reference [rad] or [N m], stamped now."""
+        self._publish(JointReference(mode=int(mode), value=value))
+
+    def read(self, mode: Mode) -> tuple[float, float]:
+        """Estimate and measurement now, [rad] or [N m]; NaN where nothing has come."""
+        estimate, measured = self.latest("joint_estimate"), self.latest("measured_joint_states")
+        if mode is Mode.ANGLE:
+            return (
+                estimate.angle if estimate is not None else math.nan,
+                measured.position[0] if measured is not None else math.nan,
+            )
+        return (
+            estimate.torque if estimate is not None else math.nan,
+            measured.effort[0] if measured is not None else math.nan,
+        )
