@@ -60,7 +60,12 @@ class Status(Enum):
 
 
 class Command(NamedTuple):
-    """What is asked of the valves: the voltages of muscle 1 and 2 [V], and why."""
+    """What is asked of the valves.
+
+    Attributes:
+        voltage: of muscle 1 and 2 (2,) [V].
+        status: why.
+    """
 
     voltage: tuple[float, float]
     status: Status
@@ -103,7 +108,12 @@ PUBLISHED_GAINS: Mapping[Mode, Gains] = {Mode.ANGLE: Gains(5.45, 1.55), Mode.TOR
 
 @dataclass(frozen=True)
 class VoltageLimits:
-    """What may be put on a valve [V]."""
+    """What may be put on a valve [V].
+
+    Attributes:
+        minimum: lowest voltage [V].
+        maximum: highest voltage [V].
+    """
 
     minimum: float = 0.0
     maximum: float = 10.0

@@ -22,7 +22,19 @@ _PRESSURES = (50e3, 2e6)  # absolute, likewise [Pa]; gauge pressures near the at
 
 @dataclass(frozen=True)
 class Counts:
-    """What became of the samples that an estimator was given."""
+    """What became of the samples that an estimator was given.
+
+    Attributes:
+        processed: samples with an estimate.
+        predicted_only: of these, without a usable pressure.
+        missing: samples with a missing value.
+        outliers: samples with a pressure beyond the gate.
+        late: older than the last one, dropped.
+        duplicates: of the same stamp as the last one, dropped.
+        gaps: samples that came after missing ones.
+        repaired: samples at which the covariance was repaired.
+        restarts: how often the filter began again.
+    """
 
     processed: int
     predicted_only: int
@@ -58,7 +70,15 @@ class EstimateRun:
 
 @dataclass(frozen=True)
 class ModelRun:
-    """The model alone, driven by recorded voltages: (N,) [rad, rad/s], (N, 2) [Pa], (N,) [N m], (N,) σ."""
+    """The model alone, driven by recorded voltages.
+
+    Attributes:
+        angle: (N,) [rad].
+        velocity: (N,) [rad/s].
+        pressure: what the sensors would show (N, 2) [Pa].
+        torque: (N,) [N m].
+        subsystem: number σ of the active subsystem (N,).
+    """
 
     angle: np.ndarray
     velocity: np.ndarray

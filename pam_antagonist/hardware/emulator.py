@@ -95,7 +95,13 @@ class VoltageLog:
             file.write(LOG_HEADER + "\n")
 
     def voltage(self, device_us: int, voltage: tuple[float, float], safe: bool) -> None:
-        """The valves have these voltages from now on."""
+        """The valves have these voltages from now on.
+
+        Args:
+            device_us: time of the device [µs].
+            voltage: on the valves (2,) [V].
+            safe: whether the firmware put the safe voltages there.
+        """
         if (voltage, safe) != self._last:
             turned = self._last is None or self._last[1] != safe
             self._last = voltage, safe

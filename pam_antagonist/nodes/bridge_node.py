@@ -178,6 +178,7 @@ class BridgeNode(PamNode):
         return response
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Health of the device and of its clock."""
         self._link.check()
         self._tell(self._link.trouble)
         with self._lock:

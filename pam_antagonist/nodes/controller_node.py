@@ -269,6 +269,7 @@ class ControllerNode(PamNode):
         return SetParametersResult(successful=True)
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Health of the control loop: rate, losses and states since the last report."""
         rate = self._rate.take(self._commands, steady_ns)
         statuses, self._statuses = self._statuses, dict.fromkeys(Status, 0)
         safe = sum(count for status, count in statuses.items() if status.safe)

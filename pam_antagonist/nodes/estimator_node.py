@@ -152,6 +152,7 @@ class EstimatorNode(PamNode):
                 self._nis.add(row["nis"])
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Health of the estimate: rate, losses and pairing since the last report."""
         rate = self._rate.take(self._published, steady_ns)
         pairing, counts = self._pairing.counts, self._estimator.counts
         counts_before, incomplete_before, jumps_before = self._before

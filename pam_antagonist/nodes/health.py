@@ -34,7 +34,14 @@ class Health:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median, 99th percentile and largest of some values; NaN if there were none."""
+    """Median, 99th percentile and largest of some values; NaN if there were none.
+
+    Attributes:
+        count: how many values there were.
+        median: of the values.
+        p99: their 99th percentile.
+        largest: the largest one.
+    """
 
     count: int
     median: float
@@ -42,7 +49,13 @@ class Spread:
     largest: float
 
     def as_values(self, name: str, unit: str, scale: float = 1.0) -> dict[str, str]:
-        """For ``Health.values``; each value is divided by ``scale``."""
+        """For ``Health.values``.
+
+        Args:
+            name: of the quantity.
+            unit: in which it is shown.
+            scale: each value is divided by it.
+        """
         return {
             f"{name} median [{unit}]": f"{self.median / scale:.3f}",
             f"{name} 99th percentile [{unit}]": f"{self.p99 / scale:.3f}",

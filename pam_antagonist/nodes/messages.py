@@ -16,7 +16,13 @@ def set_stamp(stamp: Time, time_ns: int) -> None:
 
 
 def joint_state(name: str, frame_id: str, *fields: str) -> Any:
-    """A ``sensor_msgs/JointState`` of one joint with room for ``position``, ``velocity``, ``effort``."""
+    """A ``sensor_msgs/JointState`` of one joint.
+
+    Args:
+        name: of the joint.
+        frame_id: of the header.
+        fields: which of ``position``, ``velocity`` and ``effort`` have room.
+    """
     from sensor_msgs.msg import JointState
 
     message = JointState()

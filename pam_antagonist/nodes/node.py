@@ -143,6 +143,11 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
         That costs less than being woken, and it is the only way to what the middleware knows about a message: with a
         callback that takes it as well, the ``EventsExecutor`` of rclpy 7.1 ends with "SystemError: null argument".
+
+        Args:
+            kind: type of the messages.
+            topic: relative name.
+            profile: quality of service.
         """
         subscription = self.create_subscription(kind, topic, _never, profile, raw=True)
         self._collected[f"{self._reaching} {topic}"] = subscription
@@ -159,18 +164,22 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         return (item for item in super().subscriptions if id(item) not in collected)
 
     def create_publisher(self, *args: Any, **options: Any) -> Any:
+        """As rclpy; the publisher belongs to the state that is being reached."""
         return self._own(self.destroy_publisher, super().create_publisher(*args, **options))
 
     def create_subscription(self, kind: Any, topic: str, callback: Any, profile: Any, **options: Any) -> Any:
+        """As rclpy; the callback is called only while the node is in the state that made it."""
         gate = _Gate(callback)
         entity = super().create_subscription(kind, topic, gate.message, profile, **options)
         return self._own(self._unsubscribe, entity, gate)
 
     def create_timer(self, period: float, callback: Any, *args: Any, **options: Any) -> Any:
+        """As rclpy; the callback is called only while the node is in the state that made it."""
         gate = _Gate(callback)
         return self._own(self.destroy_timer, super().create_timer(period, gate.tick, *args, **options), gate)
 
     def create_service(self, *args: Any, **options: Any) -> Any:
+        """As rclpy; the service belongs to the state that is being reached."""
         return self._own(self.destroy_service, super().create_service(*args, **options))
 
     # ---------------------------------------------------------------- transitions
@@ -191,19 +200,23 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
             raise self._transition_error or RuntimeError(f"{self.get_name()} could not be started")
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Reach ``inactive``: what :meth:`configure` makes."""
         return self._reach("configured", self.configure, super().on_configure, state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Reach ``active``: what :meth:`activate` makes."""
         self.active = True
         outcome = self._reach("active", self.activate, super().on_activate, state)
         self.active = outcome is TransitionCallbackReturn.SUCCESS
         return outcome
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave ``active``: what :meth:`activate` made is destroyed."""
         self._leave("active")
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave ``inactive``: what :meth:`configure` made is destroyed."""
         self._leave("configured")
         return super().on_cleanup(state)
 

@@ -123,6 +123,7 @@ class PlantNode(PamNode):
         self._joint.send(stamp_ns, *self._joint_values(sample.angle, sample.torque))
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Health of the simulation: rate and lateness since the last report."""
         lateness = self._lateness.take()
         rate = self._rate.take(self._samples, steady_ns)
         jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps

@@ -168,6 +168,7 @@ class RecorderNode(PamNode):
             return math.nan
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Health of the recording: rate, size and losses since the last report."""
         total, size, lost = sum(self._counts.values()), self._bag.size, self.lost
         rate, growth = self._rate.take(total, steady_ns), self._bytes_rate.take(size, steady_ns)
         lost_now, self._lost_before = lost - self._lost_before, lost

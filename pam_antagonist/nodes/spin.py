@@ -90,7 +90,13 @@ def run_node(
 
 
 def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
-    """What ``--help`` prints."""
+    """What ``--help`` prints.
+
+    Args:
+        name: of the executable.
+        description: what it does.
+        table: its parameters.
+    """
     parameters = help_text((*table, AUTOSTART, DIAGNOSTICS_PERIOD))
     return (
         f"usage: {name} [OPTIONS] [--ros-args [-p PARAMETER:=VALUE]... [--params-file FILE] [-r __ns:=/NAMESPACE]"

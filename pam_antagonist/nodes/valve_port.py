@@ -104,7 +104,14 @@ class ValvePort:
             self.accept(data, now_ns, info.get(_NUMBER), self._subscription.get_publisher_count())
 
     def accept(self, data: bytes, now_ns: int, sequence: int | None = None, publishers: int = 1) -> Verdict:
-        """Take one command, serialised; see :meth:`ValveGuard.command`."""
+        """Take one command, serialised; see :meth:`ValveGuard.command`.
+
+        Args:
+            data: the serialised message.
+            now_ns: time of reception on the steady clock [ns].
+            sequence: its number by publisher, None where the middleware gives none.
+            publishers: how many nodes publish commands.
+        """
         stamp_ns, first, second = self._unpack(data)
         if sequence is not None and sequence > _MOST_NUMBER:
             sequence = None

@@ -60,6 +60,10 @@ class Group:
     """Messages of one layout, being decoded.
 
     Attributes:
+        matrix: their bytes (k, size).
+        order: byte order of the numbers.
+        position: from the start of a message to what is decoded next [bytes].
+        pending: fields that are still to be decoded: path and type.
         rows: Which messages (k,).
         columns: Field path -> values (k,) or, for arrays and sequences of primitives, (k, count); strings are (k,)
             bytes. Members of messages are written "header.stamp.sec", elements "name[0]".
@@ -77,7 +81,12 @@ class Group:
 
 @dataclass(frozen=True)
 class Decoded:
-    """Messages of one topic as arrays: one :class:`Group` a layout."""
+    """Messages of one topic as arrays.
+
+    Attributes:
+        size: how many messages.
+        groups: messages of one layout each.
+    """
 
     size: int
     groups: tuple[Group, ...]

@@ -100,6 +100,11 @@ def inflate_message(data: bytes | memoryview, limit: int = MAX_MESSAGE) -> bytes
 def inflate_file(source: Path, target: Path, limit: int) -> str | None:
     """Unpack a zstd file piece by piece.
 
+    Args:
+        source: the packed file.
+        target: gets what comes out.
+        limit: most that may come out [bytes].
+
     Returns:
         None, or how the file is damaged; what comes before the damage is in ``target``.
 

@@ -85,6 +85,11 @@ class Line(NamedTuple):
 class Lines:
     """The lines of a file that hold something: no blank ones, no comments.
 
+    Args:
+        path: named in messages.
+        layout: how the file is written.
+        stream: the open file.
+
     Attributes:
         unterminated: whether the last line that was read had no line break, as the last one of a file may.
 
@@ -145,6 +150,11 @@ def _delimiter(layout: Layout) -> str:
 
 def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
     """Cells of each line.
+
+    Args:
+        path: named in messages.
+        layout: how the file is written.
+        lines: its lines.
 
     Raises:
         BadInput: a quotation that does not end in its line, or a cell that is too long.

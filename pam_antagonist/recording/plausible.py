@@ -26,7 +26,14 @@ MAX_TORQUE = 1e3
 
 
 def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Floats:
-    """Values with NaN for everything that is not finite; what was there is counted in ``issues``."""
+    """Values with NaN for everything that is not finite.
+
+    Args:
+        topic: where they come from.
+        what: the quantity.
+        values: any numbers (N,) or (N, 2).
+        issues: gets a sentence where some were left out.
+    """
     bad = ~np.isfinite(values)
     if not np.any(bad):
         return values
@@ -46,6 +53,12 @@ def _beyond(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, issue
 
 def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) -> None:
     """Refuse what is no absolute pressure in Pa.
+
+    Args:
+        where: file, for messages.
+        topic: topic or column, for messages.
+        pressure: (N, 2) [Pa].
+        issues: gets a sentence about single odd values.
 
     Raises:
         BadInput: Gauge pressure, another unit, or no value at all.
@@ -72,6 +85,12 @@ def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) 
 def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) -> None:
     """Refuse voltages (N, 2) outside the valves' range.
 
+    Args:
+        where: file, for messages.
+        topic: topic or column, for messages.
+        voltage: (N, 2) [V].
+        issues: gets a sentence about single odd values.
+
     Raises:
         BadInput: Too many values outside 0 to 10 V, or no value at all.
     """
@@ -88,6 +107,12 @@ def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) ->
 def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> None:
     """Refuse an angle in degrees.
 
+    Args:
+        where: file, for messages.
+        topic: topic or column, for messages.
+        angle: (N,) [rad].
+        issues: gets a sentence about single odd values.
+
     Raises:
         BadInput: Too many values beyond half a turn in rad.
     """
@@ -101,6 +126,12 @@ def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> Non
 
 def check_torque(where: str, topic: str, torque: Floats, issues: list[str]) -> None:
     """Refuse a torque in N mm.
+
+    Args:
+        where: file, for messages.
+        topic: topic or column, for messages.
+        torque: (N,) [N m].
+        issues: gets a sentence about single odd values.
 
     Raises:
         BadInput: Too many values beyond what a joint bears in N m.

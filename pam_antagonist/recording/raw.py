@@ -56,7 +56,14 @@ class RawTopic:
 
 @dataclass
 class Collector:
-    """Gathers messages of one channel: appends are cheap, and ``join`` packs what came since the last one."""
+    """Gathers messages of one channel: appends are cheap, and ``join`` packs what came since the last one.
+
+    Attributes:
+        channel: whose messages these are.
+        wanted: whether the messages are kept, or their times only.
+        log_ns: times of reception that are not packed yet [ns].
+        pieces: messages that are not packed yet.
+    """
 
     channel: Channel
     wanted: bool

@@ -102,7 +102,13 @@ class RecordedEstimate:
 
     @classmethod
     def from_rows(cls, stamp_ns: Stamps, started_ns: Stamps, rows: NDArray[Any]) -> RecordedEstimate:
-        """Make one from a structured array whose fields are named like the attributes (M,)."""
+        """Make one from a structured array.
+
+        Args:
+            stamp_ns: header stamps (M,) [ns].
+            started_ns: start of the filter behind each (M,) [ns].
+            rows: estimates (M,); the fields are named like the attributes.
+        """
         return cls(stamp_ns, started_ns, **{name: rows[name] for name in ESTIMATE_SHAPES})
 
     def take(self, index: Any) -> RecordedEstimate:

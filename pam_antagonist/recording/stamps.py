@@ -96,7 +96,13 @@ def spread(samples: NDArray[np.int64], stamp_ns: NDArray[np.int64], values: NDAr
 def interpolate(
     samples: NDArray[np.int64], stamp_ns: NDArray[np.int64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Values between the stamps of a topic, linear; NaN outside and in gaps of more than five of its periods."""
+    """Values between the stamps of a topic, linear; NaN outside and in gaps of more than five of its periods.
+
+    Args:
+        samples: stamps at which values are wanted (N,) [ns].
+        stamp_ns: stamps of the topic (K,) [ns].
+        values: of the topic (K,).
+    """
     finite = np.isfinite(values)
     stamp_ns, values = stamp_ns[finite], values[finite]
     if len(stamp_ns) < 2:

@@ -53,7 +53,14 @@ class Signal:
 
 
 def pascal(values: Floats, unit: str, reference: str, atmosphere: float) -> Floats:
-    """Absolute pressure [Pa] of values in a unit."""
+    """Absolute pressure [Pa] of values in a unit.
+
+    Args:
+        values: (N,) in the unit.
+        unit: name of a unit of pressure.
+        reference: ``absolute`` or ``gauge``.
+        atmosphere: absolute pressure of the surroundings [Pa].
+    """
     return np.asarray(values * UNITS["pressure"][unit] + (atmosphere if reference == "gauge" else 0.0))
 
 
@@ -126,6 +133,11 @@ def _other_pressure(signal: Signal, atmosphere: float) -> str:
 def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
     """Refuse an angle beyond half a turn.
 
+    Args:
+        where: the file.
+        signal: as declared.
+        issues: gets a sentence about single odd values.
+
     Raises:
         BadInput: With the unit that the numbers look like.
     """
@@ -148,6 +160,11 @@ def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
 def check_torque(where: str, signal: Signal, issues: list[str]) -> None:
     """Refuse a torque that no such joint bears.
 
+    Args:
+        where: the file.
+        signal: as declared.
+        issues: gets a sentence about single odd values.
+
     Raises:
         BadInput: With the unit that the numbers look like.
     """
@@ -162,6 +179,11 @@ def check_torque(where: str, signal: Signal, issues: list[str]) -> None:
 
 def check_voltage(where: str, signal: Signal, issues: list[str]) -> None:
     """Refuse voltages beyond 0 to 10 V, and millivolts that leave a valve where it is.
+
+    Args:
+        where: the file.
+        signal: as declared.
+        issues: gets a sentence about single odd values.
 
     Raises:
         BadInput: With the unit that the numbers look like.

@@ -39,7 +39,13 @@ class State(Enum):
 
 
 class Decision(NamedTuple):
-    """What the valves get now, and why: voltages (2,) [V], the state, and for STOPPED the reason."""
+    """What the valves get now, and why.
+
+    Attributes:
+        voltage: (2,) [V].
+        state: of the guard.
+        reason: why the guard has stopped the valves, else empty.
+    """
 
     voltage: tuple[float, float]
     state: State

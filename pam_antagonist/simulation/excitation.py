@@ -23,7 +23,13 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Span:
-    """Voltages of drive -1, 0 and 1 [V]."""
+    """Voltages of drive -1, 0 and 1 [V].
+
+    Attributes:
+        lowest: at drive -1.
+        rest: at drive 0.
+        highest: at drive 1.
+    """
 
     lowest: float = 4.15
     rest: float = 5.5

@@ -1,0 +1,207 @@
+"""Public docstrings are complete: arguments, attributes, shapes and errors.
+
+The rule, for every public module, class, function and method:
+
+* It has a docstring.
+* A function with three or more arguments has a section ``Args`` that names all of them. With one or two arguments the
+  sentence may say what they are. A section ``Args`` always names all of them. Arguments of a class stand in the
+  docstring of the class or of its ``__init__``.
+* A dataclass or NamedTuple with two or more public fields names all of them in a section ``Attributes`` or ``Args``.
+* A function that raises ``BadInput`` itself says so in ``Raises``.
+* A section that describes an array names its shape, as ``(N, 2)``.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = "pam_antagonist"
+
+LATER: tuple[str, ...] = (
+    "identification/",
+    "inference/",
+    "diagnosis/",
+    "report/",
+    "model/",
+    "rig/schema.py",
+    "checks/",
+)
+"""What is not held to the rule yet: beginnings of paths. This list only gets shorter."""
+
+LEAST = 3
+"""From so many arguments on a section ``Args`` is needed."""
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+ARRAYS = re.compile(r"\b(ndarray|NDArray|FloatArray|Floats|Array)\b")
+SHAPE = re.compile(r"\([^()]*[A-Za-z0-9][^()]*,[^()]*\)|\bany shape\b|\bsame shape\b|\blikewise\b|\bas (for|in|from)\b")
+
+
+def sections(docstring: str) -> dict[str, dict[str, str]]:
+    """Sections of a Google docstring: name -> entry -> its text."""
+    found: dict[str, dict[str, str]] = {}
+    section, entry = "", ""
+    for line in docstring.splitlines():
+        if re.fullmatch(r"(Args|Attributes|Returns|Raises|Yields):", line):
+            section, entry = line[:-1], ""
+            found[section] = {}
+        elif section and line and not line.startswith(" "):
+            section = ""
+        elif section:
+            match = re.match(r"    (\*{0,2}[\w, *.]+): *(.*)", line) if not line.startswith("     ") else None
+            if match:
+                for entry in (name.strip().lstrip("*") for name in match[1].split(",")):
+                    found[section][entry] = match[2]
+            elif entry:
+                found[section][entry] += " " + line.strip()
+    return found
+
+
+def arguments(function: Function, method: bool) -> list[ast.arg]:
+    """Arguments of a function without ``self`` and ``cls``."""
+    spec = function.args
+    found = [*spec.posonlyargs, *spec.args, *spec.kwonlyargs, *(arg for arg in (spec.vararg, spec.kwarg) if arg)]
+    static = any(isinstance(item, ast.Name) and item.id == "staticmethod" for item in function.decorator_list)
+    return [arg for arg in found[1 if method and not static else 0 :] if not arg.arg.startswith("_")]
+
+
+def raises_bad_input(function: Function) -> bool:
+    """Whether a function raises ``BadInput`` itself, in no function inside of it."""
+    waiting: list[ast.AST] = list(function.body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Raise) and node.exc is not None and "BadInput" in ast.unparse(node.exc):
+            return True
+        if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)):
+            waiting += ast.iter_child_nodes(node)
+    return False
+
+
+def _decorated(node: ast.AST, *names: str) -> bool:
+    return any(ast.unparse(item).split("(")[0].split(".")[-1] in names for item in getattr(node, "decorator_list", ()))
+
+
+def of_arguments(needed: list[ast.arg], described: dict[str, str], least: int) -> Iterator[str]:
+    """What a section leaves out: names where there are ``least`` or more, and shapes of arrays."""
+    if len(needed) >= least or described:
+        yield from (f"argument {arg.arg} is not described" for arg in needed if arg.arg not in described)
+    for arg in needed:
+        text = described.get(arg.arg)
+        kind = ast.unparse(arg.annotation) if arg.annotation else ""
+        if text is not None and ARRAYS.match(kind) and not SHAPE.search(text):
+            yield f"array {arg.arg} has no shape"
+
+
+def of_function(function: Function, method: bool) -> Iterator[str]:
+    """What the docstring of a function leaves out."""
+    text = ast.get_docstring(function)
+    if text is None:
+        yield "no docstring"
+        return
+    if _decorated(function, "property", "setter", "cached_property"):
+        return
+    found = sections(text)
+    if text.startswith("As rclpy;"):  # the arguments are those of the method that is overridden
+        return
+    yield from of_arguments(arguments(function, method), found.get("Args", {}), LEAST)
+    if raises_bad_input(function) and "BadInput" not in found.get("Raises", {}):
+        yield "BadInput is not in Raises"
+
+
+def of_class(cls: ast.ClassDef) -> Iterator[str]:
+    """What the docstring of a class leaves out."""
+    text = ast.get_docstring(cls)
+    if text is None:
+        yield "no docstring"
+        return
+    found = sections(text)
+    described = {**found.get("Args", {}), **found.get("Attributes", {})}
+    fields = [
+        item.target.id
+        for item in cls.body
+        if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name) and "ClassVar" not in str(item)
+    ]
+    public = [name for name in fields if not name.startswith("_")]
+    plain = _decorated(cls, "dataclass") or any(ast.unparse(base) == "NamedTuple" for base in cls.bases)
+    if plain and len(public) >= 2:
+        yield from (f"field {name} is not described" for name in public if name not in described)
+    for item in cls.body:
+        if isinstance(item, ast.FunctionDef) and item.name == "__init__":
+            own = sections(ast.get_docstring(item) or "").get("Args", {})
+            yield from of_arguments(arguments(item, True), {**described, **own}, LEAST)
+            if raises_bad_input(item) and "BadInput" not in found.get("Raises", {}):
+                yield "BadInput of __init__ is not in Raises"
+
+
+def missing(path: Path) -> Iterator[tuple[int, str, str]]:
+    """Line, name, and what the docstring there leaves out."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    if ast.get_docstring(tree) is None:
+        yield 1, path.stem, "no docstring"
+
+    def walk(body: list[ast.stmt], prefix: str, inherited: bool) -> Iterator[tuple[int, str, str]]:
+        for node in body:
+            if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or node.name.startswith("_"):
+                continue
+            name = f"{prefix}{node.name}"
+            if isinstance(node, ast.ClassDef):
+                yield from ((node.lineno, name, what) for what in of_class(node))
+                yield from walk(node.body, f"{name}.", bool(node.bases))
+            elif not _decorated(node, "overload", "override"):
+                yield from ((node.lineno, name, what) for what in of_function(node, bool(prefix)))
+
+    yield from walk(tree.body, "", False)
+
+
+def incomplete(package: Path, later: tuple[str, ...] = ()) -> list[str]:
+    """One line for each thing that a docstring of the package leaves out."""
+    return [
+        f"{path.relative_to(package).as_posix()}:{line}: {name}: {what}"
+        for path in sorted(package.rglob("*.py"))
+        if not path.relative_to(package).as_posix().startswith(later or ("//",))
+        for line, name, what in missing(path)
+    ]
+
+
+def test_public_docstrings_are_complete() -> None:
+    found = incomplete(ROOT / PACKAGE, LATER)
+    assert not found, f"{len(found)} docstrings are incomplete:\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("code", "what"),
+    [
+        ("def f(): ...", "f: no docstring"),
+        ("class A: ...", "A: no docstring"),
+        ('def f(a, b, c):\n    """F."""', "f: argument a is not described"),
+        ('def f(a, b):\n    """F.\n\n    Args:\n        a: one.\n    """', "f: argument b is not described"),
+        ('def f(a: np.ndarray):\n    """F.\n\n    Args:\n        a: values.\n    """', "f: array a has no shape"),
+        ('def f(a):\n    """F."""\n    raise BadInput(a)', "f: BadInput is not in Raises"),
+        ('@dataclass\nclass A:\n    """A."""\n    a: int\n    b: int', "A: field a is not described"),
+        ('class A:\n    """A."""\n    def __init__(self, a, b, c): ...', "A: argument a is not described"),
+        ('class A:\n    """A."""\n    def f(self): ...', "A.f: no docstring"),
+    ],
+)
+def test_what_is_missing_is_found(tmp_path: Path, code: str, what: str) -> None:
+    (tmp_path / "a.py").write_text(f'"""A module."""\n{code}\n', encoding="utf-8")
+    assert any(line.endswith(what) for line in incomplete(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        'def f(a, b):\n    """F of one thing by another."""',
+        'def f(a, b):\n    """F.\n\n    Args:\n        a, b: both.\n    """',
+        'def f(a: np.ndarray):\n    """F.\n\n    Args:\n        a: values (N, 2) [Pa].\n    """',
+        "def _f(a, b): ...",
+        'class A:\n    """A."""\n    @property\n    def f(self):\n        """F."""\n        raise BadInput("x")',
+    ],
+)
+def test_what_is_complete_passes(tmp_path: Path, code: str) -> None:
+    (tmp_path / "a.py").write_text(f'"""A module."""\n{code}\n', encoding="utf-8")
+    assert incomplete(tmp_path) == []
