@@ -93,7 +93,7 @@ def of_arguments(needed: list[ast.arg], described: dict[str, str], least: int) -
     for arg in needed:
         text = described.get(arg.arg)
         kind = ast.unparse(arg.annotation) if arg.annotation else ""
-        if text is not None and ARRAYS.match(kind) and not SHAPE.search(text):
+        if text is not None and ARRAYS.search(kind) and not SHAPE.search(text):
             yield f"array {arg.arg} has no shape"
 
 

@@ -41,7 +41,13 @@ class ChannelErrors:
 
 @dataclass(frozen=True)
 class PressureErrors:
-    """Errors of both muscles' pressures, as :class:`ChannelErrors` has them [Pa]."""
+    """Errors of both muscles' pressures, as :class:`ChannelErrors` has them.
+
+    Attributes:
+        rmse_pa: root mean square error (2,) [Pa].
+        max_pa: largest error (2,) [Pa].
+        q: ratio Q of the paper (2,) [-].
+    """
 
     rmse_pa: tuple[float, float]
     max_pa: tuple[float, float]
@@ -50,7 +56,13 @@ class PressureErrors:
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """Errors of the model alone; None where a channel was not measured."""
+    """Errors of the model alone; None where a channel was not measured.
+
+    Attributes:
+        angle: of the angle.
+        torque: of the torque.
+        pressure: of the pressures.
+    """
 
     angle: ChannelErrors | None
     torque: ChannelErrors | None
