@@ -46,7 +46,7 @@ class PressureErrors:
     Attributes:
         rmse_pa: root mean square error (2,) [Pa].
         max_pa: largest error (2,) [Pa].
-        q: ratio Q of the paper (2,) [-].
+        q: largest error over the range of the measured pressure (2,) [-].
     """
 
     rmse_pa: tuple[float, float]
