@@ -159,13 +159,13 @@ def _diagnosed(
 ) -> Diagnosis:
     with common.progress(_STEPS, "close_loop", "steps") as bar:
 
-        def tell(text: str) -> None:
+        def progress(text: str) -> None:
             bar.set_description(f"close_loop: {text}")
             bar.update(1)
 
         return diagnose(
             fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=held_out,
-            jobs=arguments.jobs, seed=arguments.seed, progress=tell, store=store,
+            jobs=arguments.jobs, seed=arguments.seed, progress=progress, store=store,
         )  # fmt: skip
 
 

@@ -172,16 +172,16 @@ def add_tuning(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_joint(parser: argparse.ArgumentParser, choices: Sequence[str], default: str, told: str) -> None:
+def add_joint(parser: argparse.ArgumentParser, choices: Sequence[str], default: str, text: str) -> None:
     """``--joint`` and ``--lock-angle``.
 
     Args:
         parser: takes the arguments.
         choices: conditions to choose from.
         default: condition where none is given.
-        told: what the help says about the condition.
+        text: help of ``--joint``.
     """
-    parser.add_argument("--joint", choices=tuple(choices), default=default, help=told)
+    parser.add_argument("--joint", choices=tuple(choices), default=default, help=text)
     parser.add_argument("--lock-angle", type=_angle, metavar="DEG", help="angle at which a locked joint is held [deg]")
 
 

@@ -30,7 +30,7 @@ records everything into a rosbag2 bag (MCAP); replays the bag through the estima
 OUT/report.html, OUT/report.json.
 
 The simulated joint differs from the rig as declared (--mismatch), so that the estimator does not meet its own model.
-It is a simulator all the same: how well a real joint does, only a recording of it can tell (see replay).
+It is a simulator all the same. Only a recording of a real joint shows how well a real joint does (see replay).
 
 Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 else.
 """

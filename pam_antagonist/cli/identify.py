@@ -98,12 +98,12 @@ def _main(argv: Sequence[str] | None) -> int:
     )
     with common.progress(steps(options) + 2 * len(recordings), "identify", "steps") as bar:
 
-        def tell(text: str) -> None:
+        def progress(text: str) -> None:
             bar.set_description(f"identify: {text}")
             bar.update(1)
 
-        found = identify(recordings, rig, options, tell)
-        judged = judge(recordings, numbers.rigs_of(found), found.held_from, tell)
+        found = identify(recordings, rig, options, progress)
+        judged = judge(recordings, numbers.rigs_of(found), found.held_from, progress)
     report = numbers.report(recordings, found, judged)
     with common.output_folder(arguments.out) as folder:
         _write_rigs(folder, found, recordings)
@@ -117,20 +117,20 @@ def _sealed(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[_Given
     """The same for a joint whose muscles are sealed: other steps, fewer parameters."""
     for name in ("free", "freeze"):
         if getattr(arguments, name):
-            raise BadInput(f"--{name}: the parameters that a sealed joint tells are fixed; leave it out")
+            raise BadInput(f"--{name}: the parameters of a sealed joint that can be identified are fixed; leave it out")
     for _, state, name in recordings:
         if state.condition != "free":
             raise BadInput(
-                f"{name}: the joint is {state.condition}; expected a sealed joint that is moved from outside"
+                f"{name}: the joint is {state.condition}; expected a sealed joint that an external torque moves"
             )
     named = [(recording, name) for recording, _, name in recordings]
     with common.progress(SEALED_STEPS, "identify", "steps") as bar:
 
-        def tell(text: str) -> None:
+        def progress(text: str) -> None:
             bar.set_description(f"identify: {text}")
             bar.update(1)
 
-        found = identify_sealed(named, rig, arguments.holdout, tell)
+        found = identify_sealed(named, rig, arguments.holdout, progress)
     rigs: dict[str, Rig] = {"as_configured": found.start, "identified": found.rig}
     judged = judge(recordings, [rigs] * len(recordings), found.held_from)
     report = sealed.report(found, judged)

@@ -100,7 +100,7 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
 
     Args:
         arguments: of the command.
-        rig: the rig that they are said to be of.
+        rig: the rig that they should be of.
         further: other bags.
 
     Raises:

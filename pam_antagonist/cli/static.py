@@ -50,10 +50,10 @@ def parser() -> common.Parser:
     out.add_argument("--form", choices=par.FORCE_FORMS, help="form of the force map in rig.yaml (default: the rig's)")
     out.add_argument(
         "--column", action="append", default=[], type=_column, metavar="QUANTITY=NAME[:UNIT[:gauge|absolute]]",
-        help=f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not tell",
+        help=f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not give it",
     )  # fmt: skip
     out.add_argument(
-        "--pressure", choices=("gauge", "absolute"), default="", help="where the column's name does not tell"
+        "--pressure", choices=("gauge", "absolute"), default="", help="where the column's name does not say"
     )
     out.add_argument(
         "--slack-below", type=_newton, default=0.0, metavar="N",
@@ -159,10 +159,10 @@ def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
 def _remarks(result: StaticResult) -> list[str]:
     tables = [table.name for table in (result.volumes, result.force_map) if table is not None]
     whose = " and ".join(str(number) for number in result.muscles)
-    said = [
+    lines = [
         f"Rig {result.rig.name} with static fits of muscle {whose} from {' and '.join(tables)}; their errors: priors."
     ]
-    return said + [f"! {text}" for text in result.warnings]
+    return lines + [f"! {text}" for text in result.warnings]
 
 
 def _summary(result: StaticResult, arguments: argparse.Namespace) -> str:

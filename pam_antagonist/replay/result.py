@@ -44,7 +44,7 @@ class Innovation:
 
 @dataclass(frozen=True)
 class RecordedRig:
-    """The rig that a node said it had; `same`: whether it has the values of the replay's rig."""
+    """The rig that a node reported; `same`: whether it has the values of the replay's rig."""
 
     name: str
     fingerprint: str
@@ -61,7 +61,7 @@ class RecordingFacts:
         topics: what stands for each of the package's topics.
         first_stamp_ns: stamp of the first sample [ns].
         issues: what a reader of the report should know of the recording.
-        rigs: by node, where the bag tells them.
+        rigs: by node, where the bag names them.
     """
 
     name: str

@@ -114,7 +114,7 @@ def errors_table(report: CloseLoopReport) -> Table:
 
 
 def _channel_rows(out: Comparison, errors: ModelErrors, names: Sequence[str], largest: bool = False) -> None:
-    """Rows of the channels; where something is to be compared with the largest errors too, what is missing is said."""
+    """Rows of the named channels; with `largest`, the largest errors and what was not measured as well."""
     for channel in CHANNELS:
         known = [item for model in errors.all if (item := getattr(model, channel.name)) is not None]
         if channel.name not in names:

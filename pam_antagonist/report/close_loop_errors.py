@@ -26,7 +26,7 @@ class Errors:
         angle: None where it was not measured.
         torque: likewise.
         sliding: RMSE of the torque while the joint slides and while it sticks [N m], and the share of samples in which
-            it slides; empty where this was not told apart.
+            it slides; empty where the two were not separated.
         rmse_pa: of both pressures [Pa].
         mean_rmse_pa: of the mean of both pressures [Pa]; None where it was not judged.
         innovation: of the estimator; None of a model alone.

@@ -95,16 +95,16 @@ class Comparison:
             name: of the row.
             values: one a column.
             write: makes a cell of a number.
-            best: picks the best of the finite values; None where no value is better than another. What is written
-                alike is alike: nothing is marked where all cells look the same.
+            best: picks the best of the finite values; None where no value is better than another. Nothing is marked
+                where all cells look the same.
         """
         cells = [write(value) for value in values]
         known = [value for value in values if value is not None and math.isfinite(value)]
         winner = write(best(known)) if known and best else ""
         marked = {place for place, cell in enumerate(cells, 1) if cell == winner}
-        alike = len({cell for cell in cells if cell != MISSING}) < 2
+        equal = len({cell for cell in cells if cell != MISSING}) < 2
         self._rows.append((name, *cells))
-        self._best.append(frozenset() if alike else frozenset(marked))
+        self._best.append(frozenset() if equal else frozenset(marked))
 
     def table(self, caption: str = "") -> Table:
         """The finished table."""
