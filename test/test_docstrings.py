@@ -24,8 +24,6 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "pam_antagonist"
 
 LATER: tuple[str, ...] = (
-    "identification/",
-    "inference/",
     "diagnosis/",
     "report/",
     "model/",

@@ -72,7 +72,7 @@ def fit_force_map(
 
     Args:
         trials: recordings.
-        p: parameter vector with the values to start from.
+        p: parameter vector (P,) with the values to start from.
         free: parameters of the force map that may move.
         torque_std: noise of the torque meter [N m].
         ways: in which the recordings may deviate from each other, by a per cent or so.
@@ -110,7 +110,7 @@ def fit_friction(
 
     Args:
         trials: recordings; those of a free joint with a measured angle are used.
-        p: parameter vector with the values to start from.
+        p: parameter vector (P,) with the values to start from.
         free: parameters of the friction that may move.
         torque_std: how well the balance is known at best [N m].
 

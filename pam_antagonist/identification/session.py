@@ -70,7 +70,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Start:
-    """One place that the joint refinement began from: where, its final cost, and whether it was the best."""
+    """One place that the joint refinement began from.
+
+    Attributes:
+        name: where it is.
+        cost: with which the refinement ended.
+        best: whether it was the lowest.
+    """
 
     name: str
     cost: float

@@ -198,7 +198,13 @@ def fit_force(table: ForceMap, form: str, rest_length: float) -> ForceFit:
 def compare_forms(
     table: ForceMap, rest_length: float, forms: Sequence[str] = par.FORCE_FORMS
 ) -> dict[str, ForceFit | Undetermined]:
-    """Every form, fitted to the same table; one that the table does not determine with the reason."""
+    """Every form, fitted to the same table; one that the table does not determine with the reason.
+
+    Args:
+        table: the measured forces.
+        rest_length: L_0 of the rig [m], from which the contraction k = 1 − l/L_0 counts.
+        forms: names of the forms.
+    """
     out: dict[str, ForceFit | Undetermined] = {}
     for form in forms:
         try:

@@ -186,7 +186,11 @@ def _names(path: Path, layout: Layout, line: Line) -> list[str]:
 
 @contextmanager
 def advised() -> Iterator[None]:
-    """Advice that fits a table: the reader's own is about maps of columns, which tables do not have."""
+    """Advice that fits a table: the reader's own is about maps of columns, which tables do not have.
+
+    Raises:
+        BadInput: what the reader raised, with that advice.
+    """
     try:
         yield
     except BadInput as error:

@@ -31,7 +31,7 @@ class VolumeFit:
     """A parabola fitted to a table.
 
     Attributes:
-        coefficients: d1 [m], d2 [m²], d3 [m³].
+        coefficients: d1, d2 and d3 (3,) [m, m², m³].
         covariance: (3, 3); NaN where there is one value a coefficient and no declared deviation.
         freedom: values minus coefficients.
         scale: standard deviation of the residuals [m³], or over the declared deviations.
@@ -82,7 +82,7 @@ def parabola(coefficients: Floats, length: Floats) -> tuple[Floats, Floats]:
     """Equation (3) by the model's own function, which bounds volumes below.
 
     Args:
-        coefficients: d1 [m], d2 [m²], d3 [m³].
+        coefficients: d1, d2 and d3 (3,) [m, m², m³].
         length: (N,) [m].
 
     Returns:

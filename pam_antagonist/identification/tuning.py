@@ -80,7 +80,13 @@ class ConsideredDirection(Direction):
 
 
 def with_directions(rig: Rig, directions: Sequence[ConsideredDirection], scale: float) -> Rig:
-    """The rig with these directions, all of them times a scale."""
+    """The rig with these directions, all of them times a scale.
+
+    Args:
+        rig: without them.
+        directions: that the filter considers.
+        scale: factor of all changes.
+    """
     scaled = {item.name: {name: scale * step for name, step in item.changes.items()} for item in directions}
     return rig.replaced(directions=scaled)
 

@@ -32,7 +32,13 @@ _FEWEST = 3
 
 @dataclass(frozen=True, eq=False)
 class SteadyPoints:
-    """Steady pressures of one valve: voltages (K,) [V], increasing, and pressures (K,) [Pa] with spread (K,) [Pa]."""
+    """Steady pressures of one valve.
+
+    Attributes:
+        voltage: (K,) [V], increasing.
+        pressure: (K,) [Pa].
+        spread: standard deviation of the pressures at the same voltage (K,) [Pa].
+    """
 
     voltage: Floats
     pressure: Floats
@@ -48,7 +54,7 @@ def steady_open_rate(pressure: Floats, p: Floats) -> Floats:
 
     Args:
         pressure: (K,) [Pa], between atmosphere and supply.
-        p: parameter vector.
+        p: parameter vector (P,).
 
     Returns:
         α (K,) [-].
@@ -92,7 +98,7 @@ def valve_curve(points: SteadyPoints, p: Floats) -> tuple[Floats, Floats]:
 
     Args:
         points: of step two.
-        p: parameter vector.
+        p: parameter vector (P,).
 
     Returns:
         Voltages (K,) [V] and open rates (K,) [-], not decreasing: knots of the curve, linear between them.

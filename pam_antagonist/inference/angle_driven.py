@@ -64,7 +64,7 @@ def friction_torque(x, direction, p):  # type: ignore[no-untyped-def]
     Args:
         x: state, of which angle, velocity and pressures count.
         direction: of motion, −1 to 1.
-        p: parameter vector.
+        p: parameter vector (P,).
     """
     force_1, force_2 = _forces(x, p)
     coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p)
@@ -81,7 +81,7 @@ def torque_needed(x, acceleration, direction, p):  # type: ignore[no-untyped-def
         x: state, of which angle, velocity and pressures count.
         acceleration: [rad/s²].
         direction: of motion, −1 to 1.
-        p: parameter vector.
+        p: parameter vector (P,).
     """
     load = 0.0
     if p[par.STATELESS_EFFECTS] != 0.0:
@@ -114,7 +114,14 @@ def _driven(x0, angle, velocity, acceleration, direction, p, dt):  # type: ignor
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A measured angle as an input: angle (N,) [rad], its derivatives, and the direction of motion, −1 to 1."""
+    """A measured angle as an input.
+
+    Attributes:
+        angle: (N,) [rad].
+        velocity: (N,) [rad/s].
+        acceleration: (N,) [rad/s²].
+        direction: of motion (N,), −1 to 1.
+    """
 
     angle: Floats
     velocity: Floats

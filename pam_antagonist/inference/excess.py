@@ -37,7 +37,13 @@ def in_decibels(before: Floats, after: Floats, noise: Floats) -> tuple[float, fl
 
 
 def in_mean_squares(before: Floats, after: Floats, noise: Floats) -> tuple[float, float]:
-    """By the mean square of each channel; arguments as :func:`in_decibels`."""
+    """By the mean square of each channel.
+
+    Args:
+        before: residual of a model (B, C).
+        after: of another one (B, C).
+        noise: standard deviation of each channel's noise (C,).
+    """
     old, new = (_squares(residual, noise) for residual in (before, after))
     return float(np.sum(old - new)), float(np.sum(old))
 

@@ -304,7 +304,7 @@ def side_by_side(work: Callable[..., Floats], items: Iterable[object], jobs: int
     """Work on several items, each by itself: a single fit would leave the other cores idle.
 
     Args:
-        work: compiled for the most part, so that threads do.
+        work: gives an array of any shape; compiled for the most part, so that threads do.
         items: what each call gets.
         jobs: threads.
     """

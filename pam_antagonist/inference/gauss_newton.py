@@ -74,14 +74,28 @@ def prior_cost(experiment: Experiment, theta: Floats) -> float:
 
 
 def cost_of(experiment: Experiment, point: Point, residual: Floats, scale: Scale) -> float:
-    """−2 log posterior of a model, up to a constant."""
+    """−2 log posterior of a model, up to a constant.
+
+    Args:
+        experiment: the recording.
+        point: the model.
+        residual: it leaves (B, C).
+        scale: how residuals are judged.
+    """
     return float(scale.misfits(residual).sum()) + prior_cost(experiment, point.theta)
 
 
 def effect_jacobian(
     experiment: Experiment, point: Point, residual: Floats, free: Sequence[FreeEffectParameter]
 ) -> Floats:
-    """Derivatives of the residual by the coordinates of effects (B, C, m)."""
+    """Derivatives of the residual by the coordinates of effects (B, C, m).
+
+    Args:
+        experiment: the recording.
+        point: the model.
+        residual: it leaves (B, C).
+        free: parameters of effects (m).
+    """
     result = np.zeros((*residual.shape, len(free)))
     points, steps = [], []
     for parameter in free:
@@ -111,7 +125,7 @@ def refit(
         experiment: the recording.
         point: where to start; the free parameters' values in it are their starts.
         free: parameters of effects that may move beside the base parameters.
-        base: derivatives by the base coordinates from a point nearby; default: worked out here.
+        base: derivatives by the base coordinates (B, C, K + S) from a point nearby; default: worked out here.
         rounds: at most so many steps.
         renewals: how often the derivatives by the base coordinates may be worked out.
         blocks_per_error: blocks per value that is counted.

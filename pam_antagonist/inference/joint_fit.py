@@ -128,7 +128,7 @@ def joint_fit(
 
     Args:
         problem: the trials and free parameters, without deviations.
-        start: values of the free parameters to start from, in units of the prior; default: the rig's values.
+        start: values of the free parameters (F,) to start from, in units of the prior; default: the rig's values.
         rounds: how often weights and spread are estimated anew.
         deviations: how trials may deviate from their common parameters; None where they may not.
         progress: called with what is being done, after every round.

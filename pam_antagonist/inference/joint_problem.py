@@ -158,7 +158,7 @@ def stacked(parts: Sequence[Floats], weights: Sequence[Floats]) -> Floats:
     """Residuals (B, C) or Jacobians (B, C, K) of all trials as one array (R,) or (R, K).
 
     Args:
-        parts: one array a trial.
+        parts: one array a trial, (B, C) or (B, C, K).
         weights: for each trial the standard deviation of its channels (C,), by which they are divided.
 
     Returns:

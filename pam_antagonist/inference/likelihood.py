@@ -65,7 +65,13 @@ class Scale:
 
     @classmethod
     def of(cls, residual: Floats, noise: Floats, blocks_per_error: float = BLOCKS_PER_ERROR) -> Scale:
-        """With the correlation lengths of a residual (B, C)."""
+        """With the correlation lengths of a residual.
+
+        Args:
+            residual: (B, C).
+            noise: least standard deviation of each channel's block means (C,).
+            blocks_per_error: blocks per value that a fit counts.
+        """
         quiet = np.mean(residual**2, axis=0) <= noise**2
         lengths = [1.0 if still else correlation_length(r) for still, r in zip(quiet, residual.T, strict=True)]
         return cls(noise, np.array(lengths), blocks_per_error)
@@ -140,7 +146,7 @@ def solve(
         effect: its derivatives by the effects' coordinates (B, C, m).
         scale: how residuals are judged.
         prior: precision of each base coordinate (K + S,).
-        theta: the base coordinates now, which the prior pulls to 0.
+        theta: the base coordinates now (K + S,), which the prior pulls to 0.
         rounds: how often the variances are estimated.
         held: effects' coordinates that may not move.
         first: variances (C,) of the first round; default: those of the residual.

@@ -155,8 +155,12 @@ class ValveDriven(Experiment):
 
 @dataclass(frozen=True)
 class Start:
-    """What the sensors showed at the start of a recording: angle [rad], None where it was not measured, and
-    pressures (2,) [Pa]."""
+    """What the sensors showed at the start of a recording.
+
+    Attributes:
+        angle: [rad], None where it was not measured.
+        pressure: of both muscles (2,) [Pa].
+    """
 
     angle: float | None
     pressure: Floats
@@ -177,7 +181,7 @@ def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) 
 
     Args:
         trial: its voltages are used.
-        p: parameter vector.
+        p: parameter vector (P,).
         start: what the sensors showed first; the added states start settled.
         shift: deviation of the true start from that (3,) [rad, Pa, Pa].
 
@@ -189,7 +193,14 @@ def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) 
 
 
 def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> tuple[Floats, Floats]:
-    """States (N, n) and torques (N,) [N m] of the same."""
+    """States (N, n) and torques (N,) [N m] of the same.
+
+    Args:
+        trial: its voltages are used.
+        p: parameter vector (P,).
+        start: what the sensors showed first.
+        shift: deviation of the true start from that (3,) [rad, Pa, Pa].
+    """
     moved = np.zeros(3) if shift is None else shift
     pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
     angle = rest.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
