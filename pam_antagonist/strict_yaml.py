@@ -31,6 +31,8 @@ if pydantic.VERSION.startswith("1."):
         """Values that cannot be changed, all of them finite, and no keys beside the declared ones."""
 
         class Config:
+            """Settings of pydantic 1."""
+
             extra = "forbid"
             allow_mutation = False
 

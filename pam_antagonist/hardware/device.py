@@ -70,8 +70,9 @@ class Device(Protocol):
     """
 
     def start(self, action: SafeAction) -> DeviceInfo:
-        """Begin to sample, with safe voltages on the valves; called again after every ``DeviceLost``:
-        what it had open then is its own to close.
+        """Begin to sample, with safe voltages on the valves.
+
+        It is called again after every ``DeviceLost``. What it had open then is its own to close.
 
         Args:
             action: what the valves get until the first command, and whenever commands stay away.

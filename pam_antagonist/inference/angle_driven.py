@@ -291,8 +291,10 @@ class AngleDriven(Experiment):
         return np.column_stack([self.motion.angle, self.motion.velocity, pressure]), needed
 
     def shown(self, point: Point, rig: Rig) -> Floats:
-        """What every sensor would show (N, 4): torque and pressures of the measured motion, and the angle of the model
-        alone, run under the torque from outside; NaN where that was not recorded.
+        """What every sensor would show (N, 4).
+
+        Torque and pressures are those of the measured motion. The angle is that of the model alone, run under the
+        torque from outside; NaN where that was not recorded.
 
         Args:
             point: of no use here: both parts of the joint are in the rig.

@@ -134,7 +134,7 @@ class Local:
 
 
 def log_evidence(trials: Sequence[Local], between: Floats) -> float:
-    """log Z of a spread, up to a constant.
+    """Log Z of a spread, up to a constant.
 
     Args:
         trials: what each says.

@@ -163,7 +163,8 @@ def _rows(x, wanted_1, wanted_2, external, p, dx):
 
     Args:
         x: state (n,).
-        wanted_1, wanted_2: open rates [-] that the voltages ask for.
+        wanted_1: open rate [-] that the voltage of valve 1 asks for.
+        wanted_2: likewise of valve 2.
         external: torque [N m] from outside that is known.
         p: parameter vector.
         dx: result (n,).

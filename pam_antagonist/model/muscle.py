@@ -155,7 +155,7 @@ def force_length_slope(muscle, muscle_length, pressure, p):
 
 @inlined
 def relaxing_force(muscle, muscle_length, static, p):
-    """y [N], what of the force relaxes: a share of it, and the tube's own stiffness.
+    """Force y [N], what of the force relaxes: a share of it, and the tube's own stiffness.
 
     Args:
         muscle: 0 or 1.

@@ -165,8 +165,9 @@ def added_states(p: np.ndarray) -> list[str]:
 
 
 def refresh(p: np.ndarray) -> np.ndarray:
-    """Fill in what follows from the named values: the constants of equation (5) that hold no pressure, and
-    which states the effects add.
+    """Fill in what follows from the named values.
+
+    These are the constants of equation (5) that hold no pressure, and which states the effects add.
 
     Args:
         p: parameter vector (SIZE,), changed in place.

@@ -249,6 +249,46 @@ def _aligned(position: int, size: int) -> int:
     return (position + size - 1) // size * size
 
 
+class _Encoder:
+    """Messages of one layout that grow field by field: pieces (N, bytes) uint8, side by side."""
+
+    def __init__(self, size: int, little_endian: bool) -> None:
+        self.pieces = [np.tile(np.array([0, little_endian, 0, 0], np.uint8), (size, 1))]
+        self._size, self._order, self._position = size, "<" if little_endian else ">", 0
+
+    def put(self, values: Any, dtype: str, count: int) -> None:
+        """So many numbers a message, aligned."""
+        shape = (self._size, count)
+        block = np.ascontiguousarray(np.broadcast_to(np.asarray(values), shape), np.dtype(self._order + dtype))
+        padding = _aligned(self._position, block.itemsize) - self._position if count else 0
+        self.pieces.append(np.zeros((self._size, padding), np.uint8))
+        self.pieces.append(block.view(np.uint8).reshape(self._size, -1))
+        self._position += padding + self.pieces[-1].shape[1]
+
+    def put_single(self, primitive: str, values: Any) -> None:
+        """A number (N,), or a number or string that all messages have."""
+        if primitive == "string":
+            raw = np.frombuffer((values.encode() if isinstance(values, str) else values) + b"\0", np.uint8)
+            self.put(len(raw), "u4", 1)
+            self.put(raw, "u1", len(raw))
+        else:
+            array = np.asarray(values)
+            self.put(array.reshape(-1, 1) if array.ndim else array, _PRIMITIVES[primitive], 1)
+
+    def put_list(self, name: str, primitive: str, values: Any, length: int | None) -> None:
+        """An array of a fixed length, or a sequence, which says how long it is."""
+        count = len(values) if primitive == "string" else cast(int, np.asarray(values).shape[-1])
+        if length is None:
+            self.put(count, "u4", 1)
+        elif count != length:
+            raise ValueError(f"{name} has {length} elements, got {count}")
+        if primitive == "string":
+            for text in values:
+                self.put_single("string", text)
+        else:
+            self.put(values, _PRIMITIVES[primitive], count)
+
+
 def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian: bool = True) -> NDArray[np.uint8]:
     """Encode ``size`` messages of one type and one layout.
 
@@ -266,25 +306,9 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
         KeyError: A field of the message is not in ``columns``, or a column is no field.
         ValueError: A column has the wrong shape.
     """
-    pieces = [np.tile(np.array([0, little_endian, 0, 0], np.uint8), (size, 1))]
-    order = "<" if little_endian else ">"
-    position = 0
+    out = _Encoder(size, little_endian)
     pending = _members("", msgtype)
     unused = set(columns)
-
-    def put(values: Any, dtype: str, shape: tuple[int, ...]) -> None:
-        nonlocal position
-        block = np.ascontiguousarray(np.broadcast_to(np.asarray(values), shape), np.dtype(order + dtype))
-        padding = _aligned(position, block.itemsize) - position if shape[1] else 0
-        pieces.append(np.zeros((size, padding), np.uint8))
-        pieces.append(block.view(np.uint8).reshape(size, -1))
-        position += padding + pieces[-1].shape[1]
-
-    def put_string(text: str | bytes) -> None:
-        raw = np.frombuffer((text.encode() if isinstance(text, str) else text) + b"\0", np.uint8)
-        put(len(raw), "u4", (size, 1))
-        put(raw, "u1", (size, len(raw)))
-
     while pending:
         path, (kind, what) = pending.pop()
         if kind == Nodetype.NAME:
@@ -292,24 +316,12 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
             continue
         unused.discard(path)
         values = columns[path]
-        if kind == Nodetype.BASE and what[0] == "string":
-            put_string(values)
-        elif kind == Nodetype.BASE:
-            array = np.asarray(values)
-            put(array.reshape(-1, 1) if array.ndim else array, _PRIMITIVES[what[0]], (size, 1))
+        if kind == Nodetype.BASE:
+            out.put_single(what[0], values)
         elif what[0][0] == Nodetype.BASE:
-            count = len(values) if what[0][1][0] == "string" else cast(int, np.asarray(values).shape[-1])
-            if kind == Nodetype.ARRAY and count != what[1]:
-                raise ValueError(f"{path} of {msgtype} has {what[1]} elements, got {count}")
-            if kind == Nodetype.SEQUENCE:
-                put(count, "u4", (size, 1))
-            if what[0][1][0] == "string":
-                for text in values:
-                    put_string(text)
-            else:
-                put(values, _PRIMITIVES[what[0][1][0]], (size, count))
+            out.put_list(f"{path} of {msgtype}", what[0][1][0], values, what[1] if kind == Nodetype.ARRAY else None)
         else:
             raise ValueError(f"{path} of {msgtype} is a list of messages, which cannot be written from arrays")
     if unused:
         raise KeyError(f"{msgtype} has no field {sorted(unused)[0]!r}")
-    return np.concatenate(pieces, axis=1)
+    return np.concatenate(out.pieces, axis=1)

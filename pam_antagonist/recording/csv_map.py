@@ -179,21 +179,9 @@ def _locate(name: str) -> Path:
 
 def _contradictions(found: CsvMap) -> Iterator[str]:
     """What the schema cannot see."""
-    time = found.time
-    if (time.column is None) == (time.rate is None):
-        yield "time: expected either column (with its unit) or rate"
-    if time.column is not None and time.unit is None:
-        yield f"time.unit is missing: expected one of {', '.join(UNITS['time'])}"
+    yield from _time_contradictions(found.time)
     for name, valve in (("valve_1", found.valve_1), ("valve_2", found.valve_2)):
-        if valve.sealed and (valve.column is not None or valve.constant is None):
-            yield (
-                f"{name} is sealed: expected constant, the voltage to write for it (that at which the valve is "
-                "closed, or 0 where there is no valve), and no column"
-            )
-        if (valve.column is None) == (valve.constant is None):
-            yield f"{name}: expected either column or constant"
-        if valve.constant is not None and (valve.scale, valve.offset, valve.holds) != (1.0, 0.0, "until_row"):
-            yield f"{name} is constant: expected no scale, offset or holds"
+        yield from _valve_contradictions(name, valve)
     for name, entry in _scaled(found):
         if entry.scale == 0.0:
             yield f"{name}.scale is 0: expected the factor between cells and values"
@@ -201,6 +189,29 @@ def _contradictions(found: CsvMap) -> Iterator[str]:
     if gauges and found.atmosphere is None:
         yield f"atmosphere is missing: {gauges[0]} is gauge pressure, and bags hold absolute pressure"
     yield from _columns_twice(found)
+    yield from _file_contradictions(found)
+
+
+def _time_contradictions(time: Time) -> Iterator[str]:
+    if (time.column is None) == (time.rate is None):
+        yield "time: expected either column (with its unit) or rate"
+    if time.column is not None and time.unit is None:
+        yield f"time.unit is missing: expected one of {', '.join(UNITS['time'])}"
+
+
+def _valve_contradictions(name: str, valve: Valve) -> Iterator[str]:
+    if valve.sealed and (valve.column is not None or valve.constant is None):
+        yield (
+            f"{name} is sealed: expected constant, the voltage to write for it (that at which the valve is "
+            "closed, or 0 where there is no valve), and no column"
+        )
+    if (valve.column is None) == (valve.constant is None):
+        yield f"{name}: expected either column or constant"
+    if valve.constant is not None and (valve.scale, valve.offset, valve.holds) != (1.0, 0.0, "until_row"):
+        yield f"{name} is constant: expected no scale, offset or holds"
+
+
+def _file_contradictions(found: CsvMap) -> Iterator[str]:
     if not found.file.header:
         if found.file.skip_after_header:
             yield "file.skip_after_header is given, but the file has no header: expected file.skip_lines"

@@ -206,7 +206,7 @@ def check_voltage(where: str, signal: Signal, issues: list[str]) -> None:
 
 
 def _looks_like(signal: Signal, quantity: str, check: Callable[..., None], usual: float) -> str:
-    """ "; 366 looks like kPa", or "" where the numbers are implausible in every unit."""
+    """The hint "; 366 looks like kPa", or "" where the numbers are implausible in every unit."""
     top = _top(np.abs(signal.values))
     fits = {
         unit: abs(math.log(top * factor / usual))

@@ -100,7 +100,7 @@ def _fewer_colors(image: Any) -> Any:
 
 
 def _drawn(figure: Figure) -> Any:
-    """matplotlib's figure, drawn but not yet written."""
+    """Matplotlib's figure, drawn but not yet written."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Canvas
 
@@ -246,7 +246,7 @@ def _color(text: str) -> tuple[float, float, float, float]:
 
 
 def _dashes(dash: str, width: float) -> tuple[float, tuple[float, ...] | None]:
-    """matplotlib's line style."""
+    """Matplotlib's line style."""
     if dash not in _DASHES:
         raise BadInput(f"pictures do not draw {dash!r} lines; expected {', '.join(map(repr, _DASHES))}")
     return 0.0, tuple(length * max(width, 3.0) / width for length in _DASHES[dash]) or None

@@ -32,7 +32,7 @@ _DENSE = 26.0
 
 
 def library() -> str:
-    """plotly's library, read from the installed package.
+    """Plotly's library, read from the installed package.
 
     Raises:
         BadInput: plotly is not installed.
@@ -57,7 +57,7 @@ def text(figure: Figure) -> str:
 
 
 def plot(figure: Figure) -> Values:
-    """plotly's ``data`` and ``layout`` as plain values."""
+    """Plotly's ``data`` and ``layout`` as plain values."""
     left, right, top, bottom = figure.margins
     # A pointer over time or lags reads all series at one place; elsewhere the nearest point.
     along = any(panel.x.is_time or any(isinstance(part, Bars) for part in panel.series) for panel in figure.panels)

@@ -94,6 +94,10 @@ def _incomplete(effect: Effect) -> str:
         return f"parameters {', '.join(names)}: expected different names"
     if not any(item.is_size for item in effect.parameters):
         return "no parameter is neutral at 0: expected a size with which the effect vanishes"
+    return _wrong_parameter(effect) or _wrong_state(effect, names) or _wrong_words(effect)
+
+
+def _wrong_parameter(effect: Effect) -> str:
     for item in effect.parameters:
         if not item.low <= item.neutral <= item.high or not item.low <= item.scale <= item.high or item.scale <= 0.0:
             return (
@@ -102,11 +106,19 @@ def _incomplete(effect: Effect) -> str:
             )
         if not item.meaning or not item.unit:
             return f"{item.name}: expected a meaning and a unit ('-' for none)"
+    return ""
+
+
+def _wrong_state(effect: Effect, names: list[str]) -> str:
     for state in effect.states:
         for name in (state.switch, *state.further, *([state.noise] if isinstance(state.noise, str) else [])):
             if name not in names:
                 close = difflib.get_close_matches(name, names, 1)
                 return f"state {state.name}: unknown parameter {name!r}" + (f", {close[0]!r}?" if close else "")
+    return ""
+
+
+def _wrong_words(effect: Effect) -> str:
     if effect.sealed.part is None and not effect.sealed.reason:
         return "sealed: expected the part of a sealed joint that shows it, or the reason why none does"
     try:

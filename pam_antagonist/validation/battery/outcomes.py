@@ -216,7 +216,13 @@ def _error(errors: Mapping[str, Any] | None, channel: str) -> float | None:
 
 
 def save(folder: Path, number: int, outcome: Outcome) -> None:
-    """Write an outcome, whole or not at all."""
+    """Write an outcome, whole or not at all.
+
+    Args:
+        folder: of the battery.
+        number: of the case.
+        outcome: what is written.
+    """
     path = _path(folder, number)
     aside = path.with_suffix(".part")
     write_json(aside, asdict(outcome))

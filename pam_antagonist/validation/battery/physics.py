@@ -112,14 +112,26 @@ def numbers(**values: float) -> np.ndarray:
 
 @inlined
 def dahl_rate(loop, rate, q):
-    """Dahl (1968): dz/dt of a loop that bends all the way round, (dl/dt)/s · (1 − z sgn dl/dt)^power."""
+    """Dahl (1968): dz/dt of a loop that bends all the way round, (dl/dt)/s · (1 − z sgn dl/dt)^power.
+
+    Args:
+        loop: z [-].
+        rate: dl/dt [m/s].
+        q: sizes of the forms, see ``Q``.
+    """
     way = 1.0 if rate > 0.0 else -1.0
     return rate / q[_DAHL_WIDTH] * max(1.0 - loop * way, 0.0) ** q[_DAHL_POWER]
 
 
 @inlined
 def slip_share(i, x, q):
-    """Mean extension of the Maxwell-slip elements of muscle i, each over the length at which it slips [-]."""
+    """Mean extension of the Maxwell-slip elements of muscle i, each over the length at which it slips [-].
+
+    Args:
+        i: muscle, 0 or 1.
+        x: state of the joint with its forms.
+        q: sizes of the forms, see ``Q``.
+    """
     total = 0.0
     for k in range(ELEMENTS):
         total += x[_ELEMENT + ELEMENTS * i + k] / (q[_SLIP_WIDTH] * (k + 0.5))
@@ -128,7 +140,14 @@ def slip_share(i, x, q):
 
 @kernel
 def slip(i, travel, x, q):
-    """Maxwell slip (Al-Bender et al. 2005): each element follows the length until it slips."""
+    """Maxwell slip (Al-Bender et al. 2005): each element follows the length until it slips.
+
+    Args:
+        i: muscle, 0 or 1.
+        travel: change of the length [m].
+        x: state of the joint with its forms, changed in place.
+        q: sizes of the forms, see ``Q``.
+    """
     for k in range(ELEMENTS):
         at, most = _ELEMENT + ELEMENTS * i + k, q[_SLIP_WIDTH] * (k + 0.5)
         x[at] = min(max(x[at] + travel, -most), most)
@@ -136,7 +155,14 @@ def slip(i, travel, x, q):
 
 @inlined
 def escaped(i, pressure, p, q):
-    """Mass flow of the leaks [kg/s]: linear in the gauge pressure, or in the difference of squares (capillary)."""
+    """Mass flow of the leaks [kg/s]: linear in the gauge pressure, or in the difference of squares (capillary).
+
+    Args:
+        i: muscle, 0 or 1.
+        pressure: absolute [Pa].
+        p: parameter vector of the model.
+        q: sizes of the forms, see ``Q``.
+    """
     outside = p[ATMOSPHERE]
     return q[_SEEP + i] * (pressure - outside) + q[_CAPILLARY + i] * (pressure * pressure - outside * outside)
 
@@ -146,6 +172,12 @@ def supply_rate(deviation, drawn, p, q):
     """How the supply's deviation s [Pa] from its set pressure moves [Pa/s].
 
     A regulator drops with the root of the flow; a tank of volume V is refilled through an orifice.
+
+    Args:
+        deviation: s [Pa].
+        drawn: mass flow from the supply [kg/s].
+        p: parameter vector of the model.
+        q: sizes of the forms, see ``Q``.
     """
     if q[_REGULATOR] != 0.0:
         drop = q[_REGULATOR] * math.sqrt(max(drawn, 0.0) / _REFERENCE_FLOW)
@@ -158,7 +190,13 @@ def supply_rate(deviation, drawn, p, q):
 
 @inlined
 def line_flow(i, difference, q):
-    """Mass flow [kg/s] through a line: ΔP = R m (1 + |m|/m_0), solved for m."""
+    """Mass flow [kg/s] through a line: ΔP = R m (1 + |m|/m_0), solved for m.
+
+    Args:
+        i: muscle, 0 or 1.
+        difference: ΔP over the line [Pa].
+        q: sizes of the forms, see ``Q``.
+    """
     reference = q[_LINE_TURBULENT]
     root = math.sqrt(1.0 + 4.0 * abs(difference) / (q[_LINE + i] * reference))
     size = 0.5 * reference * (root - 1.0)
@@ -186,7 +224,14 @@ def rubbing(velocity, q):
 
 @inlined
 def late_force(i, static, x, q):
-    """Force of a muscle [N] some of whose share comes late, in branches of their own times."""
+    """Force of a muscle [N] some of whose share comes late, in branches of their own times.
+
+    Args:
+        i: muscle, 0 or 1.
+        static: force of the force map [N].
+        x: state of the joint with its forms.
+        q: sizes of the forms, see ``Q``.
+    """
     total = static
     if q[_CREEP + i] != 0.0:
         for k in range(ELEMENTS):
@@ -196,7 +241,16 @@ def late_force(i, static, x, q):
 
 @inlined
 def contraction_force(i, sine, pressure, x, q, p):
-    """Contraction force of muscle i [N], forms included."""
+    """Contraction force of muscle i [N], forms included.
+
+    Args:
+        i: muscle, 0 or 1.
+        sine: of the angle.
+        pressure: absolute [Pa].
+        x: state of the joint with its forms.
+        q: sizes of the forms, see ``Q``.
+        p: parameter vector of the model.
+    """
     static = _force(i, _length(i, sine, p), pressure, p)
     bent = (pressure - _MIDDLE) / _HALF_RANGE
     total = late_force(i, static, x, q) + q[_DAHL + i] * x[_LOOP + i] + q[_BEND + i] * bent * bent

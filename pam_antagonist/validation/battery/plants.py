@@ -41,7 +41,13 @@ _KIND_SHARES = (("single", 0.5), ("pair", 0.2), ("none", 0.15), ("foreign", 0.15
 
 @dataclass(frozen=True)
 class Channels:
-    """What happens at a joint, before any sensor: (N,) [rad], (N, 2) [Pa], (N,) [N m]."""
+    """What happens at a joint, before any sensor.
+
+    Attributes:
+        angle: (N,) [rad].
+        pressure: absolute (N, 2) [Pa].
+        torque: (N,) [N m].
+    """
 
     angle: Floats
     pressure: Floats

@@ -35,12 +35,30 @@ class Figure:
 
 
 def at_most(name: str, meaning: str, value: float, bound: float, unit: str, parts: dict[str, float]) -> Figure:
-    """A figure that should not exceed a bound."""
+    """A figure that should not exceed a bound.
+
+    Args:
+        name: of the figure.
+        meaning: what it is, in a sentence.
+        value: as measured.
+        bound: that it is compared with.
+        unit: of both.
+        parts: what it was computed from, by name.
+    """
     return Figure(name, meaning, value, f"≤ {bound:g}", bool(value <= bound), unit, parts)
 
 
 def at_least(name: str, meaning: str, value: float, bound: float, unit: str, parts: dict[str, float]) -> Figure:
-    """A figure that should not fall below a bound."""
+    """A figure that should not fall below a bound.
+
+    Args:
+        name: of the figure.
+        meaning: what it is, in a sentence.
+        value: as measured.
+        bound: that it is compared with.
+        unit: of both.
+        parts: what it was computed from, by name.
+    """
     return Figure(name, meaning, value, f"≥ {bound:g}", bool(value >= bound), unit, parts)
 
 

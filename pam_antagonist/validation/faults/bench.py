@@ -211,6 +211,11 @@ class Bench:
     def until(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
         """Wait for something.
 
+        Args:
+            condition: what is waited for.
+            seconds: longest time [s].
+            what: names it in the message.
+
         Raises:
             ProcessFailed: it did not happen in time, or a node has ended.
         """

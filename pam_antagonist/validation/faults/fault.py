@@ -30,7 +30,12 @@ class Cause(Protocol):
 
 
 class Ended(NamedTuple):
-    """When a fault was over [ns since 1970], and what else is to be said, in a few words."""
+    """When a fault was over.
+
+    Attributes:
+        time_ns: [ns since 1970].
+        note: what else is to be said, in a few words.
+    """
 
     time_ns: int
     note: str = ""
@@ -69,7 +74,15 @@ class Said(NamedTuple):
 
 
 class Status(NamedTuple):
-    """Something said on ``/diagnostics``: received [ns since 1970], part, level, message, values."""
+    """A status on ``/diagnostics``.
+
+    Attributes:
+        time_ns: of reception [ns since 1970].
+        part: node and subcomponent.
+        level: of ``DiagnosticStatus``.
+        message: in words.
+        values: by key.
+    """
 
     time_ns: int
     part: str

@@ -25,7 +25,13 @@ KINDS = ("drop", "double", "late")
 
 
 class Order(NamedTuple):
-    """What is to be done to the messages of a topic; an empty kind: nothing any more."""
+    """What is to be done to the messages of a topic.
+
+    Attributes:
+        kind: one of ``KINDS``; empty: pass everything on again.
+        value: share of messages [-], or delay [s].
+        topic: whose messages these are.
+    """
 
     kind: str
     value: float

@@ -114,7 +114,13 @@ def first_obeyed(rows: Sequence[Row], after_ns: int) -> int | None:
 
 
 def share_safe(rows: Sequence[Row], begin_ns: int, end_ns: int) -> float:
-    """Share of a time for which the voltages were safe (0 to 1)."""
+    """Share of a time for which the voltages were safe (0 to 1).
+
+    Args:
+        rows: of the log, in order.
+        begin_ns: of the time [ns].
+        end_ns: of the time [ns].
+    """
     safe_ns = 0
     for row, later in zip(rows, [*rows[1:], None], strict=True):
         first = max(row.time_ns, begin_ns)
@@ -128,6 +134,11 @@ def wrong_voltages(rows: Sequence[Row], begin_ns: int, end_ns: int) -> list[Row]
     """Rows with voltages that neither the controller nor any safe action can have meant.
 
     The controller moves both valves by the same amount, in opposite directions, from twice 5.5 V.
+
+    Args:
+        rows: of the log, in order.
+        begin_ns: of the time [ns].
+        end_ns: of the time [ns].
     """
     return [
         row

@@ -80,7 +80,13 @@ def static_fits(work: SeedWork, form: str) -> tuple[ForceFit, ForceFit]:
 
 
 def with_fits(rig: Rig, form: str, fits: tuple[ForceFit, ForceFit]) -> Rig:
-    """A rig whose muscles have the fitted maps in place of the declared ones."""
+    """A rig whose muscles have the fitted maps in place of the declared ones.
+
+    Args:
+        rig: with the declared maps.
+        form: of the force map.
+        fits: of muscle 1 and 2.
+    """
     changes = {}
     for which, fit in zip((1, 2), fits, strict=True):
         part = getattr(rig, f"muscle_{which}")

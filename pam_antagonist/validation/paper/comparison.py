@@ -35,7 +35,14 @@ class Model:
 
 
 def comparison_table(context: Context, models: Sequence[Model], tuning: str, unit: str) -> Table:
-    """One row a model: median and range of the figures, the paper's in the last column; the best medians are bold."""
+    """One row a model: median and range of the figures, the paper's in the last column; the best medians are bold.
+
+    Args:
+        context: results of all seeds.
+        models: the models that are compared.
+        tuning: name of the tuning.
+        unit: of the errors.
+    """
     keys = ("rmse", "largest", "ratio")
     medians = np.array([[context.spread(model.name, tuning, key).median for key in keys] for model in models])
     rows, best = [], []
@@ -61,7 +68,14 @@ def comparison_table(context: Context, models: Sequence[Model], tuning: str, uni
 
 
 def ranked(context: Context, models: Sequence[Model], tuning: str, key: str) -> str:
-    """A sentence: whether the paper's order holds, and on how many rigs its best model is the best."""
+    """A sentence: whether the paper's order holds, and on how many rigs its best model is the best.
+
+    Args:
+        context: results of all seeds.
+        models: the models that are compared.
+        tuning: name of the tuning.
+        key: ``rmse``, ``largest`` or ``ratio``.
+    """
     compared = [model for model in models if model.paper is not None]
     # What could not be fitted on a rig does not win there.
     values = {
@@ -87,7 +101,13 @@ def ranked(context: Context, models: Sequence[Model], tuning: str, key: str) -> 
 
 
 def comparison_figure(context: Context, models: Sequence[Model], quantity: str) -> Figure:
-    """ℚ of each model on each rig, both tunings."""
+    """ℚ of each model on each rig, both tunings.
+
+    Args:
+        context: results of all seeds.
+        models: the models that are compared.
+        quantity: in the title.
+    """
     rows = []
     for k, model in enumerate(models):
         for tuning in TUNINGS:

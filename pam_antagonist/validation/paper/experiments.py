@@ -69,7 +69,13 @@ class Options:
 
 
 def of_seed(modules: Sequence[str], scenario: Scenario, seed: int) -> dict[str, Any]:
-    """What each module says of one virtual rig; recordings and filters are shared among them."""
+    """What each module says of one virtual rig; recordings and filters are shared among them.
+
+    Args:
+        modules: names of experiments.
+        scenario: that the rig is drawn from.
+        seed: of the rig.
+    """
     work = SeedWork(scenario, seed)
     out = {}
     for name in modules:

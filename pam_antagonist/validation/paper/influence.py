@@ -76,7 +76,13 @@ def drives(rig: Rig) -> tuple[Floats, Floats, list[Floats]]:
 
 
 def run(rig: Rig, voltage: Floats, factors: dict[str, float]) -> Floats:
-    """States (N, 4) of the declared model with some parameters times a factor."""
+    """States (N, 4) of the declared model with some parameters times a factor.
+
+    Args:
+        rig: with the declared parameters.
+        voltage: (N, 2) [V].
+        factors: by parameter.
+    """
     changes = {name: rig.value(name) * factor for name, factor in factors.items()}
     p = rig.parameters("free", 0.0, changes)
     start = rest.initial_state(float(rest.rest_angle(*START, p)), *START, voltage[0], p)

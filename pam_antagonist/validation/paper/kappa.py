@@ -48,7 +48,13 @@ def simulated_pressures(work: SeedWork) -> Floats:
 
 
 def found(work: SeedWork, recording: Recording, valve: int) -> tuple[SteadyPoints, Floats, Floats]:
-    """Steps two and three for valve 0 or 1: steady points, and the curve's voltages and open rates."""
+    """Steps two and three for valve 0 or 1: steady points, and the curve's voltages and open rates.
+
+    Args:
+        work: the virtual rig and its recordings.
+        recording: with a staircase of voltages.
+        valve: 0 or 1.
+    """
     rig = work.rig.declared
     points = steady_points(recording.voltage[:, valve], recording.pressure[:, valve], rig.sample_period)
     voltage, rate = valve_curve(points, rig.parameters("locked"))
@@ -56,7 +62,13 @@ def found(work: SeedWork, recording: Recording, valve: int) -> tuple[SteadyPoint
 
 
 def true_rates(work: SeedWork, valve: int, voltage: Floats) -> Floats:
-    """Open rates of the virtual rig's own valve."""
+    """Open rates of the virtual rig's own valve.
+
+    Args:
+        work: the virtual rig and its recordings.
+        valve: 0 or 1.
+        voltage: (K,) [V].
+    """
     p = work.rig.plant("locked").parameters
     return np.array([flow.open_rate(valve, value, p) for value in voltage])
 

@@ -63,7 +63,13 @@ class LinearModel:
 
 @dataclass(frozen=True, eq=False)
 class LinearEstimate:
-    """What the linear filter says: angle (N,) in the unit it was identified in, its variance, and NIS (N // STEP,)."""
+    """An estimate of the linear filter.
+
+    Attributes:
+        angle: (N,) in the unit it was identified in.
+        angle_variance: in the square of it.
+        nis: normalised innovation squared (N // STEP,).
+    """
 
     angle: Floats
     angle_variance: float

@@ -148,7 +148,13 @@ def _pipeline_times(recording: Recording) -> Floats:
 
 
 def step_times(rig: Rig, recording: Recording, joint: str) -> Floats:
-    """What every step of the filter takes, called sample by sample as the node calls it (N,) [ms]."""
+    """What every step of the filter takes, called sample by sample as the node calls it (N,) [ms].
+
+    Args:
+        rig: of the filter.
+        recording: what it is given.
+        joint: ``free`` or ``locked``.
+    """
     estimator = Estimator(rig, LIVE_TUNING, joint)
     samples = list(
         zip(recording.stamp_ns.tolist(), recording.pressure.tolist(), recording.voltage.tolist(), strict=True)

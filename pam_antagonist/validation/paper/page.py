@@ -74,7 +74,14 @@ def mismatches(scenario: Scenario, seeds: Sequence[int]) -> Table:
 
 
 def page(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], took: Mapping[str, float]) -> Document:
-    """The report as a page."""
+    """The report as a page.
+
+    Args:
+        results: of the experiments.
+        scenario: of the virtual rigs.
+        seeds: of the virtual rigs.
+        took: time by part [s].
+    """
     parts: list[Block] = [Text(f"After {SOURCE}.", "lede"), Text(CAUTION, "verdict")]
     shown = overview(results)
     if shown.rows:
@@ -106,7 +113,14 @@ def _times(took: Mapping[str, float]) -> Table:
 def document(
     results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], took: Mapping[str, float]
 ) -> dict[str, Any]:
-    """What goes into ``report.json``."""
+    """What goes into ``report.json``.
+
+    Args:
+        results: of the experiments.
+        scenario: of the virtual rigs.
+        seeds: of the virtual rigs.
+        took: time by part [s].
+    """
     return {
         "source": SOURCE,
         "caution": CAUTION,

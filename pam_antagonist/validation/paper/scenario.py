@@ -77,7 +77,13 @@ def load_scenario(name: str = "paper") -> Scenario:
 
 
 class Truth(NamedTuple):
-    """What a plant did: states (N, n), torque (N,) [N m] and subsystem σ (N,)."""
+    """What a plant did.
+
+    Attributes:
+        states: (N, n).
+        torque: (N,) [N m].
+        subsystem: σ (N,).
+    """
 
     states: Floats
     torque: Floats

@@ -73,7 +73,15 @@ class Track:
 
 
 def filtered(rig: Rig, recording: Recording, tuning: str, joint: str, samples: int | None = None) -> Track:
-    """The filter of a rig over the first samples of a recording (default: all)."""
+    """The filter of a rig over the first samples of a recording.
+
+    Args:
+        rig: of the filter.
+        recording: what it is given.
+        tuning: name of the tuning.
+        joint: ``free`` or ``locked``.
+        samples: how many; default: all.
+    """
     part = slice(samples)
     estimator = Estimator(rig, tuning, joint)
     run = estimator.run(recording.stamp_ns[part], recording.pressure[part], recording.voltage[part])
@@ -91,7 +99,14 @@ def filtered(rig: Rig, recording: Recording, tuning: str, joint: str, samples: i
 
 
 def modelled(rig: Rig, recording: Recording, joint: str, samples: int | None = None) -> Track:
-    """The model alone over the first samples of a recording (default: all)."""
+    """The model alone over the first samples of a recording.
+
+    Args:
+        rig: of the model.
+        recording: whose voltages and first pressures it is given.
+        joint: ``free`` or ``locked``.
+        samples: how many; default: all.
+    """
     run = simulate_model(rig, recording.voltage[slice(samples)], recording.pressure[0], joint)
     return Track(np.degrees(run.angle), run.torque, run.pressure, None, None, None, None, run.subsystem)
 
@@ -118,7 +133,14 @@ def judged(track: Track, recording: Recording, rig: Rig, quantity: str) -> Error
 def figures_of(
     value: Floats, measured: Floats, variance: Floats | None = None, reading: Reading = metrics.EXACT
 ) -> Errors:
-    """Errors of a value (N,) against its measurement (N,)."""
+    """Errors of a value against its measurement.
+
+    Args:
+        value: (N,).
+        measured: (N,).
+        variance: of the value (N,), None of a model without one.
+        reading: the reference sensor's noise.
+    """
     error = value - measured
     held = math.nan if variance is None else metrics.coverage(error, variance, reading)
     return Errors(metrics.rmse(error), metrics.max_error(error), metrics.estimation_ratio(error, measured), held)
