@@ -26,6 +26,14 @@ def delay_of_voltages(
 
     The pressures' difference from the model is regressed on the rate of the model's pressures, on what each orifice
     area does, on the pressure itself and on a constant. The coefficient of the rate is the delay.
+
+    Args:
+        corrected: the recording with the corrections so far.
+        rig: of the model.
+        model: the model's prediction of it.
+        joint: ``free`` or ``locked``.
+        lock_angle: of a locked joint [rad].
+        now: the corrections so far.
     """
     moved = [
         predicted(corrected, other, joint, lock_angle, known_start=True).pressure - model.pressure

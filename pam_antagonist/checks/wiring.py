@@ -119,7 +119,13 @@ def pressure_unit_of(pressures: Floats, model: Prediction, now: Corrections) -> 
 
 @dataclass(frozen=True)
 class Direction:
-    """How a measured channel goes with the model that has the recorded voltages: sign and size."""
+    """How a measured channel goes with the model that has the recorded voltages.
+
+    Attributes:
+        channel: ``angle`` or ``torque``.
+        sign: 1 where it goes with the model, -1 where it goes against it.
+        ratio: size over the size of the model's [-].
+    """
 
     channel: str
     sign: int
@@ -127,7 +133,14 @@ class Direction:
 
 
 def directions_of(recording: Recording, model: Prediction, now: Corrections, joint: str) -> list[Direction]:
-    """Sign and size of angle and torque against the model's, where they tell."""
+    """Sign and size of angle and torque against the model's, where they tell.
+
+    Args:
+        recording: as it is.
+        model: the model's prediction of it.
+        now: the corrections so far.
+        joint: ``free`` or ``locked``.
+    """
     out = []
     if joint == "free" and recording.angle is not None and range_of(model.angle) > STILL_ANGLE:
         out.append(("angle", now.angle(recording.angle[model.rows]), model.angle))

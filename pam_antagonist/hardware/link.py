@@ -67,7 +67,7 @@ class LinkCounts:
 
     Attributes:
         samples: delivered.
-        lost: samples of the device that never came, told from their numbers.
+        lost: samples of the device that never came, by their numbers.
         without_stamp: that came before the clocks were known.
         backwards: left out because their stamps would have gone back.
         clock_steps: of the host's clock.
@@ -196,17 +196,17 @@ class Link:
         self.clock = ClockMap()
 
     def _serve(self) -> None:
-        heard = time.monotonic()
+        last_received = time.monotonic()
         while not self._stop.is_set():
             samples = self._device.samples(_LOOK)
             if samples:
-                heard = time.monotonic()
+                last_received = time.monotonic()
                 offset = self._host_offset()
                 for sample in samples:
                     self._take(sample, offset)
-            elif time.monotonic() - heard > SILENCE:
+            elif time.monotonic() - last_received > SILENCE:
                 # not while this process stood still: then there would have been something to read
-                raise DeviceLost(f"silent for {time.monotonic() - heard:.2f} s")
+                raise DeviceLost(f"silent for {time.monotonic() - last_received:.2f} s")
             self._attend()
 
     def _host_offset(self) -> int:

@@ -1,4 +1,4 @@
-"""Messages that never came, told from the publisher's own numbering (no ROS in here)."""
+"""Messages that were lost, by the publisher's own numbering (no ROS in here)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Callable
 class Gaps:
     """Counts what is missing between the messages of one topic.
 
-    The middleware numbers the messages of a publisher, but does not tell which publisher a message is from. So gaps are
-    counted while there is one publisher only; from the first moment with two of them on there is nothing to go by.
+    The middleware numbers the messages of a publisher, but does not say which publisher a message is from. So gaps are
+    counted while there is one publisher only. With a second one, counting ends.
 
     Args:
         publishers: number of publishers now; asked only where a number is not the next one.

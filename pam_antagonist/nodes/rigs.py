@@ -53,26 +53,26 @@ class RigWatch:
 
     def _on_rig(self, message: String) -> None:
         try:
-            told = RigIdentity.read(message.data)
+            other = RigIdentity.read(message.data)
         except BadInput as error:
             self._node.get_logger().warning(str(error))
             return
-        if told.node == self._own.node:
+        if other.node == self._own.node:
             return
-        if told.node in _SOURCES:  # one of them is there; whoever spoke last
+        if other.node in _SOURCES:  # one of them is there; whoever spoke last
             for source in _SOURCES:
                 self._others.pop(source, None)
-        self._others[told.node] = told
-        problem = self._problem(told)
+        self._others[other.node] = other
+        problem = self._problem(other)
         if problem:
             self._disagree(problem)
 
-    def _problem(self, told: RigIdentity) -> str:
-        found = differences(self._own, told)
+    def _problem(self, other: RigIdentity) -> str:
+        found = differences(self._own, other)
         if not found:
             return ""
         more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-        return f"the rig file of the {told.node} is another joint's: {found[0]}{more} ({told}; here {self._own})"
+        return f"the rig file of the {other.node} is another joint's: {found[0]}{more} ({other}; here {self._own})"
 
     @property
     def present(self) -> str:
@@ -83,17 +83,17 @@ class RigWatch:
         """Leave out what nodes have said that are no longer there."""
         topic = self._node.resolve_topic_name(TOPICS["rig"].relative)
         there = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
-        self._others = {name: told for name, told in self._others.items() if name in there}
+        self._others = {name: other for name, other in self._others.items() if name in there}
 
     def health(self) -> Health:
         """For ``/diagnostics``."""
         values: dict[str, Any] = {self._own.node: str(self._own)}
-        values |= {name: str(told) for name, told in sorted(self._others.items())}
-        others = [told for told in self._others.values() if told.fingerprint != self._own.fingerprint]
+        values |= {name: str(other) for name, other in sorted(self._others.items())}
+        others = [other for other in self._others.values() if other.fingerprint != self._own.fingerprint]
         if self.present:
             return Health(Level.ERROR, self.present, values)
         if others:
-            names = " and ".join(sorted(told.node for told in others))
+            names = " and ".join(sorted(other.node for other in others))
             return Health(Level.OK, f"the same joint; {names} with other values than the controller", values)
         if not self._others:
             return Health(Level.OK, "no other node has told its rig yet", values)

@@ -44,7 +44,13 @@ class Innovation:
 
 @dataclass(frozen=True)
 class RecordedRig:
-    """The rig that a node reported; `same`: whether it has the values of the replay's rig."""
+    """The rig that a node reported.
+
+    Attributes:
+        name: of the rig.
+        fingerprint: of its values.
+        same: whether it has the values of the replay's rig.
+    """
 
     name: str
     fingerprint: str
@@ -74,7 +80,13 @@ class RecordingFacts:
 
 @dataclass(frozen=True)
 class JointFacts:
-    """Whether the joint could move, where it was held [rad], and what says so."""
+    """Whether the joint could move.
+
+    Attributes:
+        condition: ``free`` or ``locked``.
+        lock_angle_rad: where a locked joint was held [rad].
+        told_from: what says so.
+    """
 
     condition: str
     lock_angle_rad: float | None
@@ -88,7 +100,12 @@ class JointFacts:
 
 @dataclass(frozen=True)
 class FilterFacts:
-    """When the filter was started [ns], and what became of its samples."""
+    """What the filter did.
+
+    Attributes:
+        started_ns: stamps at which the filter was started [ns].
+        counts: what became of its samples.
+    """
 
     started_ns: tuple[int, ...]
     counts: Counts
@@ -96,7 +113,14 @@ class FilterFacts:
 
 @dataclass(frozen=True)
 class Timing:
-    """How long reading, filter, model and all of it took [s]."""
+    """How long a replay took.
+
+    Attributes:
+        read_s: reading the recording [s].
+        filter_s: the filter [s].
+        model_s: the model alone [s].
+        total_s: all of it [s].
+    """
 
     read_s: float
     filter_s: float
@@ -139,7 +163,13 @@ class ReplayReport:
 
 @dataclass(frozen=True, eq=False)
 class ModelTrack:
-    """The model alone at the samples with an estimate: angle (M,) [rad], torque (M,) [N m], pressure (M, 2) [Pa]."""
+    """The model alone at the samples with an estimate: angle (M,) [rad], torque (M,) [N m], pressure (M, 2) [Pa].
+
+    Attributes:
+        angle: (M,) [rad].
+        torque: (M,) [N m].
+        pressure: (M, 2) [Pa].
+    """
 
     angle: FloatArray
     torque: FloatArray

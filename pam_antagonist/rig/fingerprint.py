@@ -172,8 +172,8 @@ class RigIdentity:
 
     def text(self) -> str:
         """As one line of JSON, for a message."""
-        told = {"node": self.node, "name": self.name, "fingerprint": self.fingerprint, "facts": dict(self.facts)}
-        return json.dumps(told, ensure_ascii=False)
+        content = {"node": self.node, "name": self.name, "fingerprint": self.fingerprint, "facts": dict(self.facts)}
+        return json.dumps(content, ensure_ascii=False)
 
     @classmethod
     def read(cls, text: str) -> RigIdentity:
@@ -183,11 +183,11 @@ class RigIdentity:
             BadInput: it is something else.
         """
         try:
-            told = json.loads(text) if len(text) <= _LONGEST else None
+            content = json.loads(text) if len(text) <= _LONGEST else None
         except (ValueError, RecursionError):
-            told = None
-        told = told if isinstance(told, dict) else {}
-        facts, words = told.get("facts"), [told.get(key) for key in ("node", "name", "fingerprint")]
+            content = None
+        content = content if isinstance(content, dict) else {}
+        facts, words = content.get("facts"), [content.get(key) for key in ("node", "name", "fingerprint")]
         good = all(isinstance(word, str) and len(word) <= _LARGEST_NAME for word in words)
         if not (good and isinstance(facts, dict) and all(map(_usable, facts.values()))):
             raise BadInput(f"rig: {text[:60]!r} tells of no rig: expected JSON with node, name, fingerprint and facts")
