@@ -38,7 +38,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *tree("config", (".xml", ".yaml")),
+        *tree("config", (".json", ".xml", ".yaml")),
         *tree("launch", (".py",)),
     ],
     install_requires=[
@@ -62,6 +62,8 @@ setup(
     extras_require={
         # Fits of close_loop on the workers of a scheduler.
         "dask": ["dask>=2023.5", "distributed>=2023.5"],
+        # The documentation site, ./run docs.
+        "docs": ["furo>=2024.8", "latex2mathml>=3.77", "myst-parser>=4", "sphinx>=8"],
         # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`.
         "test": [
             "filterpy>=1.4.5,<3",

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _DESCRIPTION = """\
 Stand in for the microcontroller of a rig: the reference firmware on a pseudo-terminal, with the physics behind it.
 
-It prints the path of its port, then speaks the protocol of docs/how-to/hardware.md at the rig's sample rate until it is
-stopped by Ctrl-C or SIGTERM. The bridge node, or your own host program, opens that path as any serial port.
+It prints the path of its port, then speaks the protocol of docs/reference/protocol.md at the rig's sample rate, until
+Ctrl-C or SIGTERM stops it. The bridge node, or your own host program, opens that path as any serial port.
 """
 _EXAMPLES = """\
 examples:

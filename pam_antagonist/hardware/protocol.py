@@ -1,4 +1,4 @@
-"""The messages between host and device, byte by byte; docs/how-to/hardware.md has them as tables.
+"""The messages between host and device, byte by byte; docs/reference/protocol.md has them as tables.
 
 Everything is little-endian and packed. The first byte of a payload is its kind. The second one of ``Hello`` and
 ``Welcome`` is the version of the protocol: these two bytes stay where they are in every version.

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """
 Bridge to real hardware: a microcontroller on a serial port that reads two pressures and drives two valves, by the
-protocol of docs/how-to/hardware.md. Samples are stamped by the device's clock, mapped to ROS time. The bridge obeys one
-commander; commands are clamped and slew-limited, and the valves become safe when commands stay away or a pressure is
-not what it may be (docs/how-to/safety.md). The device does that by itself, 20 ms after the bridge has fallen silent.
+protocol of docs/reference/protocol.md. Samples are stamped by the device's clock, mapped to ROS time. The bridge obeys
+one commander; commands are clamped and slew-limited, and the valves become safe when commands stay away or a pressure
+is not what it may be (docs/how-to/safety.md). The device does that by itself, 20 ms after the bridge has fallen silent.
 A device that is unplugged is opened again when it is back.
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),

@@ -150,7 +150,7 @@ def test_messages_come_back_from_their_bytes(message: protocol.Message) -> None:
 
 
 def test_bytes_are_where_the_tables_say() -> None:
-    """docs/how-to/hardware.md, byte by byte."""
+    """docs/reference/protocol.md, byte by byte."""
     assert protocol.pack(Command(0x0201, 0x0403, 0x0605, 1.0, 2.0)).hex() == "04010203040506" + "0000803f" + "00000040"
     floats = "0000803f" + "00000040" + "00004040" + "00008040" + "0000a040"
     assert protocol.pack(Hello(1, 0x0302, 1.0, 2.0, 3.0, 4.0, 5.0)).hex() == "01010203" + floats

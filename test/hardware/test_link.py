@@ -1,4 +1,4 @@
-"""A device kept going: with doubles of hardware, one of them the DAQ card of docs/how-to/hardware.md."""
+"""A device kept going: with doubles of hardware, one of them the DAQ card of docs/how-to/driver.md."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
 from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
 from pam_antagonist.safety import SafeAction
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "hardware.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "driver.md"
 MS = 1_000_000
 ACTION = SafeAction((5.0, 5.25))
 WANTED = Wanted(MS, 0.0, 10.0, ACTION)
@@ -368,7 +368,7 @@ def test_what_is_not_at_rest_is_not_measured(pressures: list[tuple[float, float]
         rest.result()
 
 
-# ----------------------------------------------------------------------------------------- docs/how-to/hardware.md
+# ----------------------------------------------------------------------------------------- docs/how-to/driver.md
 
 
 class Card:

@@ -124,7 +124,7 @@ voltages; after a restart that includes the start of the process.
 [Safety](how-to/safety.md) says what each stop does and why, [hardware](how-to/hardware.md) what device and bridge do.
 
 Not in the table: a device that stands still for good. Its valves keep their voltages, and no program elsewhere can do
-anything about that: let the microcontroller's own watchdog restart it ([hardware.md](how-to/hardware.md#firmware)).
+anything about that: let the microcontroller's own watchdog restart it ([firmware](reference/protocol.md#firmware)).
 """
 
 

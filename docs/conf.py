@@ -1,0 +1,121 @@
+"""The documentation site: ``./run docs`` builds it strictly and serves it.
+
+Pages are Markdown that the hosting platform shows as well: links to sources are relative paths, equations are in LaTeX,
+and no page holds a list of other pages. The site gets its navigation from ``NAVIGATION`` and its API reference from the
+docstrings. Its equations become MathML, so that no script from another host is needed.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+NAVIGATION = {
+    "Tutorial": ["tutorials/first_hour"],
+    "How-to guides": [
+        "how-to/your_rig",
+        "how-to/check",
+        "how-to/import_csv",
+        "how-to/static",
+        "how-to/identify",
+        "how-to/close_loop",
+        "how-to/hardware",
+        "how-to/driver",
+        "how-to/several_joints",
+        "how-to/safety",
+        "how-to/recording",
+        "how-to/security",
+        "how-to/troubleshooting",
+    ],
+    "Reference": [
+        "reference/commands",
+        "reference/nodes",
+        "reference/rig_file",
+        "reference/report_json",
+        "reference/api",
+        "effects",
+        "reference/protocol",
+        "reference/glossary",
+    ],
+    "Explanation": [
+        "explanation/model",
+        "explanation/estimator",
+        "explanation/identification",
+        "explanation/close_loop",
+        "architecture",
+    ],
+    "Evidence": [
+        "evidence/sealed_joint",
+        "evidence/close_loop",
+        "battery",
+        "evidence/identification",
+        "evidence/force_map",
+        "paper",
+        "faults",
+        "evidence/speed",
+        "soak",
+        "evidence/security",
+    ],
+}
+"""Title of a part -> its pages."""
+
+project = "pam_antagonist"
+author = "pam_antagonist maintainers"
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["generate.py", "demo_picture.py"]
+html_theme = "furo"
+html_title = "pam_antagonist"
+html_math_renderer = "mathml"
+html_show_sourcelink = False
+myst_enable_extensions = ["dollarmath"]
+myst_fence_as_directive = ["math"]
+myst_heading_anchors = 4
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+nitpicky = False
+suppress_warnings = ["misc.highlighting_failure"]
+
+_SPACING = re.compile(r"\\\\\[[0-9.]+ex\]")
+
+
+def _mathml(latex: str, display: str) -> str:
+    from latex2mathml.converter import convert
+
+    return str(convert(_SPACING.sub(r"\\\\", latex), display=display))
+
+
+def _inline(writer: Any, node: Any) -> None:
+    from docutils.nodes import SkipNode
+
+    writer.body.append(_mathml(node.astext(), "inline"))
+    raise SkipNode
+
+
+def _block(writer: Any, node: Any) -> None:
+    from docutils.nodes import SkipNode
+
+    writer.body.append(_mathml(node.astext(), "block"))
+    raise SkipNode
+
+
+def _with_navigation(app: Any, page: str, source: list[str]) -> None:
+    """Put the table of all pages behind the first one."""
+    if page == "index":
+        parts = [
+            "```{toctree}\n:hidden:\n:caption: " + title + "\n\n" + "\n".join(pages) + "\n```"
+            for title, pages in NAVIGATION.items()
+        ]
+        source[0] = "\n\n".join([source[0], *parts])
+
+
+def setup(app: Any) -> None:
+    """Register what is special here with Sphinx."""
+    app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
+    app.connect("source-read", _with_navigation)

@@ -1,0 +1,132 @@
+"""Write the parts of the reference pages that the code knows: ``./run python docs/generate.py``.
+
+A page marks such a part by ``<!-- generated: NAME -->`` and ``<!-- end -->``; NAME is a function of this module. The
+JSON schema of rig files is written as well. ``./run docs`` calls this before it builds the site.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from pam_antagonist.__main__ import COMMANDS
+from pam_antagonist.nodes import bridge, controller, estimator, plant
+from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter
+from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.rig.json_schema import rig_json_schema
+
+ROOT = Path(__file__).resolve().parents[1]
+SCHEMA = ROOT / "config" / "rig.schema.json"
+MARKED = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+NODES = {"plant": plant, "bridge": bridge, "estimator": estimator, "controller": controller}
+MESSAGES = ROOT / "pam_antagonist_msgs"
+
+
+def help_text(name: str) -> str:
+    """What ``./run NAME --help`` prints."""
+    module, function = COMMANDS[name].target.split(":")
+    os.environ["COLUMNS"] = "100"
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        getattr(importlib.import_module(module), function)(["--help"])
+    return out.getvalue().strip()
+
+
+def commands() -> str:
+    """A section a command, with its help."""
+    parts = []
+    for name, command in COMMANDS.items():
+        summary = f"{command.summary[0].upper()}{command.summary[1:]}."
+        parts.append(f"## {name}\n\n{summary}\n\n```text\n{help_text(name)}\n```\n")
+    return "\n".join(parts)
+
+
+def topics() -> str:
+    """Name, type and meaning of each topic."""
+    rows = [f"| `{topic.relative}` | `{topic.type}` | {topic.meaning} |" for topic in TOPICS.values()]
+    return "\n".join(["| topic | type | content |", "|---|---|---|", *rows, ""])
+
+
+def messages() -> str:
+    """The message and service files as they are."""
+    files = [*sorted((MESSAGES / "msg").glob("*.msg")), *sorted((MESSAGES / "srv").glob("*.srv"))]
+    return "\n".join(f"### {file.stem}\n\n```text\n{file.read_text(encoding='utf-8').strip()}\n```\n" for file in files)
+
+
+def parameters() -> str:
+    """A table of parameters a node."""
+    parts = []
+    for name, module in NODES.items():
+        table: tuple[Parameter, ...] = (*module.PARAMETERS, AUTOSTART, DIAGNOSTICS_PERIOD)
+        rows = [
+            f"| `{entry.name}` | `{entry.default}` | {entry.expected} | {entry.description.replace('|', '/')}"
+            f"{'' if entry.read_only else '; may change while the node runs'} |"
+            for entry in table
+        ]
+        parts.append(f"### {name}\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n" + "\n".join(rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def rig_fields() -> str:
+    """Every entry of a rig file by its dotted path."""
+    schema = rig_json_schema()
+    rows: list[str] = []
+    _walk("", schema, schema["$defs"], rows)
+    return "\n".join(["| entry | allowed | default | meaning |", "|---|---|---|---|", *rows, ""])
+
+
+def _walk(prefix: str, node: dict[str, Any], defs: dict[str, Any], rows: list[str]) -> None:
+    for key, entry in node.get("properties", {}).items():
+        inner = entry
+        for reference in (entry, *entry.get("allOf", [])):
+            if "$ref" in reference:
+                inner = defs[reference["$ref"].rsplit("/", 1)[1]]
+        path = f"{prefix}{key}"
+        if inner.get("properties"):
+            _walk(f"{path}.", inner, defs, rows)
+        else:
+            default = "" if "default" not in entry else f"`{json.dumps(entry['default'])}`"
+            meaning = (entry.get("description") or inner.get("description") or "").replace("|", "/")
+            rows.append(f"| `{path}` | {_allowed(entry)} | {default} | {meaning} |")
+
+
+def _allowed(entry: dict[str, Any]) -> str:
+    if "enum" in entry:
+        return ", ".join(str(item) for item in entry["enum"])
+    number = next((item for item in entry.get("anyOf", []) if item.get("type") != "null"), entry)
+    low = number.get("minimum", number.get("exclusiveMinimum"))
+    high = number.get("maximum", number.get("exclusiveMaximum"))
+    text = {"number": "number", "string": "text", "boolean": "true, false", "array": "list", "object": "mapping"}.get(
+        number.get("type", ""), ""
+    )
+    if low is not None and high is not None:
+        text = f"{low:g} to {high:g}"
+    elif low is not None:
+        text = f"from {low:g}" if "minimum" in number else f"above {low:g}"
+    return text + (", null" if number is not entry else "")
+
+
+def updated(text: str) -> str:
+    """A page with its generated parts made anew."""
+    return MARKED.sub(lambda part: f"{part[1]}\n{globals()[part[2]]()}\n{part[3]}", text)
+
+
+def main() -> None:
+    """Update every page with a generated part, and the schema."""
+    for path in sorted((ROOT / "docs").rglob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        new = updated(text)
+        if new != text:
+            path.write_text(new, encoding="utf-8")
+            print(f"updated {path.relative_to(ROOT)}")
+    SCHEMA.write_text(json.dumps(rig_json_schema(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""The JSON schema of rig files, by which an editor completes, explains and checks them while they are written."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.rig.schema import Rig
+
+
+def rig_json_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a rig file; needs pydantic 2.
+
+    A file that is ``based_on`` another one gives only what differs. So nothing is required below the top level, and
+    nothing at all beside ``based_on``; :func:`pam_antagonist.rig.load_rig` checks what is complete.
+
+    Returns:
+        The schema, with the parameters and bounds of every effect that is registered.
+    """
+    schema: dict[str, Any] = Rig.model_json_schema()
+    required = schema.pop("required")
+    for definition in schema["$defs"].values():
+        definition.pop("required", None)
+    schema["properties"] = {
+        "based_on": {"type": "string", "description": "name or file of the rig that this one differs from"},
+        **schema["properties"],
+    }
+    schema["anyOf"] = [{"required": ["based_on"]}, {"required": required}]
+    schema["properties"]["effects"] = {
+        "type": "object",
+        "default": {},
+        "description": "what the paper's model lacks: docs/effects.md",
+        "additionalProperties": False,
+        "properties": {name: _effect(name) for name in CATALOGUE},
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _effect(name: str) -> dict[str, Any]:
+    effect = CATALOGUE[name]
+    return {
+        "type": "object",
+        "description": effect.meaning,
+        "additionalProperties": False,
+        "properties": {
+            item.name: {
+                "type": "number",
+                "minimum": item.low,
+                "maximum": item.high,
+                "default": item.neutral,
+                "description": f"{item.meaning} [{item.unit}]",
+            }
+            for item in effect.parameters
+        },
+    }

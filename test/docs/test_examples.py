@@ -1,0 +1,73 @@
+"""The scripts and commands of the first hour do what the pages say."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pages
+import pytest
+
+ROOT = pages.ROOT
+SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+
+
+def run(*arguments: str, cwd: Path) -> str:
+    """What a program in Python prints; it has to end well."""
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=cwd, env=environment, capture_output=True, text=True, check=False,
+        timeout=900,
+    )  # fmt: skip
+    assert done.returncode == 0, f"{arguments}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def test_scripts_are_short() -> None:
+    assert len(SCRIPTS) == 3
+    assert all(len(path.read_text(encoding="utf-8").splitlines()) <= 30 for path in SCRIPTS)
+
+
+def test_recordings_are_small() -> None:
+    bags = [*(ROOT / "examples" / "recordings").rglob("*.mcap")]
+    assert len(bags) == 2 and sum(path.stat().st_size for path in bags) < 8e6
+
+
+def test_replay_script_draws_the_angle(tmp_path: Path) -> None:
+    out = run(str(ROOT / "examples" / "replay_a_bag.py"), cwd=tmp_path)
+    error, share = re.match(r"angle RMSE ([\d.]+)°, ([\d.]+)% within", out).groups()
+    assert float(error) < 0.2 and float(share) > 95.0
+    assert (tmp_path / "angle.png").stat().st_size > 10_000
+
+
+def test_step_script_tells_one_estimate_every_five_seconds(tmp_path: Path) -> None:
+    lines = run(str(ROOT / "examples" / "step_by_step.py"), cwd=tmp_path).splitlines()
+    rows = [[float(word) for word in line.split()] for line in lines[1:-1]]
+    assert [row[0] for row in rows] == [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]
+    assert lines[-1].startswith("Counts(processed=30000, predicted_only=0, missing=0")
+
+
+@pytest.mark.slow
+def test_diagnosis_script_finds_the_leak_of_each_recording(tmp_path: Path) -> None:
+    out = run(str(ROOT / "examples" / "diagnose_a_leak.py"), cwd=tmp_path)
+    assert out.startswith("effect - ")
+    assert re.findall(r"^(\w+), muscle (\d)", out, re.MULTILINE) == [("leak", "1"), ("leak", "2")]
+
+
+@pytest.mark.slow
+def test_commands_of_the_first_hour(tmp_path: Path) -> None:
+    """Without the demo, which needs ROS 2; what the page shows of the output is what is printed."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    page = ROOT / "docs" / "tutorials" / "first_hour.md"
+    printed = ""
+    for block in pages.blocks(page):
+        for words in pages.commands(block.text) if block.language == "bash" else ():
+            if words[0] != "demo":
+                printed += run("-m", "pam_antagonist", *shlex.split(" ".join(words)), cwd=tmp_path)
+    shown = [line for block in pages.blocks(page) if block.language == "text" for line in block.text.splitlines()]
+    assert len(shown) > 20
+    assert not [line for line in shown if line.strip() not in ("", "...") and line not in printed.splitlines()]
