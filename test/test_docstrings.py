@@ -24,7 +24,6 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "pam_antagonist"
 
 LATER: tuple[str, ...] = (
-    "diagnosis/",
     "report/",
     "model/",
     "rig/schema.py",

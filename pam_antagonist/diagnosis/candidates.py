@@ -92,7 +92,13 @@ def price(before: Fitted, parameters: int) -> float:
 
 
 def evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
-    """Evidence for a model with more free parameters in one recording (ΔBIC), on the scale of the one with fewer."""
+    """Evidence for a model with more free parameters in one recording (ΔBIC), on the scale of the one with fewer.
+
+    Args:
+        experiment: the recording.
+        before: its model with fewer free parameters.
+        after: its model with more.
+    """
     scale = before.scale
     gain = cost_of(experiment, before.point, before.residual, scale)
     gain -= cost_of(experiment, after.point, after.residual, scale)
@@ -102,7 +108,13 @@ def evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
 
 
 def held_out_evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
-    """Evidence for a model on the held-out part of a recording: no parameter was fitted there, and none has a price."""
+    """Evidence for a model on the held-out part of a recording: no parameter was fitted there, and none has a price.
+
+    Args:
+        experiment: the recording.
+        before: its model with fewer free parameters.
+        after: its model with more.
+    """
     old, new = (experiment.held(experiment.residual(f.point, whole=True)) for f in (before, after))
     gain = float(before.scale.misfits(old).sum() - before.scale.misfits(new).sum())
     return before.scale.share * gain

@@ -41,17 +41,35 @@ def remaining_residuals(experiments: Sequence[Experiment], fits: Sequence[Fitted
 
 
 def held_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
-    """Share of the held-out excess that is gone."""
+    """Share of the held-out excess that is gone.
+
+    Args:
+        experiments: the recordings.
+        before: what a model leaves of each.
+        after: what another model leaves.
+    """
     return further_share(experiments, before, before, after, fitted=False)
 
 
 def fitted_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
-    """Share of the fitted part's excess that is gone."""
+    """Share of the fitted part's excess that is gone.
+
+    Args:
+        experiments: the recordings.
+        before: what a model leaves of each.
+        after: what another model leaves.
+    """
     return share_of([e.excess_removed(b.fitted, a.fitted) for e, b, a in zip(experiments, before, after, strict=True)])
 
 
 def whole_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
-    """Share of the excess of both parts together that is gone."""
+    """Share of the excess of both parts together that is gone.
+
+    Args:
+        experiments: the recordings.
+        before: what a model leaves of each.
+        after: what another model leaves.
+    """
     return further_share(experiments, before, before, after)
 
 
@@ -119,7 +137,13 @@ def has_significant_excess(experiments: Sequence[Experiment], fits: Sequence[Fit
 
 
 def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
-    """Whether a model with effects leaves so little of the excess that they are the explanation."""
+    """Whether a model with effects leaves so little of the excess that they are the explanation.
+
+    Args:
+        experiments: the recordings.
+        base: the model without effects.
+        model: the one with effects.
+    """
     if not model.effects:
         return False
     enough = share_of_all(experiments, base, model) >= thresholds.EXPLAINED
@@ -127,13 +151,25 @@ def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bo
 
 
 def explains_in_part(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
-    """Whether effects that are the explanation leave something that is worth a warning."""
+    """Whether effects that are the explanation leave something that is worth a warning.
+
+    Args:
+        experiments: the recordings.
+        base: the model without effects.
+        model: the one with effects.
+    """
     partly = share_of_all(experiments, base, model) < thresholds.EXPLAINED_WELL
     return partly and not at_noise(experiments, model)
 
 
 def share_of_all(experiments: Sequence[Experiment], base: Model, model: Model) -> float:
-    """Share of the excess, fitted and held out together, that a model removes."""
+    """Share of the excess, fitted and held out together, that a model removes.
+
+    Args:
+        experiments: the recordings.
+        base: the model without effects.
+        model: the one with effects.
+    """
     return whole_share(experiments, *(remaining_residuals(experiments, m.fits) for m in (base, model)))
 
 

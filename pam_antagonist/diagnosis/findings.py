@@ -23,7 +23,13 @@ from pam_antagonist.model.effects import DISTURBANCE
 
 @dataclass(frozen=True)
 class Sized:
-    """A number of an effect in one recording."""
+    """A number of an effect in one recording.
+
+    Attributes:
+        recording: which of the experiments.
+        value: of the number.
+        std: its standard deviation.
+    """
 
     recording: int
     value: float
@@ -119,7 +125,14 @@ def backward_elimination(experiments: Sequence[Experiment], base: Model, model: 
 
 
 def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Findings:
-    """The effects of a model, each with what would be lost without it; see :func:`found_effects`."""
+    """The effects of a model, each with what would be lost without it; see :func:`found_effects`.
+
+    Args:
+        experiments: the recordings.
+        base: the model without effects.
+        model: the one with effects.
+        jobs: threads.
+    """
     gains, shares = {}, {}
     whole, before = (remaining_residuals(experiments, m.fits) for m in (model, base))
     several = len(model.effects) > 1
@@ -260,7 +273,13 @@ def _agree(seen: Sequence[Sized]) -> bool:
 
 
 def evidence_of(experiments: Sequence[Experiment], without: Model, model: Model) -> float:
-    """Evidence for a model against one without some of its effects, over all recordings."""
+    """Evidence for a model against one without some of its effects, over all recordings.
+
+    Args:
+        experiments: the recordings.
+        without: the model without these effects.
+        model: the one with them.
+    """
     return sum(
         evidence(experiment, old, new)
         for experiment, old, new in zip(experiments, without.fits, model.fits, strict=True)

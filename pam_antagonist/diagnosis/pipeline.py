@@ -82,7 +82,13 @@ def recalibrated(prepared: Prepared, settings: Settings) -> list[Model]:
 
 
 def selected(group: Group, base: Model, settings: Settings) -> Selection:
-    """Effects that are worth taking, one after the other."""
+    """Effects that are worth taking, one after the other.
+
+    Args:
+        group: the experiments.
+        base: the recalibrated model.
+        settings: of the diagnosis.
+    """
     prefix = "" if group.name == "joint" else f"{group.name}: "
     return select(
         group.experiments, base, settings.jobs, lambda text: settings.progress(prefix + text), settings.checkpoint
@@ -90,7 +96,14 @@ def selected(group: Group, base: Model, settings: Settings) -> Selection:
 
 
 def judge(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
-    """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained."""
+    """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained.
+
+    Args:
+        prepared: all recordings.
+        group: the experiments that are judged.
+        selection: what was tried on them.
+        settings: of the diagnosis.
+    """
     experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
     verdict, share = _verdict(group, selection)
     about_base = (*warnings.implausible(experiments, base), *agreement.base_contradictions(experiments, base))

@@ -46,7 +46,19 @@ _KEPT_EFFECTS = (DISTURBANCE,)
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """How a diagnosis is made; see :func:`pam_antagonist.diagnosis.diagnose`."""
+    """How a diagnosis is made; see :func:`pam_antagonist.diagnosis.diagnose`.
+
+    Attributes:
+        joint: ``free``, ``locked`` or ``auto``.
+        lock_angle: angle of a locked joint [rad], where it is known.
+        holdout: share at the end of each recording that no fit sees.
+        jobs: threads.
+        seed: draws the starts of fits.
+        progress: is called with what is being done.
+        profiles: whether to work out profile likelihoods.
+        estimator: whether to run the estimator before and after.
+        checkpoint: keeps finished candidates.
+    """
 
     joint: str
     lock_angle: float | None
@@ -181,6 +193,11 @@ def _check_duration(trial: Trial, least: float, what: str) -> None:
 
 def check_distinct(recordings: Sequence[Recording], others: Sequence[Recording], names: Sequence[str]) -> None:
     """Refuse to judge a fit by what was fitted.
+
+    Args:
+        recordings: that are fitted.
+        others: that are held out as a whole.
+        names: of the latter.
 
     Raises:
         BadInput: a recording that is held out is among the fitted ones, or is given twice.

@@ -304,7 +304,7 @@ def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundin
     Args:
         residual: (N,).
         around: what was there.
-        later: the same of what was held out, for judging.
+        later: residual (M,) and surroundings of what was held out, for judging.
     """
     library = around.library()
     ones = np.ones_like(residual)
@@ -350,7 +350,7 @@ def means(residual: Floats, over: Floats, which: Sequence[bool] | NDArray[np.boo
     Args:
         residual: (N,).
         over: (N,).
-        which: only these; default: all.
+        which: only these (N,); default: all.
     """
     kept = np.ones(len(residual), dtype=bool) if which is None else np.asarray(which)
     order = np.argsort(over[kept], kind="stable")

@@ -93,7 +93,14 @@ def select(
 def refitted_without(
     experiments: Sequence[Experiment], model: Model, effects: Sequence[str], jobs: int
 ) -> tuple[Model, ...]:
-    """The model without each of these of its effects, the others and the base fitted anew."""
+    """The model without each of these of its effects, the others and the base fitted anew.
+
+    Args:
+        experiments: the recordings.
+        model: their models.
+        effects: names of the effects, each left out in turn.
+        jobs: threads.
+    """
 
     def one(effect: str, experiment: Experiment, fitted: Fitted) -> Fitted:
         path = f"effects.{effect}."
