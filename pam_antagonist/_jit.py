@@ -8,18 +8,23 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core import config as numba_config
 
+EFFECTS_GROUP = "pam_antagonist.effects"
+"""Group of the entry points by which other packages add effects."""
+
 
 @lru_cache(maxsize=1)
 def _source_hash() -> str:
-    """Hash over every source file of this package that may hold a kernel.
+    """Hash over every source file that may hold a kernel: of this package, and of effects that others add.
 
     numba looks at the file of a cached function only, not at those of the functions that it calls: after
     an update of the package, an unchanged estimator would go on with yesterday's physics. A cache folder
@@ -29,9 +34,27 @@ def _source_hash() -> str:
     package = Path(__file__).parent
     for folder in ("model", "estimation"):
         for source in sorted((package / folder).rglob("*.py")):
-            digest.update(source.name.encode())
+            digest.update(source.relative_to(package).as_posix().encode())
+            digest.update(source.read_bytes())
+    for module, sources in _added_effects():
+        digest.update(module.encode())
+        for source in sources:
             digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _added_effects() -> Iterator[tuple[str, list[Path]]]:
+    """Modules of effects that other packages add, with the sources that may hold their kernels.
+
+    Nothing is imported: the kernels of these modules need the hash while they are being imported themselves.
+    """
+    for point in sorted(entry_points(group=EFFECTS_GROUP), key=lambda point: point.name):
+        spec = find_spec(point.module.split(".")[0])
+        folders = [] if spec is None else list(spec.submodule_search_locations or ())
+        sources = [source for folder in folders for source in sorted(Path(folder).rglob("*.py"))]
+        if spec is not None and not folders and spec.origin is not None:
+            sources = [Path(spec.origin)]
+        yield point.value, sources
 
 
 @lru_cache(maxsize=1)

@@ -19,8 +19,8 @@ from pam_antagonist.checks.delay import delay_of_voltages
 from pam_antagonist.checks.prediction import correlation, predicted, range_of
 from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.errors import BadInput
+from pam_antagonist.model import equilibrium
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model import rest as equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import STANDARD_ATMOSPHERE, Corrections
 from pam_antagonist.recording.joint import joint_condition

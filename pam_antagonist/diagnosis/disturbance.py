@@ -20,7 +20,7 @@ from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import Fitted, refit
 from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
 from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, blocks
-from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model import dynamics, equilibrium
 
 Floats = NDArray[np.float64]
 
@@ -202,7 +202,7 @@ def _observed(experiment: Experiment, point: Point) -> Floats:
     measured = np.interp(np.arange(len(trial)), (np.arange(len(angle)) + 0.5) * BLOCK, angle)
     p = experiment.parameters(point)
     start = experiment.simulated(point)[0]
-    x0 = rest.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
+    x0 = equilibrium.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
     return blocks(_followed(x0, trial.given, measured, p, trial.dt, _STIFF, _DAMPING)[:, None])[:, 0]
 
 

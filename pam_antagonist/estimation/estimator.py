@@ -11,7 +11,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation import ukf
 from pam_antagonist.estimation.filter import ESTIMATE_DTYPE
-from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
 from pam_antagonist.rig import Rig, Tuning
@@ -228,7 +228,7 @@ class Estimator:
             raise BadInput(f"voltage {list(voltage)}: expected two finite numbers")
         memory = self._memory
         inputs = np.array(voltage, dtype=np.float64)
-        memory.x[:] = rest.initial_state(angle, pressure[0], pressure[1], inputs, p)
+        memory.x[:] = equilibrium.initial_state(angle, pressure[0], pressure[1], inputs, p)
         memory.x[dynamics.VELOCITY] = velocity
         memory.covariance[:] = np.diag(self._settings.initial)
         memory.cross[:] = 0.0
@@ -334,8 +334,8 @@ def simulate_model(
     if joint == "locked":
         angle = lock_angle
     else:
-        angle = rest.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
-    start = rest.initial_state(angle, pressures[0], pressures[1], held[0], p)
+        angle = equilibrium.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
+    start = equilibrium.initial_state(angle, pressures[0], pressures[1], held[0], p)
     states, torques, sigma = dynamics.simulate(start, held, p, rig.sample_period, substeps)
     readings = np.column_stack([sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)])
     return ModelRun(states[:, 0], states[:, 1], readings, torques, sigma)

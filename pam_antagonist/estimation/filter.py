@@ -26,7 +26,7 @@ import numpy as np
 from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.estimation import ukf
 from pam_antagonist.estimation.ukf import Work
-from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 from pam_antagonist.model.parameters import LOCKED
 
@@ -62,8 +62,8 @@ ESTIMATE_DTYPE = np.dtype(
 """One estimate: rad, rad/s, N m, their covariance, Pa, N, N m/rad, Pa, Pa², and what helps to judge it."""
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
-_start_angle, _forces, _torque_slope = rest.start_angle, dynamics.forces, dynamics.torque_slope
-_subsystem, _initial_state, _pressure_behind = dynamics.subsystem, rest.initial_state, sensor.pressure_behind
+_start_angle, _forces, _torque_slope = equilibrium.start_angle, dynamics.forces, dynamics.torque_slope
+_subsystem, _initial_state, _pressure_behind = dynamics.subsystem, equilibrium.initial_state, sensor.pressure_behind
 
 
 class Settings(NamedTuple):

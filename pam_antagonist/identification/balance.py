@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pam_antagonist.inference.angle_driven import friction_torque
 from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.inference.spread import USUAL_SPREAD, Variation
 from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE, Trial, blocks
@@ -131,7 +130,7 @@ def fit_friction(
 
     def model(q: Floats) -> Floats:
         # The law wants the velocity before friction acted; while the joint slides, that is ψ̇ + Z T_f.
-        return np.array([friction_torque(state, np.sign(state[1]), q) for state in states])
+        return np.array([dynamics.sliding_friction(state, np.sign(state[1]), q) for state in states])
 
     return _solve(model, kept, p, free, torque_std, np.zeros((len(states), 0)))
 

@@ -23,9 +23,9 @@ from scipy.optimize import least_squares, minimize
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions, torque_needed
+from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
 from pam_antagonist.inference.free_parameters import Direction, moved, values_along
-from pam_antagonist.model import rest
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -152,7 +152,7 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
         p = rig.parameters(changes=named(theta))
         parts = []
         for trial in trials:
-            model = np.array([rest.closed_pressure(muscle, angle, p) for angle in trial.angle])
+            model = np.array([equilibrium.closed_pressure(muscle, angle, p) for angle in trial.angle])
             parts.append(model - trial.pressure[:, muscle])
         return np.concatenate(parts)
 
@@ -203,7 +203,7 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
         for trial, mask in zip(used, sliding, strict=True):
             assert trial.external is not None
             rows = zip(trial.states[mask], trial.acceleration[mask], strict=True)
-            needed = np.array([torque_needed(x, bending, np.sign(x[1]), p) for x, bending in rows])
+            needed = np.array([dynamics.torque_needed(x, bending, np.sign(x[1]), p) for x, bending in rows])
             parts.append(needed - trial.external[mask])
         return np.concatenate(parts)
 

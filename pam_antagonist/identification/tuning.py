@@ -24,7 +24,7 @@ from pam_antagonist.inference.free_parameters import Direction, FreeParameter, m
 from pam_antagonist.inference.joint_fit import JointFit
 from pam_antagonist.inference.noise import converter_step, white_std
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
-from pam_antagonist.model import rest
+from pam_antagonist.model import equilibrium
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -140,7 +140,7 @@ def considered_directions(
 
     def at_rest(step: Floats) -> Floats:
         p = changed(step).parameters("free", 0.0)
-        return np.array([rest.rest_angle(first, second, p) for first in grid for second in grid])
+        return np.array([equilibrium.rest_angle(first, second, p) for first in grid for second in grid])
 
     # A tenth of a standard deviation: far enough for the slope, near enough to stay with it.
     near = 0.1

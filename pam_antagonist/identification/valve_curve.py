@@ -185,8 +185,9 @@ def _one(rig: Rig, trials: Sequence[Trial], valve: int) -> CurveFinding:
     except BadInput as reason:
         return CurveFinding(valve, none, none, none, none, False, f"valve {valve + 1}: {reason}; declared curve kept")
     # The curve is what is left of the steady open rates when the offsets that the rig declares are taken off.
-    voltage = voltage - p[par.VALVE_OFFSET + valve]
-    rates = np.clip(rates - p[par.RATE_OFFSET + valve], 0.0, 1.0)
+    shift, lift = flow.curve_shift(valve, p)
+    voltage = voltage - shift
+    rates = np.clip(rates - lift, 0.0, 1.0)
     curve = getattr(rig, f"valve_{valve + 1}").curve
     declared = np.interp(voltage, curve.voltage, curve.open_rate)
     slope = (

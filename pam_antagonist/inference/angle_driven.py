@@ -18,15 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import kernel
 from pam_antagonist.inference.excess import in_mean_squares
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, blocks
 from pam_antagonist.inference.valve_driven import predict, start_of
-from pam_antagonist.model import dynamics, joint, rest
-from pam_antagonist.model import parameters as par
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
@@ -49,45 +48,7 @@ _FORCE = 10.0
 """[N] By so much the forces of two muscles of one make may differ."""
 _VISCOUS = 0.02
 """[N m s/rad] So much more viscous friction than configured is no surprise; ten times as much looks like Coulomb's."""
-_rk4_step, _forces, _torque = dynamics.rk4_step, dynamics.forces, dynamics.torque
-_coulomb_torque, _extra_coulomb_torque, _load_torque = (
-    joint.coulomb_torque,
-    joint.extra_coulomb_torque,
-    joint.load_torque,
-)
-
-
-@inlined
-def friction_torque(x, direction, p):  # type: ignore[no-untyped-def]
-    """Torque [N m] by which friction holds a joint back that slides, equation (9).
-
-    Args:
-        x: state, of which angle, velocity and pressures count.
-        direction: of motion, −1 to 1.
-        p: parameter vector (P,).
-    """
-    force_1, force_2 = _forces(x, p)
-    coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p)
-    if p[par.STATELESS_EFFECTS] != 0.0:
-        coulomb = max(coulomb + _extra_coulomb_torque(x[1], p), 0.0)
-    return coulomb * direction + p[par.VISCOUS] * x[1]
-
-
-@inlined
-def torque_needed(x, acceleration, direction, p):  # type: ignore[no-untyped-def]
-    """Torque from outside [N m] that a motion needs: equation (8) solved for it.
-
-    Args:
-        x: state, of which angle, velocity and pressures count.
-        acceleration: [rad/s²].
-        direction: of motion, −1 to 1.
-        p: parameter vector (P,).
-    """
-    load = 0.0
-    if p[par.STATELESS_EFFECTS] != 0.0:
-        load = _load_torque(x[0], p)
-    inertial = p[par.INERTIA] * acceleration + p[par.STIFFNESS] * x[0]
-    return inertial + friction_torque(x, direction, p) - _torque(x, p) - load
+_rk4_step, _torque_needed = dynamics.rk4_step, dynamics.torque_needed
 
 
 @kernel
@@ -106,7 +67,7 @@ def _driven(x0, angle, velocity, acceleration, direction, p, dt):  # type: ignor
             _rk4_step(x, u, p, dt, x)
         x[0] = angle[k]
         x[1] = velocity[k]
-        needed[k] = torque_needed(x, acceleration[k], direction[k], p)
+        needed[k] = _torque_needed(x, acceleration[k], direction[k], p)
         pressure[k, 0] = x[2]
         pressure[k, 1] = x[3]
     return pressure, needed
@@ -238,9 +199,11 @@ class AngleDriven(Experiment):
         An encoder's error stays while the joint does, so it does not average out in a block.
         """
         p, angle = self.vector, self.rig.sensors.angle_std
-        slopes = [(rest.closed_pressure(i, 0.01, p) - rest.closed_pressure(i, -0.01, p)) / 0.02 for i in (0, 1)]
+        slopes = [
+            (equilibrium.closed_pressure(i, 0.01, p) - equilibrium.closed_pressure(i, -0.01, p)) / 0.02 for i in (0, 1)
+        ]
         if self.part == BALANCE:
-            x = np.array([0.0, 0.0, *(rest.closed_pressure(i, 0.0, p) for i in (0, 1))])
+            x = np.array([0.0, 0.0, *(equilibrium.closed_pressure(i, 0.0, p) for i in (0, 1))])
             stiffness = self.rig.joint.stiffness - dynamics.torque_slope(x, p)
             return np.array([np.hypot(self.rig.sensors.torque_std, stiffness * angle)])
         values = _parted(self.trial.measured)
@@ -268,13 +231,10 @@ class AngleDriven(Experiment):
         """Pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that the measured motion needs."""
         p, motion = self.parameters(point), self.motion
         first = motion.angle[0]
-        pressures = [rest.closed_pressure(i, first, p) for i in (0, 1)]
-        x0 = rest.initial_state(first, pressures[0], pressures[1], np.zeros(3), p)
-        for muscle, way in ((0, -1.0), (1, 1.0)):
-            # A joint that moves at the start has come a long way: its muscles' loops have turned round already.
-            slot = int(p[par.SLOT_OF[f"hysteresis_{muscle + 1}"]])
-            if slot > 0 and abs(motion.velocity[0]) > SLIDING:
-                x0[slot] = way * np.sign(motion.velocity[0])
+        pressures = [equilibrium.closed_pressure(i, first, p) for i in (0, 1)]
+        # A joint that moves at the start has come a long way.
+        velocity = float(motion.velocity[0]) if abs(motion.velocity[0]) > SLIDING else 0.0
+        x0 = equilibrium.initial_state(first, pressures[0], pressures[1], np.zeros(3), p, velocity)
         end = len(self.trial) if whole else self.fitted
         at = np.arange(0, end, _STRIDE)
         course = [part[:end][at] for part in (motion.angle, motion.velocity, motion.acceleration)]

@@ -16,9 +16,10 @@ from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, base_directions, candidates
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.trial import ANGLE, BLOCK, CHANNELS, PRESSURE_1, Trial, blocks
-from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.flow import quickest_lag, small_signal_lags
+from pam_antagonist.model.dynamics import small_signal_lags
+from pam_antagonist.model.joint import quickest_lag
 
 Floats = NDArray[np.float64]
 
@@ -203,9 +204,9 @@ def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> t
     """
     moved = np.zeros(3) if shift is None else shift
     pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
-    angle = rest.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
+    angle = equilibrium.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
     given = trial.voltage if trial.external is None else trial.given
-    x0 = rest.initial_state(angle, pressures[0], pressures[1], given[0], p)
+    x0 = equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], p)
     states, torque = dynamics.course(x0, given, p, trial.dt, 1)
     return states, torque
 

@@ -9,72 +9,52 @@ from __future__ import annotations
 import numpy as np
 
 from pam_antagonist._jit import inlined, kernel
-from pam_antagonist.model import flow, joint, muscle
-from pam_antagonist.model.parameters import (
-    BASE_STATES,
-    LOCKED,
-    PLAIN,
-    SLOT_OF,
-    STATELESS_EFFECTS,
-    STOP,
-    SUPPLY,
-)
+from pam_antagonist.model import composition, flow, joint, muscle
+from pam_antagonist.model.parameters import BASE_STATES, INERTIA, LOCKED, PLAIN, STIFFNESS, STOP, SUPPLY, VISCOUS
 
 ANGLE, VELOCITY, PRESSURE_1, PRESSURE_2 = 0, 1, 2, 3
-_LOOP, _LATE, _OPEN_RATE = SLOT_OF["hysteresis_1"], SLOT_OF["creep_1"], SLOT_OF["open_rate_1"]
-_CHAMBER, _WARMTH = SLOT_OF["chamber_1"], SLOT_OF["warmth_1"]
-_SUPPLY, _EXTERNAL = SLOT_OF["supply"], SLOT_OF["external_torque"]
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
-_force, _force_length_slope, _loaded_force = muscle.force, muscle.force_length_slope, muscle.loaded_force
-_linear_force = muscle.linear_force
-_hysteresis_rate, _creep_rate = muscle.hysteresis_rate, muscle.creep_rate
-_relaxing_force = muscle.relaxing_force
-_valve_flow, _leak_flow, _pressure_rate = flow.valve_flow, flow.leak_flow, flow.pressure_rate
+_force, _force_length_slope, _linear_force = muscle.force, muscle.force_length_slope, muscle.linear_force
+_valve_flow, _pressure_rate = flow.valve_flow, flow.pressure_rate
 _open_rate, _flow_regime = flow.open_rate, flow.flow_regime
-_warmth_rates, _droop_rate, _valve_rate, _line_rate = (
-    flow.warmth_rates,
-    flow.droop_rate,
-    flow.valve_rate,
-    flow.line_rate,
-)
 _muscle_torque, _coulomb_torque, _acceleration = joint.muscle_torque, joint.coulomb_torque, joint.acceleration
-_extra_coulomb_torque, _load_torque = joint.extra_coulomb_torque, joint.load_torque
+
+# What effects do.
+_held_open_rate, _supply_change, _chamber = (
+    composition.open_rate,
+    composition.supply_change,
+    composition.chamber_pressure,
+)
+_mass_loss, _cooling, _valve_pressure_rate = composition.mass_loss, composition.cooling, composition.valve_pressure_rate
+_contraction_force, _with_coulomb = composition.contraction_force, composition.coulomb_torque
+_with_disturbance, _joint_torque = composition.disturbance_torque, composition.joint_torque
+_muscle_rates, _joint_rates = composition.muscle_rates, composition.joint_rates
+
+small_signal_lags = composition.small_signal_lags
+"""Time constants [s] with which those states follow small changes that may do so within milliseconds (L,)."""
 
 
 @inlined
-def _added(state, x, p, otherwise):
-    """Value of an added state, by its place in ``p``, or what stands for it where ``x`` does not hold it."""
-    # Most states are absent: nothing is converted for those, and an index without sign need not be turned round.
-    at = p[state]
-    if at > 0.0 and at < x.shape[0]:
-        return x[np.uint64(at)]
-    return otherwise
+def chamber_pressure(i, x, p):
+    """Pressure [Pa] in muscle i: that of its sensor, unless an effect says otherwise."""
+    return _chamber(x[PRESSURE_1 + i], i, x, p)
 
 
 @inlined
-def _chamber_pressure(i, x, p):
-    """Pressure in the chamber of muscle i: the sensor's, but behind a line with resistance."""
-    return _added(_CHAMBER + i, x, p, x[PRESSURE_1 + i])
-
-
-@inlined
-def _muscle_force(i, sine, x, p):
+def _muscle_force(i, sine, cosine, x, p):
     """Contraction force of muscle i of a state, effects included."""
-    muscle_length = _length(i, sine, p)
-    static = _force(i, muscle_length, _chamber_pressure(i, x, p), p)
-    if x.shape[0] == BASE_STATES:
-        return static
-    relaxing = _relaxing_force(i, muscle_length, static, p)
-    return _loaded_force(i, static, _added(_LOOP + i, x, p, 0.0), relaxing, _added(_LATE + i, x, p, relaxing), p)
+    muscle_length, chamber = _length(i, sine, p), chamber_pressure(i, x, p)
+    length_rate = _length_rate(i, cosine, x[VELOCITY], p)
+    return _contraction_force(_force(i, muscle_length, chamber, p), i, muscle_length, length_rate, chamber, x, p)
 
 
 @inlined
 def forces(x, p):
     """Contraction forces F_1, F_2 [N] of a state."""
-    sine, _, _ = _leverage(x[ANGLE], p)
-    return _muscle_force(0, sine, x, p), _muscle_force(1, sine, x, p)
+    sine, cosine, _ = _leverage(x[ANGLE], p)
+    return _muscle_force(0, sine, cosine, x, p), _muscle_force(1, sine, cosine, x, p)
 
 
 @inlined
@@ -91,8 +71,8 @@ def torque_slope(x, p):
     force_1, force_2 = forces(x, p)
     sine, cosine, bend = _leverage(x[ANGLE], p)
     # ∂l_1/∂ψ = −r cos ψ and ∂l_2/∂ψ = +r cos ψ, through the same functions as everywhere.
-    slope_1 = _force_length_slope(0, _length(0, sine, p), _chamber_pressure(0, x, p), p)
-    slope_2 = _force_length_slope(1, _length(1, sine, p), _chamber_pressure(1, x, p), p)
+    slope_1 = _force_length_slope(0, _length(0, sine, p), chamber_pressure(0, x, p), p)
+    slope_2 = _force_length_slope(1, _length(1, sine, p), chamber_pressure(1, x, p), p)
     slope_1 *= _length_rate(0, cosine, 1.0, p)
     slope_2 *= _length_rate(1, cosine, 1.0, p)
     return _muscle_torque(cosine, slope_1, slope_2, p) + _muscle_torque(bend, force_1, force_2, p)
@@ -109,25 +89,61 @@ def _stopped(angle, velocity, p):
 
 
 @inlined
-def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, p, plain):
-    """Equations (3) to (5) of one muscle: Ṗ of the chamber, mass flow through the valve and out of the supply."""
+def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, x, p, plain):
+    """Equations (3) to (5) of one muscle.
+
+    Returns:
+        Ṗ of the chamber without cooling and with it [Pa/s], mass flow through the valve and out of the supply [kg/s].
+    """
     volume, volume_slope = _volume(i, muscle_length, p)
     passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
-    net = passed
-    if not plain and p[STATELESS_EFFECTS] != 0.0:
-        net -= _leak_flow(i, chamber, p)
-    return _pressure_rate(chamber, volume, volume_slope * length_rate, net, p), passed, drawn
+    net = passed if plain else _mass_loss(passed, i, chamber, x, p)
+    polytropic = _pressure_rate(chamber, volume, volume_slope * length_rate, net, p)
+    rate = polytropic if plain else _cooling(polytropic, i, chamber, x, p)
+    return polytropic, rate, passed, drawn
 
 
 @inlined
-def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_2, external, p, plain):
+def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_2, external, x, p, plain):
     """Equations (8) to (10): ψ̈, and whether the joint slides."""
     coulomb = _coulomb_torque(force_1, force_2, chamber_1, chamber_2, p)
     balance = _muscle_torque(cosine, force_1, force_2, p) + external
-    if not plain and p[STATELESS_EFFECTS] != 0.0:
-        coulomb = max(coulomb + _extra_coulomb_torque(velocity, p), 0.0)
-        balance += _load_torque(sine, p)
+    if not plain:
+        coulomb = _with_coulomb(coulomb, angle, velocity, sine, x, p)
+        balance = _joint_torque(balance, angle, velocity, sine, x, p)
     return _acceleration(angle, velocity, balance, coulomb, p, plain)
+
+
+@inlined
+def sliding_friction(x, direction, p):
+    """Torque [N m] by which friction holds a joint back that slides, equation (9).
+
+    Args:
+        x: state (n,), of which angle, velocity and pressures count.
+        direction: of the motion, −1 to 1.
+        p: parameter vector.
+    """
+    sine, _, _ = _leverage(x[ANGLE], p)
+    force_1, force_2 = forces(x, p)
+    coulomb = _coulomb_torque(force_1, force_2, x[PRESSURE_1], x[PRESSURE_2], p)
+    coulomb = _with_coulomb(coulomb, x[ANGLE], x[VELOCITY], sine, x, p)
+    return coulomb * direction + p[VISCOUS] * x[VELOCITY]
+
+
+@inlined
+def torque_needed(x, acceleration, direction, p):
+    """Torque from outside [N m] that a motion needs: equation (8) solved for it.
+
+    Args:
+        x: state (n,), of which angle, velocity and pressures count.
+        acceleration: ψ̈ [rad/s²].
+        direction: of the motion, −1 to 1.
+        p: parameter vector.
+    """
+    sine, _, _ = _leverage(x[ANGLE], p)
+    load = _joint_torque(0.0, x[ANGLE], x[VELOCITY], sine, x, p)
+    inertial = p[INERTIA] * acceleration + p[STIFFNESS] * x[ANGLE]
+    return inertial + sliding_friction(x, direction, p) - torque(x, p) - load
 
 
 @inlined
@@ -140,19 +156,20 @@ def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external,
     sine, cosine, _ = _leverage(angle, p)
     length_1 = _length(0, sine, p)
     length_2 = _length(1, sine, p)
-    supply = p[SUPPLY]
-    rate_1, _, _ = _air(
-        0, alpha_1, pressure_1, pressure_1, length_1, _length_rate(0, cosine, velocity, p), supply, p, plain
-    )
-    rate_2, _, _ = _air(
-        1, alpha_2, pressure_2, pressure_2, length_2, _length_rate(1, cosine, velocity, p), supply, p, plain
-    )
+    speed_1 = _length_rate(0, cosine, velocity, p)
+    speed_2 = _length_rate(1, cosine, velocity, p)
+    supply = p[SUPPLY] if plain else _supply_change(p[SUPPLY], None, p)
+    _, rate_1, _, _ = _air(0, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, plain)
+    _, rate_2, _, _ = _air(1, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, plain)
     if p[LOCKED] != 0.0:
         return 0.0, 0.0, rate_1, rate_2
-    force_1 = _linear_force(0, length_1, pressure_1, p) if plain else _force(0, length_1, pressure_1, p)
-    force_2 = _linear_force(1, length_2, pressure_2, p) if plain else _force(1, length_2, pressure_2, p)
+    if plain:
+        force_1, force_2 = _linear_force(0, length_1, pressure_1, p), _linear_force(1, length_2, pressure_2, p)
+    else:
+        force_1 = _contraction_force(_force(0, length_1, pressure_1, p), 0, length_1, speed_1, pressure_1, None, p)
+        force_2 = _contraction_force(_force(1, length_2, pressure_2, p), 1, length_2, speed_2, pressure_2, None, p)
     acceleration, _ = _motion(
-        angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, p, plain
+        angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, None, p, plain
     )
     return velocity, acceleration, rate_1, rate_2
 
@@ -169,52 +186,35 @@ def _rows(x, wanted_1, wanted_2, external, p, dx):
         p: parameter vector.
         dx: result (n,).
     """
-    velocity = _stopped(x[ANGLE], x[VELOCITY], p)
-    sine, cosine, _ = _leverage(x[ANGLE], p)
-    supply = p[SUPPLY] + _added(_SUPPLY, x, p, 0.0)
+    angle = x[ANGLE]
+    velocity = _stopped(angle, x[VELOCITY], p)
+    sine, cosine, _ = _leverage(angle, p)
+    supply = _supply_change(p[SUPPLY], x, p)
     consumption = 0.0
     for i in range(2):
-        sensed, chamber = x[PRESSURE_1 + i], _chamber_pressure(i, x, p)
+        sensed, chamber = x[PRESSURE_1 + i], chamber_pressure(i, x, p)
         muscle_length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
         wanted = wanted_1 if i == 0 else wanted_2
-        alpha = _added(_OPEN_RATE + i, x, p, wanted)
-        rate, passed, drawn = _air(i, alpha, sensed, chamber, muscle_length, length_rate, supply, p, False)
+        alpha = _held_open_rate(wanted, i, x, p)
+        polytropic, rate, passed, drawn = _air(
+            i, alpha, sensed, chamber, muscle_length, length_rate, supply, x, p, False
+        )
         consumption += drawn
-        at = int(p[_WARMTH + i])
-        if at > 0:
-            dx[at], cooling = _warmth_rates(i, x[at], rate, p)
-            rate -= cooling
-        dx[PRESSURE_1 + i] = rate
-        at = int(p[_CHAMBER + i])
-        if at > 0:
-            dx[at] = rate
-            dx[PRESSURE_1 + i] = _line_rate(i, sensed, chamber, passed, p)
-        at = int(p[_OPEN_RATE + i])
-        if at > 0:
-            dx[at] = _valve_rate(i, alpha, wanted, p)
-        at = int(p[_LOOP + i])
-        if at > 0:
-            dx[at] = _hysteresis_rate(x[at], length_rate, p)
-        at = int(p[_LATE + i])
-        if at > 0:
-            static = _force(i, muscle_length, chamber, p)
-            dx[at] = _creep_rate(x[at], _relaxing_force(i, muscle_length, static, p), p)
-    at = int(p[_SUPPLY])
-    if at > 0:
-        dx[at] = _droop_rate(x[at], consumption, p)
-    at = int(p[_EXTERNAL])
-    if at > 0:
-        dx[at] = 0.0
-        external += x[at]
+        dx[PRESSURE_1 + i] = _valve_pressure_rate(rate, i, sensed, chamber, passed, x, p)
+        _muscle_rates(
+            i, angle, velocity, sine, muscle_length, length_rate, wanted, sensed, chamber, passed, polytropic, rate,
+            x, dx, p,
+        )  # fmt: skip
+    _joint_rates(angle, velocity, sine, consumption, x, dx, p)
     if p[LOCKED] != 0.0:
         dx[ANGLE] = 0.0
         dx[VELOCITY] = 0.0
         return
-    force_1, force_2 = _muscle_force(0, sine, x, p), _muscle_force(1, sine, x, p)
+    force_1, force_2 = _muscle_force(0, sine, cosine, x, p), _muscle_force(1, sine, cosine, x, p)
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
-        x[ANGLE], velocity, sine, cosine, force_1, force_2, _chamber_pressure(0, x, p), _chamber_pressure(1, x, p),
-        external, p, False,
+        angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(0, x, p), chamber_pressure(1, x, p),
+        _with_disturbance(external, x, p), x, p, False,
     )  # fmt: skip
 
 
@@ -332,7 +332,7 @@ def subsystem(x, p):
         sine, cosine, _ = _leverage(x[ANGLE], p)
         _, slides = _motion(
             x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2,
-            _chamber_pressure(0, x, p), _chamber_pressure(1, x, p), _added(_EXTERNAL, x, p, 0.0), p, False,
+            chamber_pressure(0, x, p), chamber_pressure(1, x, p), _with_disturbance(0.0, x, p), x, p, False,
         )  # fmt: skip
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)

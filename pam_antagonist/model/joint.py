@@ -1,6 +1,6 @@
 """The joint: torque of the muscles, friction, motion. Equations (8), (9) and (10).
 
-With them the laws of friction that the paper compares (10) with, and the effects friction and load torque.
+With them the laws of friction that the paper compares (10) with.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import math
 from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
-    EXTRA_COULOMB,
     FRICTION_LAW,
     FRICTION_LAWS,
     FRICTION_STEP,
@@ -19,8 +18,6 @@ from pam_antagonist.model.parameters import (
     INERTIA,
     KINETIC_FRICTION,
     LEVER_FORCE,
-    LOAD_CONSTANT,
-    LOAD_SINE,
     MASS,
     MUSCLE_FRICTION,
     PRESSURE_FLOOR,
@@ -29,8 +26,6 @@ from pam_antagonist.model.parameters import (
     SHAFT_RADIUS,
     STATIC_FRICTION,
     STIFFNESS,
-    STRIBECK,
-    STRIBECK_VELOCITY,
     VISCOUS,
 )
 
@@ -57,20 +52,6 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
     square_1 = gauge_1 * gauge_1
     square_2 = gauge_2 * gauge_2
     return shaft + p[MUSCLE_FRICTION] * (square_1 + square_2) / (square_1 * square_2)
-
-
-@kernel
-def extra_coulomb_torque(velocity, p):
-    """What the effect ``friction`` adds to T_s + T_p [N m]: a constant, and a part that fades with the velocity."""
-    if p[STRIBECK] == 0.0:
-        return p[EXTRA_COULOMB]
-    return p[EXTRA_COULOMB] + p[STRIBECK] * math.exp(-abs(velocity) / p[STRIBECK_VELOCITY])
-
-
-@inlined
-def load_torque(sine, p):
-    """Torque [N m] of the effect ``load_torque`` on the joint, with sin ψ."""
-    return p[LOAD_CONSTANT] + p[LOAD_SINE] * sine
 
 
 @kernel
@@ -107,6 +88,12 @@ def kikuuwe_torque(velocity, applied, coulomb, viscous, p):
         return free / z, 0.0
     sign = 1.0 if free > 0.0 else -1.0
     return (coulomb * sign + viscous * free) / (1.0 + z * viscous), 1.0
+
+
+@inlined
+def quickest_lag(p):
+    """Shortest time constant [s] that a step of the integration follows."""
+    return 0.5 * p[FRICTION_STEP]
 
 
 @inlined

@@ -1,6 +1,6 @@
 """Geometry, volume and contraction force of a muscle: equations (2), (3), (6) and (7).
 
-With them the forms of the force map that the paper compares (6) with, and the effects hysteresis and creep.
+With them the forms of the force map that the paper compares (6) with.
 """
 
 from __future__ import annotations
@@ -10,16 +10,11 @@ import math
 from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model.parameters import (
     C1,
-    CREEP_SHARE,
-    CREEP_STIFFNESS,
-    CREEP_TIME,
     D1,
     D2,
     D3,
     FORCE_FORM,
     FORCE_FORMS,
-    HYSTERESIS_AMPLITUDE,
-    HYSTERESIS_WIDTH,
     LENGTH,
     MUSCLE,
     MUSCLE_SIZE,
@@ -151,49 +146,3 @@ def force_length_slope(muscle, muscle_length, pressure, p):
     else:
         slope = 2.0 * p[c + 3] * k + p[c + 1] + p[c + 4] * q
     return -slope / p[LENGTH]
-
-
-@inlined
-def relaxing_force(muscle, muscle_length, static, p):
-    """Force y [N], what of the force relaxes: a share of it, and the tube's own stiffness.
-
-    Args:
-        muscle: 0 or 1.
-        muscle_length: l [m].
-        static: F of :func:`force` [N].
-        p: parameter vector.
-    """
-    return p[CREEP_SHARE + muscle] * static - p[CREEP_STIFFNESS] * muscle_length
-
-
-@inlined
-def loaded_force(muscle, static, loop, relaxing, late, p):
-    """Contraction force [N] with what hysteresis and creep add to the static map.
-
-    Args:
-        muscle: 0 or 1.
-        static: F of :func:`force` [N].
-        loop: z [-], state of the hysteresis.
-        relaxing: y of :func:`relaxing_force` [N].
-        late: c [N], state of the creep; y itself where nothing creeps.
-        p: parameter vector.
-    """
-    return static + p[HYSTERESIS_AMPLITUDE + muscle] * loop + (late - relaxing)
-
-
-@inlined
-def hysteresis_rate(loop, rate, p):
-    """dz/dt [1/s] by Bouc and Wen, which depends on the way of the length and not on its speed.
-
-    Args:
-        loop: z [-].
-        rate: dl/dt [m/s].
-        p: parameter vector.
-    """
-    return (rate - 0.5 * (abs(rate) * loop + rate * abs(loop))) / p[HYSTERESIS_WIDTH]
-
-
-@inlined
-def creep_rate(late, relaxing, p):
-    """dc/dt [N/s] of the creep: what relaxes, late by its time constant."""
-    return (relaxing - late) / p[CREEP_TIME]

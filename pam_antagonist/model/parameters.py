@@ -95,33 +95,6 @@ KINETIC_FRICTION = INDEX["friction.kinetic"]
 FRICTION_VELOCITY = INDEX["friction.velocity"]
 FRICTION_STEP = INDEX["friction.time_step"]
 
-# Effects. Where each muscle has its own, that of muscle 2 stands behind that of muscle 1.
-HYSTERESIS_AMPLITUDE = INDEX["effects.hysteresis.amplitude_1"]
-HYSTERESIS_WIDTH = INDEX["effects.hysteresis.width"]
-LEAK_AREA = INDEX["effects.leak.area_1"]
-LEAK_EXPONENT = INDEX["effects.leak.exponent"]
-DROOP_STIFFNESS = INDEX["effects.supply_droop.stiffness"]
-DROOP_TIME = INDEX["effects.supply_droop.time"]
-VALVE_TIME = INDEX["effects.valve_lag.time_1"]
-VALVE_REACH = INDEX["effects.valve_lag.reach"]
-VALVE_OFFSET = INDEX["effects.valve_offset.voltage_1"]
-RATE_OFFSET = INDEX["effects.valve_offset.open_rate_1"]
-LINE_RESISTANCE = INDEX["effects.line_resistance.resistance_1"]
-LINE_TIME = INDEX["effects.line_resistance.time"]
-LINE_EXPONENT = INDEX["effects.line_resistance.exponent"]
-SENSOR_OFFSET = INDEX["effects.pressure_sensor.offset_1"]
-SENSOR_GAIN = INDEX["effects.pressure_sensor.gain_1"]
-LOAD_CONSTANT = INDEX["effects.load_torque.constant"]
-LOAD_SINE = INDEX["effects.load_torque.sine"]
-EXTRA_COULOMB = INDEX["effects.friction.coulomb"]
-STRIBECK = INDEX["effects.friction.stribeck"]
-STRIBECK_VELOCITY = INDEX["effects.friction.velocity"]
-CREEP_SHARE = INDEX["effects.creep.share_1"]
-CREEP_STIFFNESS = INDEX["effects.creep.stiffness"]
-CREEP_TIME = INDEX["effects.creep.time"]
-THERMAL_SHARE = INDEX["effects.thermal.share_1"]
-THERMAL_TIME = INDEX["effects.thermal.time"]
-
 # Behind the named values: the joint's condition, what is derived, the two valve curves.
 LOCKED = len(_NAMES)
 CRITICAL_RATIO = LOCKED + 1

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -131,9 +131,9 @@ class Plant:
         if joint == "locked":
             angle = lock_angle
         else:
-            angle = rest.rest_angle(*initial_pressure, p) if initial_angle is None else initial_angle
+            angle = equilibrium.rest_angle(*initial_pressure, p) if initial_angle is None else initial_angle
         self._u = np.zeros(3)
-        self._x = rest.initial_state(angle, *initial_pressure, self._u, p)
+        self._x = equilibrium.initial_state(angle, *initial_pressure, self._u, p)
         self._begun = False
 
     @property
@@ -166,7 +166,7 @@ class Plant:
             raise BadInput(f"plant: valve voltages and torque {tuple(self._u)}, expected finite ones")
         if not self._begun:
             # Its valves have had their first voltage for long.
-            self._x = rest.initial_state(self._x[0], self._x[2], self._x[3], self._u, self._p)
+            self._x = equilibrium.initial_state(self._x[0], self._x[2], self._x[3], self._u, self._p)
             self._begun = True
         for _ in range(self._substeps):
             dynamics.rk4_step(self._x, self._u, self._p, self._dt, self._x)

@@ -13,7 +13,7 @@ from recordings import trial
 from pam_antagonist._jit import kernel
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.estimator import considered, parameter_sets
-from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig, load_rig
@@ -76,8 +76,8 @@ def _oracle(rig: Rig, recording, effects_of_states: list[tuple[str, str]]) -> np
         points=JulierSigmaPoints(n, kappa=chosen.kappa),
     )
     first = [sensor.pressure_behind(i, recording.pressure[0, i], p) for i in (0, 1)]
-    angle = rest.rest_angle(*first, p)
-    ukf.x = rest.initial_state(angle, *first, recording.voltage[0], p)
+    angle = equilibrium.rest_angle(*first, p)
+    ukf.x = equilibrium.initial_state(angle, *first, recording.voltage[0], p)
     initial = [by_name[state].initial_std ** 2 for _, state in effects_of_states]
     noise = [
         rig.value("effects.external_torque.noise") if effect == "external_torque" else by_name[state].noise
@@ -182,7 +182,7 @@ def test_eight_added_states_are_within_a_fifth_of_the_sample_period() -> None:
     estimator = Estimator(rig)
     sets = parameter_sets(rig, rig.tuning("default"))
     count = 1 + 2 * (12 + len(considered(rig)))
-    start = rest.initial_state(0.0, 450e3, 450e3, recording.voltage[0], p)
+    start = equilibrium.initial_state(0.0, 450e3, 450e3, recording.voltage[0], p)
     _bare_steps(start, recording.voltage[:2], sets, count, 1e-3)
 
     def sample() -> None:

@@ -8,7 +8,7 @@ from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter, unscented_
 from recordings import trial
 
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.rig import Rig, load_rig
 
 SCALE = np.array([0.1, 1.0, 1e5, 1e5])
@@ -38,7 +38,7 @@ def _oracle(rig: Rig, tuning: str, recording, joint: str) -> tuple[np.ndarray, n
         points=JulierSigmaPoints(4, kappa=chosen.kappa),
     )
     first = recording.pressure[0]
-    ukf.x = np.array([0.0 if joint == "locked" else rest.rest_angle(first[0], first[1], p), 0.0, *first])
+    ukf.x = np.array([0.0 if joint == "locked" else equilibrium.rest_angle(first[0], first[1], p), 0.0, *first])
     ukf.P = np.diag(np.array(chosen.initial) * held + tiny)
     ukf.Q = np.diag(np.array(chosen.process) * held + tiny)
     ukf.R = np.diag(chosen.measurement)
@@ -90,7 +90,7 @@ def test_consider_parameters_equal_an_augmented_filter() -> None:
         return np.concatenate([z[:m], x])
 
     first = recording.pressure[0]
-    mean = np.concatenate([np.zeros(m), [rest.rest_angle(*first, rig.parameters()), 0.0], first])
+    mean = np.concatenate([np.zeros(m), [equilibrium.rest_angle(*first, rig.parameters()), 0.0], first])
     cov = np.diag(np.concatenate([np.ones(m), chosen.initial]))
     noise = np.diag(np.concatenate([np.zeros(m), chosen.process]))
     pick = np.zeros((2, n + m))

@@ -10,7 +10,7 @@ import pytest
 from pam_antagonist.identification.tuning import considered_directions
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
-from pam_antagonist.model import rest
+from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.simulation.plant import Plant
 
@@ -44,7 +44,9 @@ def test_directions_hold_what_is_not_known_where_the_joint_never_was(rig, still)
 
     def angles(changes):
         p = moved(rig, {name: rig.value(name) + step for name, step in changes.items()}).parameters("free", 0.0)
-        return np.array([rest.rest_angle(first, second, p) for first, second in ((3e5, 5e5), (6e5, 2.5e5), (5e5, 5e5))])
+        return np.array(
+            [equilibrium.rest_angle(first, second, p) for first, second in ((3e5, 5e5), (6e5, 2.5e5), (5e5, 5e5))]
+        )
 
     def spread(several):
         return np.sqrt(sum((angles(changes) - angles({})) ** 2 for changes in several))

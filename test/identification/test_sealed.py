@@ -15,7 +15,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.identification import sealed
 from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.model import dynamics, muscle, rest
+from pam_antagonist.model import dynamics, equilibrium, muscle
 from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
@@ -78,10 +78,10 @@ def test_sealed_chambers_keep_their_air(joint):
 def test_a_filter_starts_at_the_angle_that_the_charge_tells(joint):
     p = joint.parameters()
     for angle in (-0.08, 0.0, 0.05):
-        pressures = [rest.closed_pressure(i, angle, p) for i in (0, 1)]
-        assert rest.start_angle(*pressures, p) == pytest.approx(angle, abs=1e-12)
+        pressures = [equilibrium.closed_pressure(i, angle, p) for i in (0, 1)]
+        assert equilibrium.start_angle(*pressures, p) == pytest.approx(angle, abs=1e-12)
     # A common loss of air moves no angle.
-    assert rest.start_angle(*(0.99 * value for value in pressures), p) == pytest.approx(0.05, abs=1e-12)
+    assert equilibrium.start_angle(*(0.99 * value for value in pressures), p) == pytest.approx(0.05, abs=1e-12)
 
 
 def test_the_truth_is_found_from_a_wrong_start(joint):

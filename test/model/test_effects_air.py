@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from states import ATMOSPHERE, TANK
 
 from pam_antagonist.estimation import simulate_model
-from pam_antagonist.model import dynamics, flow, rest, sensor
+from pam_antagonist.model import dynamics, equilibrium, flow, sensor
 from pam_antagonist.model import parameters as par
 
 T = paper.CORRECTED
@@ -30,7 +30,7 @@ def locked(rig, changes=None, **effects):
 def held(p, u, seconds, pressures=(450e3, 450e3), before=None, dt=DT):
     """States (N, n) of a joint held at 0°, voltages ``u`` from the first step on, ``before`` until then."""
     voltage = np.tile(np.asarray(u, dtype=np.float64), (round(seconds / dt) + 1, 1))
-    start = rest.initial_state(0.0, *pressures, np.array(u if before is None else before, dtype=np.float64), p)
+    start = equilibrium.initial_state(0.0, *pressures, np.array(u if before is None else before, dtype=np.float64), p)
     return dynamics.simulate(start, voltage, p, dt, 1)[0]
 
 
@@ -180,7 +180,7 @@ def test_a_shifted_valve_at_rest_stands_where_its_voltage_asks(rig):
     """With a lag as well: the state of a joint that has stood for long is that of the shifted curve."""
     offsets = {"voltage_1": 0.2, "open_rate_1": 0.03, "open_rate_2": -0.05}
     p = locked(rig, valve_offset=offsets, valve_lag={"time_1": 0.1, "time_2": 0.1})
-    x = rest.initial_state(0.0, 450e3, 430e3, np.array([6.0, 5.0]), p)
+    x = equilibrium.initial_state(0.0, 450e3, 430e3, np.array([6.0, 5.0]), p)
     assert x[4:] == pytest.approx([paper.kappa(T, 5.8) + 0.03, paper.kappa(T, 5.0) - 0.05], abs=1e-12)
     assert held(p, (6.0, 5.0), 2.0)[-1, 4:] == pytest.approx(x[4:], abs=1e-6)
     at_once = held(locked(rig, valve_offset=offsets), (6.0, 5.0), 60.0)
@@ -223,17 +223,17 @@ def test_a_run_may_begin_while_a_muscle_fills(rig, exponent):
     p = locked(rig, line_resistance={"resistance_1": 2e8, "resistance_2": 1e8, "time": 2e-3, "exponent": exponent})
     u = (7.5, 4.0)
     states = held(p, u, 3.0)
-    begun = rest.initial_state(0.0, states[200, 2], states[200, 3], np.array([*u, 0.0]), p)
+    begun = equilibrium.initial_state(0.0, states[200, 2], states[200, 3], np.array([*u, 0.0]), p)
     assert begun[4:] == pytest.approx(states[200, 4:], abs=400.0)
     assert np.abs(states[200, 4:] - states[200, 2:4]).min() > 1e3
     rested = held(p, u, 90.0)[-1]
-    still = rest.initial_state(0.0, rested[2], rested[3], np.array([*u, 0.0]), p)
+    still = equilibrium.initial_state(0.0, rested[2], rested[3], np.array([*u, 0.0]), p)
     assert still[4:] == pytest.approx(rested[2:4], abs=10.0)
 
 
 def test_a_line_starts_within_what_there_is(rig):
     p = locked(rig, line_resistance={"resistance_1": 5e9, "resistance_2": 5e9})
-    begun = rest.initial_state(0.0, 200e3, 700e3, np.array([10.0, 0.0, 0.0]), p)
+    begun = equilibrium.initial_state(0.0, 200e3, 700e3, np.array([10.0, 0.0, 0.0]), p)
     assert begun[4] == T["P_out"] and begun[5] == TANK
 
 

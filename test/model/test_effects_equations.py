@@ -11,7 +11,7 @@ import transcription_effects as laws
 from scipy.integrate import solve_ivp
 from states import random_states
 
-from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 
@@ -134,7 +134,7 @@ def test_trajectory(rig, case, locked, base, u, duration):
     p = vector(rig, CASES[case], "locked" if locked else "free")
     inputs = np.array([*u, 0.05])
     before = np.array([5.5, 5.5])
-    x = rest.initial_state(base[0], base[2], base[3], before, p)
+    x = equilibrium.initial_state(base[0], base[2], base[3], before, p)
     x[1] = base[1]
     steps = 8 * round(duration * 1e3)
     start = x.copy()

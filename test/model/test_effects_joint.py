@@ -10,13 +10,15 @@ import transcription as paper
 from scipy.integrate import trapezoid
 from states import held, sealed
 
-from pam_antagonist.model import dynamics, muscle, rest
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import parameter_path
+from pam_antagonist.model.effects.hysteresis import loop_rate
 
 T = paper.CORRECTED
 SHUT = {f"valve_{i}.{way}_area": 0.0 for i in (1, 2) for way in ("inflow", "outflow")}
 DT = 1e-3
+WIDTH = 2e-3
 
 
 def with_effects(p, **effects):
@@ -27,7 +29,7 @@ def with_effects(p, **effects):
 # Hysteresis
 
 
-def loop_of(p, rate_scale, amplitude=5e-3, cycles=3, points=4000):
+def loop_of(rate_scale, amplitude=5e-3, cycles=3, points=4000):
     """z along a length that goes ±amplitude as a sine, stepped evenly in the angle of the sine."""
     phase = np.linspace(0.0, 2.0 * math.pi * cycles, cycles * points + 1)
     length = amplitude * np.sin(phase)
@@ -35,47 +37,49 @@ def loop_of(p, rate_scale, amplitude=5e-3, cycles=3, points=4000):
     for k in range(1, len(phase)):
         duration = 1.0 / rate_scale
         rate = (length[k] - length[k - 1]) / duration
-        first = muscle.hysteresis_rate(z[k - 1], rate, p)
-        z[k] = z[k - 1] + duration * muscle.hysteresis_rate(z[k - 1] + 0.5 * duration * first, rate, p)
+        first = loop_rate(WIDTH, rate, z[k - 1])
+        z[k] = z[k - 1] + duration * loop_rate(WIDTH, rate, z[k - 1] + 0.5 * duration * first)
     return length[-points - 1 :], z[-points - 1 :]
 
 
 @pytest.fixture
 def p_loop(rig):
-    return with_effects(rig.parameters(), hysteresis={"amplitude_1": 4.0, "width": 2e-3})
+    return with_effects(rig.parameters(), hysteresis={"amplitude_1": 4.0, "width": WIDTH})
 
 
-def test_the_loop_is_closed_and_bounded(p_loop):
-    length, z = loop_of(p_loop, 1.0)
+def test_the_loop_is_closed_and_bounded():
+    length, z = loop_of(1.0)
     assert z[0] == pytest.approx(z[-1], abs=1e-6)
     assert np.abs(z).max() <= 1.0
     assert np.abs(z).max() > 0.98, "a stroke of five widths nearly reaches the bound"
     assert trapezoid(z, length) > 0.5 * 4.0 * 5e-3, "a loop of this height and length takes energy"
 
 
-def test_the_loop_does_not_depend_on_the_speed(p_loop):
-    slow, fast = loop_of(p_loop, 1.0)[1], loop_of(p_loop, 1024.0)[1]
+def test_the_loop_does_not_depend_on_the_speed():
+    slow, fast = loop_of(1.0)[1], loop_of(1024.0)[1]
     assert np.array_equal(slow, fast)
 
 
-def test_an_idle_muscle_keeps_its_loop(p_loop):
-    assert muscle.hysteresis_rate(0.7, 0.0, p_loop) == 0.0
+def test_an_idle_muscle_keeps_its_loop():
+    assert loop_rate(WIDTH, 0.0, 0.7) == 0.0
     for z in (-1.0, 1.0):
-        assert muscle.hysteresis_rate(z, z * 0.1, p_loop) == 0.0, "saturated: it cannot grow on"
-        assert muscle.hysteresis_rate(z, -z * 0.1, p_loop) * z < 0.0
+        assert loop_rate(WIDTH, z * 0.1, z) == 0.0, "saturated: it cannot grow on"
+        assert loop_rate(WIDTH, -z * 0.1, z) * z < 0.0
 
 
 def test_a_muscle_pulls_harder_while_it_is_lengthened(p_loop):
     """z goes to +1 with growing length: the force opposes the motion both ways, by the amplitude."""
-    length, z = loop_of(p_loop, 1.0)
+    length, z = loop_of(1.0)
     middle = np.abs(length) < 1e-4
     up = np.gradient(length) > 0.0
     # From its bound it comes to zero over one width, and goes on as an exponential of the rest of half a stroke.
     expected = 1.0 - math.exp(-(5e-3 / 2e-3 - np.abs(z).max()))
     assert z[middle & up].mean() == pytest.approx(expected, abs=0.01)
     assert z[middle & ~up].mean() == pytest.approx(-expected, abs=0.01)
-    assert muscle.loaded_force(0, 40.0, 1.0, 0.0, 0.0, p_loop) == 44.0
-    assert muscle.loaded_force(1, 40.0, 1.0, 0.0, 0.0, p_loop) == 40.0, "muscle 2 has no loop here"
+    straight = dynamics.forces(np.array([0.0, 0.0, 4e5, 4e5, 0.0]), p_loop)
+    bent = dynamics.forces(np.array([0.0, 0.0, 4e5, 4e5, 1.0]), p_loop)
+    assert bent[0] == straight[0] + 4.0
+    assert bent[1] == straight[1], "muscle 2 has no loop here"
 
 
 def pushed(p, peak, period=4.0):
@@ -83,7 +87,7 @@ def pushed(p, peak, period=4.0):
     time = np.arange(round(2 * period / DT)) * DT
     push = peak * np.sin(2.0 * math.pi * time / period)
     voltage = np.column_stack([np.full((len(time), 2), 5.5), push])
-    states, _, _ = dynamics.simulate(rest.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 2)
+    states, _, _ = dynamics.simulate(equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 2)
     half = len(time) // 2
     return states[half:, 0], push[half:]
 
@@ -107,7 +111,7 @@ def test_a_joint_with_hysteresis_takes_more_work_in_a_cycle(rig):
 def test_creep_is_a_share_of_a_step_that_comes_late(rig):
     share, time = 0.1, 2.0
     p = with_effects(rig.parameters("locked", changes=SHUT), creep={"share_1": share, "share_2": 0.2, "time": time})
-    x = rest.initial_state(0.0, 450e3, 450e3, np.array([5.5, 5.5]), p)
+    x = equilibrium.initial_state(0.0, 450e3, 450e3, np.array([5.5, 5.5]), p)
     before = dynamics.forces(x, p)[0]
     x[2] = 600e3  # the pressure jumps
     states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5], (10_001, 1)), p, DT, 1)
@@ -126,11 +130,11 @@ def test_creep_of_the_tube_is_of_its_length_and_not_of_the_pressure(rig):
     stiffness, time = 150.0, 2.0
     p = with_effects(rig.parameters("locked", changes=SHUT), creep={"stiffness": stiffness, "time": time})
     u = np.array([5.5, 5.5])
-    x = rest.initial_state(0.0, 450e3, 450e3, u, p)
+    x = equilibrium.initial_state(0.0, 450e3, 450e3, u, p)
     x[2] = 600e3
     assert dynamics.forces(x, p)[0] == pytest.approx(paper.force(T, 1, T["L_0"], 600e3), rel=1e-12)
     # The same joint held elsewhere: muscle 1 is shorter and pulls less by κ Δl, until the tube has given way.
-    x = rest.initial_state(0.0, 450e3, 450e3, u, p)
+    x = equilibrium.initial_state(0.0, 450e3, 450e3, u, p)
     x[0] = 0.2
     states, _, _ = dynamics.simulate(x, np.tile(u, (6001, 1)), p, DT, 1)
     for i in (1, 2):
@@ -148,10 +152,10 @@ def test_creep_of_the_tube_is_of_its_length_and_not_of_the_pressure(rig):
 def test_a_load_moves_the_angle_of_rest(rig, constant, sine):
     p = with_effects(sealed(rig), load_torque={"constant": constant, "sine": sine})
     for pressures in ((450e3, 450e3), (600e3, 350e3), (300e3, 450e3)):
-        angle = rest.rest_angle(*pressures, p)
+        angle = equilibrium.rest_angle(*pressures, p)
         tau = paper.torque(T, angle, *pressures)
         assert tau + constant + sine * math.sin(angle) - T["k_s"] * angle == pytest.approx(0.0, abs=1e-9)
-    positive = rest.rest_angle(450e3, 450e3, p) - rest.rest_angle(450e3, 450e3, sealed(rig))
+    positive = equilibrium.rest_angle(450e3, 450e3, p) - equilibrium.rest_angle(450e3, 450e3, sealed(rig))
     if sine == 0.0:
         assert math.copysign(1.0, positive) == math.copysign(1.0, constant)
 
@@ -167,7 +171,7 @@ def test_a_torque_meter_on_the_muscles_does_not_see_the_load(rig):
 
 def stands(p, push):
     """Whether a joint at its angle of rest stays there under a push."""
-    x = np.array([rest.rest_angle(450e3, 450e3, p), 0.0, 450e3, 450e3])
+    x = np.array([equilibrium.rest_angle(450e3, 450e3, p), 0.0, 450e3, 450e3])
     states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5, push], (20, 1)), p, DT, 1)
     return abs(states[-1, 0] - states[0, 0]) < 1e-6
 
@@ -175,7 +179,7 @@ def stands(p, push):
 @pytest.mark.parametrize(("coulomb", "stribeck"), [(0.05, 0.0), (0.0, 0.04), (0.03, 0.02), (-0.04, 0.0)])
 def test_the_stick_band_is_wider_by_what_is_added_at_rest(rig, coulomb, stribeck):
     p = with_effects(held(rig), friction={"coulomb": coulomb, "stribeck": stribeck, "velocity": 0.3})
-    angle = rest.rest_angle(450e3, 450e3, p)
+    angle = equilibrium.rest_angle(450e3, 450e3, p)
     _, band, _ = paper.balance(T, [angle, 0.0, 450e3, 450e3])
     band += coulomb + stribeck
     for way in (1.0, -1.0):

@@ -9,7 +9,7 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import load_rig
@@ -61,7 +61,7 @@ def test_the_quickest_time_that_is_allowed_does_not_diverge(tmp_path):
     body = "effects: {valve_lag: {time_1: 5.0e-4}, line_resistance: {resistance_2: 1.0e+8, time: 1.0e-3}}"
     p = load_rig(rig_file(tmp_path, body)).parameters()
     voltage = excitation.profile("steps", 5.0, 1e-3, seed=1)
-    start = rest.initial_state(0.0, 450e3, 450e3, voltage[0], p)
+    start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
     states, torques, _ = dynamics.simulate(start, voltage, p, 1e-3, 1)
     assert np.all(np.isfinite(states)) and np.all(np.isfinite(torques))
     assert 0.0 <= states[:, 4].min() and states[:, 4].max() <= 1.0

@@ -9,7 +9,7 @@ import pytest
 import transcription as paper
 from states import random_states
 
-from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model import dynamics, equilibrium
 
 T = paper.CORRECTED
 
@@ -31,28 +31,28 @@ def test_the_joint_is_a_spring_that_stiffens_with_pressure(p):
 
 def test_rest_angle_balances_the_torques(p):
     for pressures in ((450e3, 450e3), (200e3, 700e3), (700e3, 200e3), (350e3, 420e3)):
-        angle = rest.rest_angle(*pressures, p)
+        angle = equilibrium.rest_angle(*pressures, p)
         assert angle == pytest.approx(paper.rest(T, *pressures), abs=1e-12)
         assert paper.torque(T, angle, *pressures) == pytest.approx(T["k_s"] * angle, abs=1e-12)
 
 
 def test_rest_angle_stays_within_the_stop(rig):
     narrow = rig.parameters(changes={"joint.stop": math.radians(10.0)})
-    assert rest.rest_angle(700e3, 200e3, narrow) == math.radians(10.0)
-    assert rest.rest_angle(200e3, 700e3, narrow) == -math.radians(10.0)
+    assert equilibrium.rest_angle(700e3, 200e3, narrow) == math.radians(10.0)
+    assert equilibrium.rest_angle(200e3, 700e3, narrow) == -math.radians(10.0)
 
 
 def test_rest_angle_counts_the_static_torque(rig):
     """k_s is small on this rig; with a stiffer seesaw the balance moves towards zero."""
     stiff = rig.parameters(changes={"joint.stiffness": 7.0, "joint.stop": math.inf})
     table = {**T, "k_s": 7.0}
-    assert rest.rest_angle(700e3, 200e3, stiff) == pytest.approx(paper.rest(table, 700e3, 200e3), abs=1e-12)
-    assert rest.rest_angle(700e3, 200e3, stiff) < 0.6 * paper.rest(T, 700e3, 200e3)
+    assert equilibrium.rest_angle(700e3, 200e3, stiff) == pytest.approx(paper.rest(table, 700e3, 200e3), abs=1e-12)
+    assert equilibrium.rest_angle(700e3, 200e3, stiff) < 0.6 * paper.rest(T, 700e3, 200e3)
 
 
 def test_a_stiff_joint_rests_inside_a_stop_that_the_muscles_alone_would_reach(rig):
     for pressures, side in (((700e3, 200e3), 1.0), ((200e3, 700e3), -1.0)):
         stiff = rig.parameters(changes={"joint.stiffness": 20.0, "joint.stop": math.radians(10.0)})
-        angle = rest.rest_angle(*pressures, stiff)
+        angle = equilibrium.rest_angle(*pressures, stiff)
         assert 0.02 < side * angle < math.radians(9.0)
         assert angle == pytest.approx(paper.rest({**T, "k_s": 20.0}, *pressures), abs=1e-12)

@@ -14,7 +14,7 @@ import pytest
 import transcription as paper
 from states import held, steps
 
-from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.rig import load_rig
 
 LOW_HIGH, HIGH_LOW, EQUAL = (200e3, 700e3), (700e3, 200e3), (450e3, 450e3)
@@ -56,7 +56,7 @@ def test_figure_is_the_near_end_of_the_sticking_range(name, pressures, degrees):
     assert near == pytest.approx(degrees, abs=0.06)
     # The range is 0.9° to 1.8° wide: without friction the figures would lie half of that further out.
     assert 0.9 < high - low < 1.9
-    balance = math.degrees(rest.rest_angle(*pressures, held(load_rig(name))))
+    balance = math.degrees(equilibrium.rest_angle(*pressures, held(load_rig(name))))
     assert low < balance < high
     assert abs(balance) - abs(degrees) > 0.4
 
@@ -74,9 +74,9 @@ def test_at_equal_pressures_the_joint_rests_at_zero():
     assert end("shin2022", EQUAL, joint__viscous_friction=1.0) == pytest.approx(0.0, abs=1e-9)
     low, high = sticking_range("shin2022", EQUAL)
     assert (low, high) == (pytest.approx(-1.03, abs=0.01), pytest.approx(0.84, abs=0.01))
-    assert abs(math.degrees(rest.rest_angle(*EQUAL, load_rig("shin2022").parameters()))) < 0.2
+    assert abs(math.degrees(equilibrium.rest_angle(*EQUAL, load_rig("shin2022").parameters()))) < 0.2
     printed = load_rig("shin2022_as_printed").parameters()
-    assert math.degrees(rest.rest_angle(*EQUAL, printed)) == pytest.approx(9.27, abs=0.01)
+    assert math.degrees(equilibrium.rest_angle(*EQUAL, printed)) == pytest.approx(9.27, abs=0.01)
 
 
 @pytest.mark.parametrize(

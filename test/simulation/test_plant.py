@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant, scattered
@@ -143,8 +143,8 @@ def test_it_starts_at_rest(rig):
     """At the balance of its own, scattered, parameters: the joint does not jump at the first step."""
     plant = Plant(rig, seed=7, mismatch=0.03, noise=False, initial_pressure=(500e3, 300e3))
     first = plant.step((5.5, 5.5)).truth
-    assert first[0] == pytest.approx(rest.rest_angle(500e3, 300e3, plant.parameters), abs=1e-6)
-    assert abs(first[0] - rest.rest_angle(500e3, 300e3, rig.parameters())) > 1e-3
+    assert first[0] == pytest.approx(equilibrium.rest_angle(500e3, 300e3, plant.parameters), abs=1e-6)
+    assert abs(first[0] - equilibrium.rest_angle(500e3, 300e3, rig.parameters())) > 1e-3
     assert abs(first[1]) < 1e-3
 
 

@@ -8,7 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
+
+from pam_antagonist._jit import inlined, kernel
+
+__all__ = [
+    "AddedState",
+    "Effect",
+    "EffectParameter",
+    "Form",
+    "Kernel",
+    "SealedJoint",
+    "inlined",
+    "kernel",
+    "per_muscle",
+    "state_per_muscle",
+]
+
+Kernel = Any
+"""A function that :func:`~pam_antagonist._jit.inlined` or :func:`~pam_antagonist._jit.kernel` compiles."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +82,10 @@ class AddedState:
             (of this effect) that says it.
         further: other parameters (of this effect) that bring the state likewise.
         symbol: as in the documentation's equation, in LaTeX.
+        rate: its derivative by time; None for a state that stays (a random walk).
+        settled: its value after a long rest; None for 0.
+        lag: time constant [s] with which it follows small changes, where that may be a few milliseconds. It may ask
+            for parameters only.
     """
 
     name: str
@@ -73,6 +95,19 @@ class AddedState:
     noise: float | str
     further: tuple[str, ...] = ()
     symbol: str = ""
+    rate: Kernel | None = None
+    settled: Kernel | None = None
+    lag: Kernel | None = None
+
+    @property
+    def muscle(self) -> int | None:
+        """1 or 2 where the state belongs to one muscle."""
+        return int(self.name[-1]) if self.name.endswith(("_1", "_2")) else None
+
+    @property
+    def family(self) -> str:
+        """Name without the muscle's number."""
+        return self.name[:-2] if self.muscle else self.name
 
 
 @dataclass(frozen=True)
@@ -132,11 +167,15 @@ class Effect:
         told_from: which recording tells it from another effect, by that one's name.
         sealed: what a sealed joint can show of it.
         states: the states that it adds.
+        hooks: what it does to the model: functions by the names of :data:`~pam_antagonist.model.effects.hooks.HOOKS`.
         form: in which a joint with valves is tried for it.
         needs_motion: whether a locked joint does not show it.
         needs_angle: whether it hardly shows without a measured angle.
         deterministic: False for a disturbance that no law gives. A filter estimates it, and a diagnosis judges it by
             its course.
+        module: where it is written; the registry fills it in.
+        notes: what its documentation says beside the tables, in Markdown: the module's docstring without its first
+            line; the registry fills it in.
     """
 
     name: str
@@ -150,10 +189,13 @@ class Effect:
     sealed: SealedJoint
     told_from: Mapping[str, str] = field(default_factory=dict)
     states: tuple[AddedState, ...] = ()
+    hooks: Mapping[str, Kernel] = field(default_factory=dict)
     form: Form = Form()
     needs_motion: bool = False
     needs_angle: bool = False
     deterministic: bool = True
+    module: str = ""
+    notes: str = ""
 
     @property
     def title(self) -> str:
@@ -174,20 +216,37 @@ class Effect:
         return text.format(**numbers, muscle=which, valve=valve, s="" if muscle is None else "s")
 
 
+def _numbered(symbol: str, muscle: int) -> str:
+    """A symbol with the muscle's number: in the place of ``#``, or as an index."""
+    return symbol.replace("#", str(muscle)) if "#" in symbol or not symbol else f"{symbol}_{muscle}"
+
+
 def per_muscle(
     name: str, unit: str, low: float, high: float, scale: float, meaning: str, symbol: str = ""
 ) -> tuple[EffectParameter, ...]:
     """A size that each muscle has; arguments as of :class:`EffectParameter`."""
     return tuple(
-        EffectParameter(f"{name}_{i}", unit, 0.0, low, high, scale, f"{meaning} of muscle {i}", f"{symbol}_{i}")
+        EffectParameter(f"{name}_{i}", unit, 0.0, low, high, scale, f"{meaning} of muscle {i}", _numbered(symbol, i))
         for i in (1, 2)
     )
 
 
 def state_per_muscle(
-    name: str, unit: str, switch: str, initial_std: float, noise: float, *further: str, symbol: str = ""
+    name: str,
+    unit: str,
+    switch: str,
+    initial_std: float,
+    noise: float,
+    *further: str,
+    symbol: str = "",
+    rate: Kernel | None = None,
+    settled: Kernel | None = None,
+    lag: Kernel | None = None,
 ) -> tuple[AddedState, ...]:
     """A state that each muscle has; arguments as of :class:`AddedState`, ``switch`` without the muscle's number."""
     return tuple(
-        AddedState(f"{name}_{i}", unit, f"{switch}_{i}", initial_std, noise, further, f"{symbol}_{i}") for i in (1, 2)
+        AddedState(
+            f"{name}_{i}", unit, f"{switch}_{i}", initial_std, noise, further, _numbered(symbol, i), rate, settled, lag
+        )
+        for i in (1, 2)
     )

@@ -17,9 +17,36 @@ from pam_antagonist.model.effects.base import (
     EffectParameter,
     Form,
     SealedJoint,
+    inlined,
     per_muscle,
     state_per_muscle,
 )
+
+
+@inlined
+def relaxing_force(share, stiffness, static_force, muscle_length):
+    """Y [N], what of the force relaxes: a share of it, and the tube's own stiffness.
+
+    Args:
+        share: φ [-].
+        stiffness: κ [N/m].
+        static_force: F of the static map [N].
+        muscle_length: l [m].
+    """
+    return share * static_force - stiffness * muscle_length
+
+
+@inlined
+def late_force(share, stiffness, static_force, muscle_length, creep):
+    """What creep adds to the contraction force [N]: the late force c less the relaxing one."""
+    return creep - relaxing_force(share, stiffness, static_force, muscle_length)
+
+
+@inlined
+def late_rate(share, stiffness, time, static_force, muscle_length, creep):
+    """dc/dt [N/s]: what relaxes, late by the time constant."""
+    return (relaxing_force(share, stiffness, static_force, muscle_length) - creep) / time
+
 
 EFFECT = Effect(
     name="creep",
@@ -36,7 +63,10 @@ EFFECT = Effect(
         ),
         EffectParameter("time", "s", 4.0, 0.2, 60.0, 4.0, "time constant", "T"),
     ),
-    states=state_per_muscle("creep", "N", "share", 3.0, 1e-2, "stiffness", symbol="c"),
+    states=state_per_muscle(
+        "creep", "N", "share", 3.0, 1e-2, "stiffness", symbol="c", rate=late_rate, settled=relaxing_force
+    ),
+    hooks={"contraction_force": late_force},
     sentence="the muscles give way slowly (creep)",
     experiment="step the angle and hold for 60 s",
     told_from={

@@ -11,7 +11,14 @@ outside was *measured*, it is an input instead: `u[2]` of `dynamics.rk4_step`, `
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter, SealedJoint
+from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter, SealedJoint, inlined
+
+
+@inlined
+def disturbance(external_torque):
+    """Torque from outside [N m]: the state itself."""
+    return external_torque
+
 
 EFFECT = Effect(
     name="external_torque",
@@ -21,6 +28,7 @@ EFFECT = Effect(
     signature="Joint moves without a cause in the pressures, at some times and not at others.",
     parameters=(EffectParameter("noise", "N m/s^0.5", 0.0, 0.0, 10.0, 0.05, "size of the random walk", r"\sigma"),),
     states=(AddedState("external_torque", "N m", "noise", 0.2, "noise", symbol="d"),),
+    hooks={"disturbance_torque": disturbance},
     sentence="something pushes the joint now and then (external_torque)",
     experiment="repeat the recording with nobody near the joint",
     told_from={

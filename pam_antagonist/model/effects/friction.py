@@ -9,10 +9,28 @@ in the place of $T_s + T_p$ in (10). At rest the joint sticks within $\pm(T_s + 
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, SealedJoint
+import math
+
+from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, SealedJoint, kernel
 
 # Less than no friction at rest would take the joint's sticking away.
 _LEAST = {"coulomb": 0.0, "stribeck": 0.0}
+
+
+@kernel
+def extra_coulomb(coulomb, stribeck, velocity, joint_velocity):
+    """What is added to T_s + T_p [N m]: a constant, and a part that fades with the velocity.
+
+    Args:
+        coulomb: c [N m].
+        stribeck: d [N m].
+        velocity: v [rad/s].
+        joint_velocity: ψ̇ [rad/s].
+    """
+    if stribeck == 0.0:
+        return coulomb
+    return coulomb + stribeck * math.exp(-abs(joint_velocity) / velocity)
+
 
 EFFECT = Effect(
     name="friction",
@@ -25,6 +43,7 @@ EFFECT = Effect(
         EffectParameter("stribeck", "N m", 0.0, -0.5, 2.0, 0.02, "further torque at rest", "d"),
         EffectParameter("velocity", "rad/s", 0.3, 0.01, 10.0, 0.3, "velocity over which that fades", "v"),
     ),
+    hooks={"coulomb_torque": extra_coulomb},
     sentence="the joint's friction is of another kind (friction)",
     experiment="move the joint slowly and fast through the same angles at constant pressures",
     sealed=SealedJoint(

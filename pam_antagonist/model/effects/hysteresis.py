@@ -17,9 +17,42 @@ from pam_antagonist.model.effects.base import (
     EffectParameter,
     Form,
     SealedJoint,
+    inlined,
     per_muscle,
     state_per_muscle,
 )
+
+
+@inlined
+def loop_force(amplitude, hysteresis):
+    """What the loop adds to the contraction force [N].
+
+    Args:
+        amplitude: a [N], half the width of the loop.
+        hysteresis: z [-], state of the loop.
+    """
+    return amplitude * hysteresis
+
+
+@inlined
+def loop_rate(width, length_rate, hysteresis):
+    """dz/dt [1/s] by Bouc and Wen, which depends on the way of the length and not on its speed.
+
+    Args:
+        width: s [m].
+        length_rate: dl/dt [m/s].
+        hysteresis: z [-].
+    """
+    return (length_rate - 0.5 * (abs(length_rate) * hysteresis + length_rate * abs(hysteresis))) / width
+
+
+@inlined
+def turned_round(length_rate):
+    """Z [-] of a muscle that has stood, or has moved one way for long."""
+    if length_rate == 0.0:
+        return 0.0
+    return 1.0 if length_rate > 0.0 else -1.0
+
 
 EFFECT = Effect(
     name="hysteresis",
@@ -31,7 +64,10 @@ EFFECT = Effect(
         *per_muscle("amplitude", "N", -60.0, 60.0, 4.0, "half the width of the force's loop", symbol="a"),
         EffectParameter("width", "m", 2e-3, 2e-4, 2e-2, 2e-3, "length over which the force turns round", "s"),
     ),
-    states=state_per_muscle("hysteresis", "-", "amplitude", 0.5, 1e-4, symbol="z"),
+    states=state_per_muscle(
+        "hysteresis", "-", "amplitude", 0.5, 1e-4, symbol="z", rate=loop_rate, settled=turned_round
+    ),
+    hooks={"contraction_force": loop_force},
     sentence="the force of the muscles depends on which way their length came (hysteresis)",
     experiment="turn the joint slowly to and fro at constant pressures and plot torque over angle",
     told_from={

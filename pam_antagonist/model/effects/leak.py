@@ -11,10 +11,32 @@ not pass the line of `line_resistance`.
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, SealedJoint, per_muscle
+from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, SealedJoint, inlined, per_muscle
+from pam_antagonist.model.numeric import power
 
 _SLOW = 1e-11
 """[m²] A closed muscle loses a hundredth of its air in a minute by it; the usual scale is for muscles with valves."""
+
+_GAUGE = 350e3
+"""[Pa] Gauge pressure at which a leak of any exponent is an orifice of its area."""
+
+
+@inlined
+def outflow(area, exponent, chamber_pressure, atmosphere, orifice_flow):
+    """Mass flow out of a leaking muscle [kg/s]: an orifice to the atmosphere, or a crack that resists more at first.
+
+    Args:
+        area: A [m²].
+        exponent: n [-].
+        chamber_pressure: P [Pa].
+        atmosphere: P_out [Pa].
+        orifice_flow: of an ideal orifice from P to P_out, by its area [kg/(s m²)].
+    """
+    flow = area * orifice_flow
+    if exponent != 1.0:
+        flow *= power(max(chamber_pressure - atmosphere, 1.0) / _GAUGE, exponent - 1.0)
+    return flow
+
 
 EFFECT = Effect(
     name="leak",
@@ -26,6 +48,7 @@ EFFECT = Effect(
         *per_muscle("area", "m2", 0.0, 5e-8, 1e-9, "area of the leak", symbol="A"),
         EffectParameter("exponent", "-", 1.0, 0.6, 3.0, 1.0, "power of the gauge pressure beside an orifice's", "n"),
     ),
+    hooks={"mass_loss": outflow},
     sentence="air leaks from {muscle}",
     experiment="close the valves under pressure and watch the pressures for a minute",
     told_from={

@@ -14,7 +14,63 @@ $n$ have the resistance $R_i$.
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoint, per_muscle, state_per_muscle
+from pam_antagonist.model.effects.base import (
+    Effect,
+    EffectParameter,
+    SealedJoint,
+    inlined,
+    per_muscle,
+    state_per_muscle,
+)
+from pam_antagonist.model.numeric import power
+
+_FLOW = 5e-5
+"""[kg/s] Flow at which lines of any exponent have their resistance; what a muscle draws when it fills."""
+
+
+@inlined
+def pressure_fall(resistance, exponent, valve_flow):
+    """Fall of the pressure [Pa] along a line.
+
+    Args:
+        resistance: R [Pa s/kg].
+        exponent: n [-].
+        valve_flow: m [kg/s].
+    """
+    fall = resistance * valve_flow
+    if exponent != 1.0:
+        fall *= power(abs(valve_flow) / _FLOW, exponent - 1.0)
+    return fall
+
+
+@inlined
+def behind(chamber):
+    """Pressure behind the line [Pa]: the state itself."""
+    return chamber
+
+
+@inlined
+def behind_rate(chamber_rate):
+    """dP_c/dt [Pa/s]: the muscle's own rate."""
+    return chamber_rate
+
+
+@inlined
+def before_rate(resistance, exponent, time, valve_pressure, chamber_pressure, valve_flow):
+    """dP_s/dt [Pa/s] of the pressure at the valve: the chamber's and what the line's resistance adds, with a lag."""
+    return (chamber_pressure + pressure_fall(resistance, exponent, valve_flow) - valve_pressure) / time
+
+
+@inlined
+def settled_behind(resistance, exponent, valve_pressure, valve_flow, atmosphere, supply_pressure):
+    """Pressure behind the line [Pa] while it carries what the valve lets through.
+
+    A line settles within milliseconds: a recording that begins while a muscle fills does not begin with the pressures
+    before and behind it alike.
+    """
+    chamber = valve_pressure - pressure_fall(resistance, exponent, valve_flow)
+    return min(max(chamber, min(atmosphere, valve_pressure)), max(supply_pressure, valve_pressure))
+
 
 EFFECT = Effect(
     name="line_resistance",
@@ -28,7 +84,10 @@ EFFECT = Effect(
         EffectParameter("time", "s", 2e-3, 1e-3, 0.05, 2e-3, "lag of the line", "T"),
         EffectParameter("exponent", "-", 1.0, 1.0, 2.0, 1.5, "power of the flow in the fall of pressure", "n"),
     ),
-    states=state_per_muscle("chamber", "Pa", "resistance", 1e3, 50.0, symbol="P_c"),
+    states=state_per_muscle(
+        "chamber", "Pa", "resistance", 1e3, 50.0, symbol="P_{c,#}", rate=behind_rate, settled=settled_behind
+    ),
+    hooks={"chamber_pressure": behind, "valve_pressure_rate": before_rate},
     sentence="the line to {muscle} throttles the flow (line_resistance)",
     experiment="record the pressure at the muscle's far end as well",
     sealed=SealedJoint(part=None, reason="no air passes the line"),

@@ -10,7 +10,20 @@ down, $a < 0$; one that stands up, $a > 0$. $\tau$, which is measured and estima
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoint
+from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoint, inlined
+
+
+@inlined
+def load(constant, sine, travel):
+    """Torque [N m] of the load on the joint.
+
+    Args:
+        constant: b [N m].
+        sine: a [N m].
+        travel: sin ψ of a lever, ψ of a pulley [-].
+    """
+    return constant + sine * travel
+
 
 EFFECT = Effect(
     name="load_torque",
@@ -22,6 +35,7 @@ EFFECT = Effect(
         EffectParameter("constant", "N m", 0.0, -3.0, 3.0, 0.05, "torque at angle 0", "b"),
         EffectParameter("sine", "N m", 0.0, -10.0, 10.0, 0.1, "torque that grows with the sine of the angle", "a"),
     ),
+    hooks={"joint_torque": load},
     sentence="something beside the muscles pulls at the joint (load_torque)",
     experiment="move the joint slowly through its range with the load taken off",
     told_from={

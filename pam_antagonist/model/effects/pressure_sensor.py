@@ -10,7 +10,20 @@ The filter takes the inverse of every reading (`sensor.pressure_behind`), the mo
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, SealedJoint, per_muscle
+from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_muscle
+
+
+@inlined
+def shown(offset, gain, pressure):
+    """What the sensor shows [Pa] at a pressure [Pa]."""
+    return (1.0 + gain) * pressure + offset
+
+
+@inlined
+def pressure_behind(offset, gain, reading):
+    """The pressure [Pa] behind a reading [Pa]; the inverse of :func:`shown`."""
+    return (reading - offset) / (1.0 + gain)
+
 
 EFFECT = Effect(
     name="pressure_sensor",
@@ -22,6 +35,7 @@ EFFECT = Effect(
         *per_muscle("offset", "Pa", -60e3, 60e3, 3e3, "offset of the sensor", symbol="o"),
         *per_muscle("gain", "-", -0.3, 0.3, 0.01, "error of the sensor's gain", symbol="g"),
     ),
+    hooks={"sensor_reading": shown, "sensor_inverse": pressure_behind},
     sentence="the pressure sensor of {muscle} reads wrong (pressure_sensor)",
     experiment="compare the sensor with a gauge at three pressures",
     sealed=SealedJoint(part=None, reason="an offset or gain looks like another charge or another slope of the volume"),

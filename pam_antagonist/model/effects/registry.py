@@ -8,15 +8,16 @@ P_2 and in which what effects add is summed: the built-in ones first, then those
 from __future__ import annotations
 
 import difflib
+import inspect
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import entry_points
 
+from pam_antagonist._jit import EFFECTS_GROUP
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects.base import AddedState, Effect
 
-GROUP = "pam_antagonist.effects"
-"""Group of the entry points by which packages add effects."""
 BUILT_IN = (
     "hysteresis",
     "leak",
@@ -47,15 +48,19 @@ def effect_in(module: str, name: str = "EFFECT") -> Effect:
         name: of the variable.
 
     Raises:
-        BadInput: no such module or variable, or none that is an :class:`Effect`.
+        BadInput: no such module or variable, or none that is an :class:`Effect`; a module without a docstring.
     """
     try:
-        found = getattr(import_module(module), name)
+        written = import_module(module)
+        found = getattr(written, name)
     except Exception as error:
         raise BadInput(f"effect {module}:{name}: {type(error).__name__}: {error}") from error
     if not isinstance(found, Effect):
         raise BadInput(f"effect {module}:{name}: {type(found).__name__}, expected an Effect")
-    return found
+    _, _, notes = inspect.cleandoc(written.__doc__ or "").partition("\n")
+    if not notes.strip():
+        raise BadInput(f"effect {module}: no docstring; expected a title line and what the documentation says of it")
+    return replace(found, module=module, notes=notes.strip())
 
 
 def catalogue(effects: Iterable[Effect]) -> dict[str, Effect]:
@@ -132,7 +137,7 @@ def _wrong_words(effect: Effect) -> str:
 def _all() -> Iterable[Effect]:
     for name in BUILT_IN:
         yield effect_in(f"{__package__}.{name}")
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+    for point in sorted(entry_points(group=EFFECTS_GROUP), key=lambda point: point.name):
         yield effect_in(point.module, point.attr or "EFFECT")
 
 

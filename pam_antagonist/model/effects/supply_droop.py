@@ -12,7 +12,27 @@ come back wholly: it stays low by $cT$ times that flow.
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter, SealedJoint
+from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter, SealedJoint, inlined
+
+
+@inlined
+def deviation(supply):
+    """What the supply's pressure is off [Pa]: the state itself."""
+    return supply
+
+
+@inlined
+def deviation_rate(stiffness, time, supply, drawn_flow):
+    """ds/dt [Pa/s].
+
+    Args:
+        stiffness: c [Pa/kg].
+        time: T [s].
+        supply: s [Pa].
+        drawn_flow: that both valves draw [kg/s].
+    """
+    return -stiffness * drawn_flow - supply / time
+
 
 EFFECT = Effect(
     name="supply_droop",
@@ -25,7 +45,8 @@ EFFECT = Effect(
         EffectParameter("stiffness", "Pa/kg", 0.0, 0.0, 5e10, 2e8, "fall of the supply a kilogram drawn from it", "c"),
         EffectParameter("time", "s", 0.5, 0.02, 20.0, 0.5, "time constant of its recovery", "T"),
     ),
-    states=(AddedState("supply", "Pa", "stiffness", 1e3, 10.0, symbol="s"),),
+    states=(AddedState("supply", "Pa", "stiffness", 1e3, 10.0, symbol="s", rate=deviation_rate),),
+    hooks={"supply_change": deviation},
     sentence="the supply's pressure droops while air is drawn (supply_droop)",
     experiment="record the pressure of the tank as well",
     told_from={

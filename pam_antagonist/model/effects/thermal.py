@@ -15,9 +15,35 @@ from pam_antagonist.model.effects.base import (
     EffectParameter,
     Form,
     SealedJoint,
+    inlined,
     per_muscle,
     state_per_muscle,
 )
+
+
+@inlined
+def cooling(time, warmth):
+    """What dP/dt loses [Pa/s] by cooling.
+
+    Args:
+        time: T [s].
+        warmth: q [Pa], the part of the pressure that is due to the gas being warmer than its surroundings.
+    """
+    return warmth / time
+
+
+@inlined
+def warmth_rate(share, time, warmth, polytropic_rate):
+    """dq/dt [Pa/s].
+
+    Args:
+        share: χ [-].
+        time: T [s].
+        warmth: q [Pa].
+        polytropic_rate: dP/dt of equation (4) [Pa/s].
+    """
+    return share * polytropic_rate - cooling(time, warmth)
+
 
 EFFECT = Effect(
     name="thermal",
@@ -29,7 +55,8 @@ EFFECT = Effect(
         *per_muscle("share", "-", -0.5, 0.9, 0.05, "share of a change of pressure that is warmth", symbol=r"\chi"),
         EffectParameter("time", "s", 1.0, 0.05, 30.0, 1.0, "time constant of the heat exchange", "T"),
     ),
-    states=state_per_muscle("warmth", "Pa", "share", 500.0, 20.0, symbol="q"),
+    states=state_per_muscle("warmth", "Pa", "share", 500.0, 20.0, symbol="q", rate=warmth_rate),
+    hooks={"cooling": cooling},
     sentence="the gas warms and cools (thermal)",
     experiment="lock the joint, step the pressure and hold for 30 s",
     sealed=SealedJoint(

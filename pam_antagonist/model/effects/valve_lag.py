@@ -13,7 +13,53 @@ integration, where that is longer).
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoint, per_muscle, state_per_muscle
+from pam_antagonist.model.effects.base import (
+    Effect,
+    EffectParameter,
+    SealedJoint,
+    inlined,
+    per_muscle,
+    state_per_muscle,
+)
+
+
+@inlined
+def position(open_rate):
+    """Open rate at which the valve stands [-]: the state itself."""
+    return open_rate
+
+
+@inlined
+def position_rate(time, reach, open_rate, wanted_open_rate, quickest_lag):
+    """dα/dt [1/s] of a valve that follows the open rate that its voltage asks for, at its full speed at most.
+
+    Args:
+        time: T [s].
+        reach: w [-].
+        open_rate: α [-].
+        wanted_open_rate: α* [-].
+        quickest_lag: shortest time constant that a step of the integration follows [s].
+    """
+    # A search tries times that no step of the integration would follow; a rig file may not have them.
+    stroke = max(time, quickest_lag)
+    behind = wanted_open_rate - open_rate
+    if reach >= 1.0:
+        return behind / stroke
+    followed = min(max(reach, quickest_lag / stroke), 1.0)
+    return min(max(behind, -followed), followed) / (followed * stroke)
+
+
+@inlined
+def asked_for(wanted_open_rate):
+    """α [-] of a valve whose voltage has stood for long."""
+    return wanted_open_rate
+
+
+@inlined
+def small_signal_lag(time, reach):
+    """Time constant [s] with which the valve follows small changes of its voltage; 0 for none."""
+    return time * min(reach, 1.0)
+
 
 EFFECT = Effect(
     name="valve_lag",
@@ -25,7 +71,18 @@ EFFECT = Effect(
         *per_muscle("time", "s", 0.0, 2.0, 0.01, "time constant, or of a full stroke, of the valve", symbol="T"),
         EffectParameter("reach", "-", 1.0, 1e-2, 1.0, 0.05, "lag of the open rate from which on speed is full", "w"),
     ),
-    states=state_per_muscle("open_rate", "-", "time", 0.02, 1e-4, symbol=r"\alpha"),
+    states=state_per_muscle(
+        "open_rate",
+        "-",
+        "time",
+        0.02,
+        1e-4,
+        symbol=r"\alpha",
+        rate=position_rate,
+        settled=asked_for,
+        lag=small_signal_lag,
+    ),
+    hooks={"open_rate": position},
     sentence="{valve} follows its voltage late (valve_lag)",
     experiment="step one valve by 1 V every 0.2 s",
     told_from={

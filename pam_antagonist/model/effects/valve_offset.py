@@ -13,7 +13,20 @@ how its slope changes. A valve with a lag (`valve_lag`) follows the shifted curv
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, SealedJoint, per_muscle
+from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_muscle
+
+
+@inlined
+def voltage_shift(voltage):
+    """δ [V], by which the curve is shifted along the voltage: the parameter itself."""
+    return voltage
+
+
+@inlined
+def open_rate_shift(open_rate):
+    """ρ [-], by which the valve is further open: the parameter itself."""
+    return open_rate
+
 
 EFFECT = Effect(
     name="valve_offset",
@@ -26,6 +39,7 @@ EFFECT = Effect(
         *per_muscle("voltage", "V", -2.0, 2.0, 0.1, "shift of the curve along the voltage", symbol=r"\delta"),
         *per_muscle("open_rate", "-", -0.1, 0.1, 0.01, "shift of the curve along the open rate", symbol=r"\rho"),
     ),
+    hooks={"voltage_shift": voltage_shift, "open_rate_shift": open_rate_shift},
     sentence="the curve of {valve} is shifted (valve_offset)",
     experiment="hold each of six voltages for 10 s: the steady pressures tell it",
     told_from={

@@ -8,7 +8,7 @@ import numpy as np
 
 from pam_antagonist.identification.static_force import ForceFit, fit_force
 from pam_antagonist.identification.static_table import ForceMap
-from pam_antagonist.model import dynamics, muscle, rest
+from pam_antagonist.model import dynamics, equilibrium, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 from pam_antagonist.validation.paper.seed_work import SeedWork
@@ -45,7 +45,7 @@ def static_test(work: SeedWork, which: int) -> ForceMap:
     loop = int(p[par.SLOT_OF[f"hysteresis_{which}"]])
     force = np.empty(len(length))
     for k in range(len(length)):
-        x = rest.initial_state(angle[k], pressure[k], pressure[k], np.zeros(3), p)
+        x = equilibrium.initial_state(angle[k], pressure[k], pressure[k], np.zeros(3), p)
         if loop:
             x[loop] = way[k]
         force[k] = dynamics.forces(x, p)[which - 1]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.model import dynamics, rest
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.report.figure import TIME, Axis, Figure, Panel
 from pam_antagonist.report.figures import lines
 from pam_antagonist.report.table import Table, number
@@ -85,7 +85,7 @@ def run(rig: Rig, voltage: Floats, factors: dict[str, float]) -> Floats:
     """
     changes = {name: rig.value(name) * factor for name, factor in factors.items()}
     p = rig.parameters("free", 0.0, changes)
-    start = rest.initial_state(float(rest.rest_angle(*START, p)), *START, voltage[0], p)
+    start = equilibrium.initial_state(float(equilibrium.rest_angle(*START, p)), *START, voltage[0], p)
     return np.asarray(dynamics.course(start, voltage, p, rig.sample_period, 1)[0])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.paths import config_dir
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig, load_rig
@@ -118,8 +118,8 @@ class VirtualRig:
             joint: ``free`` or ``locked`` at 0.
         """
         p = self.plant(joint).parameters
-        angle = 0.0 if joint == "locked" else float(rest.rest_angle(*START, p))
-        x = rest.initial_state(angle, *START, np.zeros(3), p)
+        angle = 0.0 if joint == "locked" else float(equilibrium.rest_angle(*START, p))
+        x = equilibrium.initial_state(angle, *START, np.zeros(3), p)
         # `simulate` takes its first row for the state at the first sample.
         held = np.vstack([voltage[:1], voltage])
         states, torque, sigma = dynamics.simulate(x, held, p, self.actual.sample_period, _SUBSTEPS)

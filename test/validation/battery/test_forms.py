@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from pam_antagonist.model import dynamics, rest, sensor
+from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
 from pam_antagonist.rig import load_rig
@@ -33,7 +33,7 @@ def blocks(angle, pressure, torque) -> np.ndarray:
 def with_catalogue(case: Case, joint: str, changes: dict[str, float]) -> np.ndarray:
     p = par.changed(case.parameters(joint), {**changes, "friction.time_step": 1e-3 / SUBSTEPS})
     voltage = case.voltage(joint, SECONDS)
-    start = rest.initial_state(0.0, 450e3, 450e3, voltage[0], p)
+    start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
     states, torque, _ = dynamics.simulate(start, voltage, p, 1e-3, SUBSTEPS)
     shown = np.column_stack([sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)])
     return blocks(states[:, 0], shown, torque)

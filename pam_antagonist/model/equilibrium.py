@@ -7,34 +7,22 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import inlined, kernel
-from pam_antagonist.model import dynamics, flow, joint, muscle
+from pam_antagonist.model import composition, dynamics, flow, muscle
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2
-from pam_antagonist.model.parameters import (
-    ATMOSPHERE,
-    CHARGE,
-    POLYTROPIC_VOLUME,
-    SLOT_OF,
-    STATELESS_EFFECTS,
-    STATES,
-    STIFFNESS,
-    STOP,
-    SUPPLY,
-)
-
-_CHAMBER, _LATE, _OPEN_RATE = SLOT_OF["chamber_1"], SLOT_OF["creep_1"], SLOT_OF["open_rate_1"]
+from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, STIFFNESS, STOP
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
-_leverage, _length, _volume = muscle.leverage, muscle.length, muscle.volume
-_force, _relaxing_force = muscle.force, muscle.relaxing_force
-_open_rate, _load_torque, _torque = flow.open_rate, joint.load_torque, dynamics.torque
-_mass_flow, _line_fall, _chamber_pressure = flow.mass_flow, flow.line_fall, dynamics._chamber_pressure
+_leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
+_open_rate, _mass_flow, _torque = flow.open_rate, flow.mass_flow, dynamics.torque
+_joint_torque, _muscle_settled = composition.joint_torque, composition.muscle_settled
+_joint_settled = composition.joint_settled
 
 
 @inlined
 def _pull(x, p):
     """Torque [N m] that moves a joint which stands and does not stick."""
     sine, _, _ = _leverage(x[ANGLE], p)
-    load = _load_torque(sine, p) if p[STATELESS_EFFECTS] != 0.0 else 0.0
+    load = _joint_torque(0.0, x[ANGLE], 0.0, sine, x, p)
     return _torque(x, p) + load - p[STIFFNESS] * x[ANGLE]
 
 
@@ -92,23 +80,12 @@ def start_angle(pressure_1, pressure_2, p):
     return 0.5 * (low + high)
 
 
-@inlined
-def _behind_line(i, sensed, voltage, p):
-    """Chamber pressure [Pa] of muscle i whose sensor stands before a line that carries what the valve lets through.
-
-    A line settles within milliseconds: a recording that begins while a muscle fills does not begin with the pressures
-    before and behind it alike.
-    """
-    chamber = sensed - _line_fall(i, _mass_flow(i, _open_rate(i, voltage, p), sensed, p), p)
-    return min(max(chamber, min(p[ATMOSPHERE], sensed)), max(p[SUPPLY], sensed))
-
-
 @kernel
-def initial_state(angle, pressure_1, pressure_2, u, p):
+def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
     """State of a joint that has stood for long: at rest, valves open as they are asked to, everything slow settled.
 
     What a line loses is that of the flow which the valves let through at these pressures; of a joint that has stood
-    for long, nothing.
+    for long, nothing. With a velocity, the joint has moved this way for long instead.
 
     Args:
         angle: ψ [rad].
@@ -116,20 +93,20 @@ def initial_state(angle, pressure_1, pressure_2, u, p):
         pressure_2: P_2 [Pa].
         u: input, as for :func:`dynamics.rk4_step`.
         p: parameter vector.
+        velocity: ψ̇ [rad/s] with which it has come; the state's own is 0.
 
     Returns:
         State (n,), n = p[parameters.STATES].
     """
     x = np.zeros(int(p[STATES]))
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2
-    sine, _, _ = _leverage(angle, p)
+    sine, cosine, _ = _leverage(angle, p)
     for i in range(2):
-        if p[_CHAMBER + i] > 0.0:
-            x[int(p[_CHAMBER + i])] = _behind_line(i, x[PRESSURE_1 + i], u[i], p)
-        if p[_OPEN_RATE + i] > 0.0:
-            x[int(p[_OPEN_RATE + i])] = _open_rate(i, u[i], p)
-        if p[_LATE + i] > 0.0:
-            muscle_length = _length(i, sine, p)
-            static = _force(i, muscle_length, _chamber_pressure(i, x, p), p)
-            x[int(p[_LATE + i])] = _relaxing_force(i, muscle_length, static, p)
+        wanted = _open_rate(i, u[i], p)
+        pressure = x[PRESSURE_1 + i]
+        _muscle_settled(
+            i, angle, velocity, sine, _length(i, sine, p), _length_rate(i, cosine, velocity, p), wanted, pressure,
+            _mass_flow(i, wanted, pressure, p), x, p,
+        )  # fmt: skip
+    _joint_settled(x, p)
     return x

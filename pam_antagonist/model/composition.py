@@ -1,0 +1,312 @@
+"""The effects of the catalogue put together: one compiled function for each hook, which the equations call.
+
+The equations (``dynamics``, ``flow``, ``equilibrium``, ``sensor``) must not name effects, and compiled code cannot go
+through a list of functions. So a small module is written as text when the package is imported: a function for each
+hook, which calls the functions of the registered effects by name, one after another. It goes through three steps:
+
+1. :func:`source_text` writes the module. Arguments are filled in by name (:mod:`pam_antagonist.model.effects.hooks`):
+   a parameter becomes its place in the vector ``p``, a state its place in ``x``, a quantity an expression.
+2. The text is kept in the folder of the compiled kernels, under a name that holds its hash. numba finds kernels of the
+   last process by file and time: a file that is there already is not written again.
+3. The module is imported from there, and its functions are made names of this module.
+
+What an absent effect costs is one comparison: a function is called only where a size of its effect, or the state that
+it asks for, is there. A state is there if the rig has it *and* ``x`` holds it: a state of four numbers is one without
+effects that add states. From the path without added states, ``x`` is None, and the compiler leaves those calls out.
+
+Each function uses its arrays once more in its last lines (``p.size``). numba counts references to an array from the
+first to the last use; where the last one is in a branch, it cannot leave the counting out, and a step takes twice as
+long.
+
+To read what was written: ``python -m pam_antagonist.model.composition``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from pam_antagonist._jit import cache_dir
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE, AddedState, Effect, EffectParameter, parameter_path
+from pam_antagonist.model.effects.hooks import (
+    EVERYWHERE,
+    HOOKS,
+    JOINT_RATE,
+    MUSCLE_RATE,
+    MUSCLE_SETTLED,
+    Hook,
+)
+
+_EXPRESSIONS = {
+    "atmosphere": "p[ATMOSPHERE]",
+    "supply_pressure": "p[SUPPLY]",
+    "quickest_lag": "quickest_lag(p)",
+    "orifice_flow": "orifice_flow(chamber_pressure, p[ATMOSPHERE], p)",
+}
+"""Quantities that are worked out where a function asks for them."""
+_HEADER = '''"""Effects put together; written by pam_antagonist.model.composition, which explains it."""
+
+import numpy as np
+
+from pam_antagonist._jit import inlined
+from pam_antagonist.model.joint import quickest_lag
+from pam_antagonist.model.muscle import force as static_map
+from pam_antagonist.model.orifice import orifice_flow
+from pam_antagonist.model.parameters import ATMOSPHERE, STATELESS_EFFECTS, SUPPLY
+'''
+
+
+class _Writer:
+    """Text of the module, with the constants and imports that its functions need."""
+
+    def __init__(self, effects: Mapping[str, Effect]) -> None:
+        self.effects = effects
+        self.imports: dict[str, None] = {}
+        self.constants: dict[str, int] = {}
+        self.functions: list[str] = []
+
+    def parameter(self, effect: Effect, item: EffectParameter, of_muscle: bool) -> str:
+        """Expression of a parameter: that of muscle ``i`` where each has one and ``i`` is known."""
+        each = of_muscle and item.muscle is not None
+        name = item.family if each else item.name
+        first = f"{name}_1" if each else name
+        constant = f"{effect.name}__{name}".upper()
+        self.constants[constant] = par.INDEX[parameter_path(effect.name, first)]
+        return f"p[{constant} + i]" if each else f"p[{constant}]"
+
+    def slot(self, state: AddedState, of_muscle: bool) -> str:
+        """Expression of where in ``p`` the index of a state stands."""
+        each = of_muscle and state.muscle is not None
+        name = state.family if each else state.name
+        constant = f"AT_{name}".upper()
+        self.constants[constant] = par.SLOT_OF[f"{name}_1" if each else name]
+        return f"p[{constant} + i]" if each else f"p[{constant}]"
+
+    def call(
+        self, effect: Effect, function: Any, where: str, quantities: Sequence[str], of_muscle: bool,
+        expressions: Mapping[str, str],
+    ) -> tuple[str, list[EffectParameter], list[AddedState]]:  # fmt: skip
+        """Expression that calls a function of an effect, with the parameters and states that it asks for."""
+        plain = getattr(function, "py_func", None)
+        if plain is None:
+            raise BadInput(f"effect {effect.name!r}: {where}: expected a function with the decorator @inlined")
+        alias = f"{effect.name}__{plain.__name__}"
+        self.imports[f"from {plain.__module__} import {plain.__name__} as {alias}"] = None
+        items = {(item.family if of_muscle else item.name): item for item in effect.parameters}
+        states = {(state.family if of_muscle else state.name): state for state in effect.states}
+        known = (*EVERYWHERE, *quantities)
+        arguments, used, held = [], [], []
+        for name in inspect.signature(plain).parameters:
+            if (name in items) + (name in states) + (name in known) > 1:
+                raise BadInput(f"effect {effect.name!r}: {where}: {name!r} has two meanings; expected another name")
+            if name in items:
+                used.append(items[name])
+                arguments.append(self.parameter(effect, items[name], of_muscle))
+            elif name in states:
+                held.append(states[name])
+                arguments.append(f"{name}_")
+            elif name in known:
+                arguments.append({**_EXPRESSIONS, **expressions}.get(name, name))
+            else:
+                raise BadInput(
+                    f"effect {effect.name!r}: {where}: {plain.__name__} asks for {name!r}, expected parameters "
+                    f"({', '.join(items)}), states ({', '.join(states) or 'none'}) or quantities ({', '.join(known)})"
+                )
+        return f"{alias}({', '.join(arguments)})", used, held
+
+    def hook(self, hook: Hook) -> None:
+        """Write the function of a hook."""
+        index = ["i"] if hook.of_muscle else []
+        extra = [name for name in hook.quantities if name not in _EXPRESSIONS]
+        within = ["x"] if hook.states != "none" else []
+        lines = ["@inlined", f"def {hook.name}({', '.join([hook.value, *index, *extra, *within, 'p'])}):"]
+        lines.append(f"    value = {hook.value}")
+        at_once, later = [], []
+        acting = [effect for effect in self.effects.values() if hook.name in effect.hooks]
+        for effect in reversed(acting) if hook.name == "sensor_inverse" else acting:
+            expressions = {hook.value: "value"} if hook.way == "replaces" else {}
+            text, used, held = self.call(
+                effect, effect.hooks[hook.name], hook.name, (hook.value, *hook.quantities), hook.of_muscle, expressions
+            )
+            if held and hook.states == "none":
+                raise BadInput(f"effect {effect.name!r}: {hook.name}: a state, expected parameters and quantities only")
+            if not effect.states and hook.states == "needed":
+                raise BadInput(f"effect {effect.name!r}: {hook.name}: expected an effect that adds a state")
+            change = {"adds": f"value + {text}", "subtracts": f"value - {text}", "replaces": text}[hook.way]
+            change = f"max({change}, 0.0)" if hook.floor else change
+            if effect.states and hook.states != "none":
+                later += self._with_states(effect, held, hook.of_muscle, f"value = {change}")
+            else:
+                sizes = [item for item in used if item.is_size] or [item for item in effect.parameters if item.is_size]
+                guards = dict.fromkeys(f"{self.parameter(effect, item, hook.of_muscle)} != 0.0" for item in sizes)
+                at_once += [f"if {' or '.join(guards)}:", f"    value = {change}"]
+        stateless = all(not effect.states for effect in acting)
+        if at_once:
+            indent = "    "
+            if stateless or hook.states != "none":
+                lines.append("    if p[STATELESS_EFFECTS] != 0.0:")
+                indent = "        "
+            lines += [indent + line for line in at_once]
+        if later:
+            lines += ["    if x is not None:", *(f"        {line}" for line in [*later, "x.size"])]
+        self.functions.append("\n".join([*lines, "    p.size", "    return value"]))
+
+    def _with_states(self, effect: Effect, held: Sequence[AddedState], of_muscle: bool, then: str) -> list[str]:
+        """Lines that run where the states are there."""
+        lines, indent = [], ""
+        for state in held or effect.states[:1]:
+            name = state.family if of_muscle else state.name
+            lines += [
+                f"{indent}{name}_at = {self.slot(state, of_muscle)}",
+                # Most states are absent: nothing is converted for those, and an unsigned index need not be turned.
+                f"{indent}if {name}_at > 0.0 and {name}_at < x.shape[0]:",
+            ]
+            indent += "    "
+            if held:
+                lines.append(f"{indent}{name}_ = x[np.uint64({name}_at)]")
+        return [*lines, indent + then]
+
+    def state_values(
+        self, title: str, into: str, which: str, of_muscle: bool, quantities: Sequence[str],
+        expressions: Mapping[str, str],
+    ) -> None:  # fmt: skip
+        """Write a function that fills in what each state has: its derivative (``rate``), or its ``settled`` value."""
+        arguments = [name for name in quantities if name not in _EXPRESSIONS and name not in expressions]
+        index = ["i"] if of_muscle else []
+        given = dict.fromkeys(["x", into])
+        lines = ["@inlined", f"def {title}({', '.join([*index, *arguments, *given, 'p'])}):"]
+        for effect in self.effects.values():
+            for state in effect.states:
+                if (state.muscle is not None) != of_muscle or state.muscle == 2:
+                    continue
+                function, where = getattr(state, which), f"{which} of {state.name}"
+                if function is None and into == "x":
+                    continue
+                text = "0.0"
+                held: list[AddedState] = []
+                if function is not None:
+                    text, _, held = self.call(effect, function, where, quantities, of_muscle, expressions)
+                name = state.family
+                lines += [f"    {name}_at = {self.slot(state, of_muscle)}", f"    if {name}_at > 0.0:"]
+                for other in held:
+                    # The states of one effect come and go together.
+                    lines.append(f"        {other.family}_ = x[int({self.slot(other, of_muscle)})]")
+                lines.append(f"        {into}[int({name}_at)] = {text}")
+        used = [f"    {name}.size" for name in (*given, "p")]
+        self.functions.append("\n".join([*lines, *used]))
+
+    def lags(self) -> None:
+        """Write the function of the states' time constants; it is not compiled, since nothing calls it often."""
+        lines = ["def small_signal_lags(p):", "    return np.array([0.0"]
+        for effect in self.effects.values():
+            for state in effect.states:
+                if state.lag is not None:
+                    items = {item.name: item for item in effect.parameters}
+                    own = {item.family: item for item in effect.parameters if item.muscle in (None, state.muscle)}
+                    plain = state.lag.py_func
+                    alias = f"{effect.name}__{plain.__name__}"
+                    self.imports[f"from {plain.__module__} import {plain.__name__} as {alias}"] = None
+                    names = list(inspect.signature(plain).parameters)
+                    if not set(names) <= set(own):
+                        raise BadInput(f"effect {effect.name!r}: lag of {state.name}: expected {', '.join(own)} only")
+                    arguments = [self.parameter(effect, items[own[name].name], False) for name in names]
+                    lines[-1] += f", {alias}.py_func({', '.join(arguments)})"
+        lines[-1] += "][1:])"
+        self.functions.append("\n".join(lines))
+
+
+def source_text(effects: Mapping[str, Effect]) -> str:
+    """Source of the module that puts effects together.
+
+    Args:
+        effects: by name; their parameters and states stand in the parameter vector.
+
+    Raises:
+        BadInput: a hook that does not exist, or a function that asks for what it cannot have.
+    """
+    for effect in effects.values():
+        for name in effect.hooks:
+            if name not in HOOKS:
+                raise BadInput(f"effect {effect.name!r}: unknown hook {name!r}, expected one of {', '.join(HOOKS)}")
+        if ("sensor_reading" in effect.hooks) != ("sensor_inverse" in effect.hooks):
+            raise BadInput(f"effect {effect.name!r}: expected sensor_reading and sensor_inverse together")
+    writer = _Writer(effects)
+    for hook in HOOKS.values():
+        writer.hook(hook)
+    static = {"static_force": "static_map(i, muscle_length, chamber_pressure, p)"}
+    writer.state_values("muscle_rates", "dx", "rate", True, MUSCLE_RATE, static)
+    writer.state_values("joint_rates", "dx", "rate", False, JOINT_RATE, {})
+    behind = "chamber_pressure(valve_pressure, i, x, p)"
+    settled = {
+        "chamber_pressure": behind,
+        "static_force": f"static_map(i, muscle_length, {behind}, p)",
+    }
+    writer.state_values("muscle_settled", "x", "settled", True, MUSCLE_SETTLED, settled)
+    writer.state_values("joint_settled", "x", "settled", False, (), {})
+    writer.lags()
+    constants = "\n".join(f"{name} = {index}" for name, index in sorted(writer.constants.items()))
+    imports = "\n".join(sorted(writer.imports))
+    return f"{_HEADER}{imports}\n\n{constants}\n\n\n" + "\n\n\n".join(writer.functions) + "\n"
+
+
+def _imported(text: str) -> ModuleType:
+    """A module of this text, kept in the folder of the compiled kernels."""
+    name = f"pam_antagonist_effects_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    file = cache_dir() / f"{name}.py"
+    if not file.exists():
+        # Whoever comes second finds a whole file, and leaves it: a newer one would make numba compile again.
+        draft = file.with_name(f"{name}.{os.getpid()}.tmp")
+        draft.write_text(text, encoding="utf-8")
+        try:
+            os.link(draft, file)
+        except FileExistsError:
+            pass
+        except OSError:  # a file system without links
+            os.replace(draft, file)
+        finally:
+            draft.unlink(missing_ok=True)
+    return _load(name, file)
+
+
+def _load(name: str, file: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+_composed = _imported(source_text(CATALOGUE))
+
+voltage_shift: Any = _composed.voltage_shift
+open_rate_shift: Any = _composed.open_rate_shift
+open_rate: Any = _composed.open_rate
+supply_change: Any = _composed.supply_change
+chamber_pressure: Any = _composed.chamber_pressure
+mass_loss: Any = _composed.mass_loss
+cooling: Any = _composed.cooling
+valve_pressure_rate: Any = _composed.valve_pressure_rate
+contraction_force: Any = _composed.contraction_force
+coulomb_torque: Any = _composed.coulomb_torque
+disturbance_torque: Any = _composed.disturbance_torque
+joint_torque: Any = _composed.joint_torque
+sensor_reading: Any = _composed.sensor_reading
+sensor_inverse: Any = _composed.sensor_inverse
+muscle_rates: Any = _composed.muscle_rates
+joint_rates: Any = _composed.joint_rates
+muscle_settled: Any = _composed.muscle_settled
+joint_settled: Any = _composed.joint_settled
+small_signal_lags: Any = _composed.small_signal_lags
+
+if __name__ == "__main__":
+    print(source_text(CATALOGUE))

@@ -1,0 +1,107 @@
+"""Where an effect can act on the model, and what it can know there.
+
+The equations name no effect. At each hook they hand on a value, which effects add to, subtract from or replace. An
+effect's function is called with what its arguments are named after: parameters of the effect (``area`` for ``area_1``
+or ``area_2``, whichever muscle is at work), its states (likewise), and the quantities below.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+QUANTITIES: dict[str, tuple[str, str]] = {
+    "atmosphere": ("Pa", "pressure of the atmosphere, P_out"),
+    "supply_pressure": ("Pa", "pressure that the supply is set to, P_tank"),
+    "quickest_lag": ("s", "shortest time constant that a step of the integration follows"),
+    "joint_angle": ("rad", "ψ"),
+    "joint_velocity": ("rad/s", "ψ̇"),
+    "travel": ("-", "travel of a muscle's end over r: sin ψ of a lever, ψ of a pulley"),
+    "muscle_length": ("m", "l_i, equation (2)"),
+    "length_rate": ("m/s", "dl_i/dt"),
+    "static_force": ("N", "contraction force by the static map, equations (6) and (7)"),
+    "valve_voltage": ("V", "u_i"),
+    "wanted_open_rate": ("-", "open rate that the voltage asks for"),
+    "valve_pressure": ("Pa", "pressure at valve and sensor, P_i"),
+    "chamber_pressure": ("Pa", "pressure in the muscle; P_i unless an effect says otherwise"),
+    "valve_flow": ("kg/s", "mass flow through the valve into the muscle, equation (5)"),
+    "orifice_flow": ("kg/(s m2)", "flow of an ideal orifice from the muscle to the atmosphere, by its area"),
+    "drawn_flow": ("kg/s", "mass flow that both valves draw from the supply"),
+    "polytropic_rate": ("Pa/s", "dP_i/dt of equation (4)"),
+    "chamber_rate": ("Pa/s", "dP_i/dt of the muscle, effects included"),
+    "coulomb_torque": ("N m", "T_s + T_p of equation (10)"),
+    "muscle_torque": ("N m", "τ of equation (9), and the torque from outside where it is known"),
+    "pressure": ("Pa", "pressure at a sensor"),
+    "reading": ("Pa", "what a sensor shows"),
+}
+"""Unit and meaning of each quantity that a function of an effect may ask for."""
+
+EVERYWHERE = ("atmosphere", "supply_pressure", "quickest_lag")
+"""Quantities that every function may ask for."""
+
+
+@dataclass(frozen=True)
+class Hook:
+    """A place in the equations where effects act.
+
+    Attributes:
+        name: as in ``Effect.hooks``.
+        meaning: what the function of an effect returns.
+        unit: of that.
+        way: what happens to the model's value by it.
+        value: name of the model's value, as a quantity.
+        quantities: others that the function may ask for.
+        of_muscle: whether the hook is at each muscle (valve, sensor) in turn.
+        states: whether functions may ask for states, must do so, or cannot.
+        floor: whether the value is kept at 0 at least.
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    way: Literal["adds", "subtracts", "replaces"]
+    value: str
+    quantities: tuple[str, ...] = ()
+    of_muscle: bool = True
+    states: Literal["possible", "needed", "none"] = "possible"
+    floor: bool = False
+
+
+_JOINT = ("joint_angle", "joint_velocity", "travel")
+_LOSS = ("chamber_pressure", "orifice_flow")
+_LINE = ("valve_pressure", "chamber_pressure", "valve_flow")
+_FORCE = ("muscle_length", "length_rate", "chamber_pressure")
+
+HOOKS: dict[str, Hook] = {
+    hook.name: hook
+    for hook in (
+        Hook("voltage_shift", "shift of the curve along the voltage", "V", "subtracts", "valve_voltage", states="none"),
+        Hook("open_rate_shift", "change of the open rate", "-", "adds", "wanted_open_rate", states="none"),
+        Hook("open_rate", "open rate at which the valve stands", "-", "replaces", "wanted_open_rate", states="needed"),
+        Hook("supply_change", "change of the supply's pressure", "Pa", "adds", "supply_pressure", of_muscle=False),
+        Hook("chamber_pressure", "pressure in the muscle", "Pa", "replaces", "valve_pressure", states="needed"),
+        Hook("mass_loss", "mass flow out of the muscle past the valve", "kg/s", "subtracts", "valve_flow", _LOSS),
+        Hook("cooling", "what dP/dt loses", "Pa/s", "subtracts", "polytropic_rate", ("chamber_pressure",)),
+        Hook("valve_pressure_rate", "dP/dt at the valve", "Pa/s", "replaces", "chamber_rate", _LINE, states="needed"),
+        Hook("contraction_force", "further contraction force", "N", "adds", "static_force", _FORCE),
+        Hook("coulomb_torque", "further Coulomb torque", "N m", "adds", "coulomb_torque", _JOINT, False, floor=True),
+        Hook("disturbance_torque", "torque from outside", "N m", "adds", "muscle_torque", (), False, states="needed"),
+        Hook("joint_torque", "torque on the joint", "N m", "adds", "muscle_torque", _JOINT, False),
+        Hook("sensor_reading", "what the pressure sensor shows", "Pa", "replaces", "pressure", states="none"),
+        Hook("sensor_inverse", "the pressure behind a reading", "Pa", "replaces", "reading", states="none"),
+    )
+}
+"""All hooks by name, in the order in which the model passes them."""
+
+MUSCLE_RATE = (
+    *_JOINT, "muscle_length", "length_rate", "static_force", "wanted_open_rate", "valve_pressure", "chamber_pressure",
+    "valve_flow", "polytropic_rate", "chamber_rate",
+)  # fmt: skip
+"""What the derivative of a muscle's state may ask for."""
+JOINT_RATE = (*_JOINT, "drawn_flow")
+"""What the derivative of a state of the whole joint may ask for."""
+MUSCLE_SETTLED = (
+    *_JOINT, "muscle_length", "length_rate", "static_force", "wanted_open_rate", "valve_pressure", "chamber_pressure",
+    "valve_flow",
+)  # fmt: skip
+"""What the value of a muscle's state after a long rest may ask for."""
