@@ -85,6 +85,18 @@ def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_versions_agree() -> None:
     for manifest in (ROOT / "package.xml", ROOT / "pam_antagonist_msgs" / "package.xml"):
         assert f"<version>{pam_antagonist.__version__}</version>" in manifest.read_text(encoding="utf-8")
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == pam_antagonist.__version__
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert "## [Unreleased]" in changes
+    assert f"## [{pam_antagonist.__version__}] - {citation['date-released']}" in changes
+
+
+def test_hosted_ci_runs_the_command_of_a_clean_clone() -> None:
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+    (job,) = workflow["jobs"].values()
+    assert [step["run"] for step in job["steps"] if step.get("run", "").startswith(".ci/")] == [".ci/run"]
+    assert os.access(ROOT / ".ci/run", os.X_OK)
 
 
 def test_manifests_are_valid() -> None:
