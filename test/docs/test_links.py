@@ -10,6 +10,7 @@ import pages
 import pytest
 
 ROOT = pages.ROOT
+DOCS = {ROOT / "docs"}
 TEXTS = (
     path
     for folder in ("pam_antagonist", "test", "config", "launch", "examples")
@@ -23,7 +24,10 @@ def test_links_lead_somewhere(page: Path) -> None:
     for target in pages.links(page):
         path, _, anchor = target.partition("#")
         file = (page.parent / unquote(path)).resolve() if path else page
+        assert file.is_file() or not DOCS & set(page.parents), f"{pages.name(page)}: {target}: no such file"
         assert file.exists(), f"{pages.name(page)}: {target}: no such file"
+        if DOCS & set(page.parents) and file.suffix == ".md":
+            assert DOCS & set(file.parents), f"{pages.name(page)}: {target}: the site has no such page"
         if anchor and file.suffix == ".md":
             assert unquote(anchor) in pages.anchors(file), f"{pages.name(page)}: {target}: no such heading"
 
