@@ -69,6 +69,8 @@ author = "pam_antagonist maintainers"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["generate.py", "demo_picture.py"]
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = "pam_antagonist"
 html_math_renderer = "mathml"
 html_show_sourcelink = False
@@ -115,7 +117,13 @@ def _with_navigation(app: Any, page: str, source: list[str]) -> None:
         source[0] = "\n\n".join([source[0], *parts])
 
 
+def _signature(app: Any, what: str, name: str, item: Any, options: Any, arguments: str, returns: str) -> Any:
+    """No signature of a validated file's class: its fields stand on a page of their own."""
+    return ("", None) if what == "class" and hasattr(item, "model_json_schema") else None
+
+
 def setup(app: Any) -> None:
     """Register what is special here with Sphinx."""
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
     app.connect("source-read", _with_navigation)
+    app.connect("autodoc-process-signature", _signature)
