@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -12,6 +13,7 @@ import pages
 import pytest
 
 ROOT = pages.ROOT
+_NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 
 
@@ -76,6 +78,22 @@ def test_commands_of_the_first_hour(tmp_path: Path) -> None:
         for words in pages.commands(block.text) if block.language == "bash" else ():
             if words[0] != "demo":
                 printed += run("-m", "pam_antagonist", *expanded(words, tmp_path), cwd=tmp_path)
+    reference = pages.read(ROOT / "docs" / "reference" / "report_json.md")
+    for folder, section in (("replayed", "replay"), ("identified", "identify"), ("found", "close_loop")):
+        named = reference.split("\n## ")[0] + reference.split(f"\n## {section}\n")[1].split("\n## ")[0]
+        for key in json.loads((tmp_path / folder / "report.json").read_text(encoding="utf-8")):
+            assert f"`{key}`" in named, f"{section}: {key} is not in docs/reference/report_json.md"
     shown = [line for block in pages.blocks(page) if block.language == "text" for line in block.text.splitlines()]
-    assert len(shown) > 20
-    assert not [line for line in shown if line.strip() not in ("", "...") and line not in printed.splitlines()]
+    rows = [line for line in shown if re.match(r"  +\S.*\d( %)?( +–)?$", line)]
+    assert len(rows) > 20
+    for row in rows:
+        rivals = [line for line in printed.splitlines() if _without_numbers(line) == _without_numbers(row)]
+        assert any(_numbers(line) == pytest.approx(_numbers(row), rel=0.3, abs=0.01) for line in rivals), row
+
+
+def _without_numbers(line: str) -> str:
+    return " ".join(_NUMBER.sub("#", line).split())
+
+
+def _numbers(line: str) -> list[float]:
+    return [float(number) for number in _NUMBER.findall(line)]

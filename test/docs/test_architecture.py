@@ -1,0 +1,41 @@
+"""What docs/architecture.md says of the code is so."""
+
+from __future__ import annotations
+
+import re
+
+import pages
+import pytest
+
+ROOT = pages.ROOT
+PAGE = ROOT / "docs" / "architecture.md"
+TEXT = " ".join(pages.read(PAGE).split())
+NAMED = re.findall(r"`([\w.]+)`,? (?:in )?\(?\[`[^`]+`\]\(([^)]+\.py)\)", TEXT)
+"""Names that stand before a link to the file that defines them."""
+
+
+@pytest.mark.parametrize(("name", "file"), NAMED, ids=[name for name, _ in NAMED])
+def test_a_name_before_a_file_is_defined_in_it(name: str, file: str) -> None:
+    source = (PAGE.parent / file).read_text(encoding="utf-8")
+    last = name.rsplit(".", 1)[-1]
+    assert re.search(rf"^\s*(?:def|class) {last}\b|^{last}\b.*=", source, re.MULTILINE), f"{file} defines no {last}"
+
+
+def test_it_names_the_steps_of_both_ways() -> None:
+    names = {name for name, _ in NAMED}
+    assert names >= {"Estimator.step", "process", "rk4_step", "read_bag", "check_recording", "diagnose", "prepare"}
+
+
+def test_every_folder_of_the_package_stands_in_the_table() -> None:
+    there = {path.name for path in (ROOT / "pam_antagonist").iterdir() if (path / "__init__.py").is_file()}
+    table = pages.read(PAGE).split("## What is where")[1].split("\n## ")[0]
+    assert there <= set(re.findall(r"`([\w]+)/`", table))
+    drawing = (ROOT / "docs" / "architecture.svg").read_text(encoding="utf-8")
+    assert there == set(re.findall(r">(\w+)/<", drawing))
+
+
+def test_pipeline_has_the_five_steps_in_this_order() -> None:
+    source = (ROOT / "pam_antagonist" / "diagnosis" / "pipeline.py").read_text(encoding="utf-8")
+    body = source.split("def diagnose(")[1].split("\ndef ")[0]
+    places = [body.index(f"{step}(") for step in ("prepare", "recalibrated", "selected", "judge", "describe")]
+    assert places == sorted(places)
