@@ -49,7 +49,7 @@ def test_a_wrong_sample_moves_no_joint(locked: Recording, changed: Changed) -> N
 def test_a_joint_that_was_not_driven_tells_nothing(locked: Recording, changed: Changed) -> None:
     quiet = changed(locked, pressure=np.full_like(locked.pressure, 450e3))
     assert joint_condition(quiet) == JointCondition("free", 0.0, "nothing")
-    assert joint_condition(changed(locked, angle=None)).told_from == "nothing"
+    assert joint_condition(changed(locked, angle=None)).source == "nothing"
 
 
 def test_without_a_measured_angle_the_live_filter_tells(
@@ -72,7 +72,7 @@ def test_the_live_filters_own_lock_angle_is_taken_to_the_last_bit(
 
 def test_the_command_line_has_the_last_word(free: Recording) -> None:
     assert joint_condition(free, "locked", 0.05) == JointCondition("locked", 0.05, "command line")
-    assert joint_condition(free, "free").told_from == "command line"
+    assert joint_condition(free, "free").source == "command line"
 
 
 def test_contradictions_are_refused(free: Recording) -> None:

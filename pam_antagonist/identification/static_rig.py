@@ -102,14 +102,14 @@ def coverage(table: ForceMap | VolumeTable, rig: Rig) -> list[str]:
     span, out = reach(rig), []
     low, high = float(table.length.min()), float(table.length.max())
     slack = 0.02 * (span.longest - span.shortest)
-    beyond = []
+    uncovered = []
     if low > span.shortest + slack:
-        beyond.append(f"below {low * 1e3:.1f} mm")
+        uncovered.append(f"below {low * 1e3:.1f} mm")
     if high < span.longest - slack:
-        beyond.append(f"above {high * 1e3:.1f} mm")
-    if beyond:
+        uncovered.append(f"above {high * 1e3:.1f} mm")
+    if uncovered:
         out.append(
-            f"{table.name}: the joint takes its muscles to {span}; {' and '.join(beyond)} the fit is "
+            f"{table.name}: the joint takes its muscles to {span}; {' and '.join(uncovered)} the fit is "
             "extrapolated: measure there"
         )
     if table.lengths < _FEW_LENGTHS:
@@ -376,5 +376,5 @@ def _better_form(forms: dict[str, ForceFit | Undetermined], chosen: str) -> list
 def _source(volumes: VolumeTable | None, force_map: ForceMap | None, muscles: Sequence[int]) -> str:
     whose = " and ".join(str(number) for number in muscles)
     parts = [("volume", volumes), ("force map", force_map)]
-    said = [f"{what} from {table.name} (SHA-256 {table.sha256[:12]})" for what, table in parts if table is not None]
-    return f"Muscle {whose}: {', '.join(said)}."
+    sources = [f"{what} from {table.name} (SHA-256 {table.sha256[:12]})" for what, table in parts if table is not None]
+    return f"Muscle {whose}: {', '.join(sources)}."

@@ -90,7 +90,7 @@ def column_of(path: Path, header: Sequence[str], quantity: str, given: Choice | 
             )
         given = Choice(found[0])
     tokens = _tokens(given.column)
-    unit, told = given.unit, given.reference
+    unit, stated = given.unit, given.reference
     if not unit:
         in_name = [pair for token in tokens if (pair := _unit(base, token))]
         if len(in_name) != 1:
@@ -99,21 +99,25 @@ def column_of(path: Path, header: Sequence[str], quantity: str, given: Choice | 
                 f'its name ({_example(quantity)}); else give --column "{quantity}={given.column}:UNIT"'
             )
         unit = in_name[0][0]
-        told = told or in_name[0][1]
+        stated = stated or in_name[0][1]
     unit = canonical(f"{where}: column {given.column!r}", base, unit)
     if quantity != "pressure":
         return Choice(given.column, unit)
-    said = {_REFERENCES[token.lower()] for token in tokens if token.lower() in _REFERENCES} | (
-        {told} if told else set()
+    references = {_REFERENCES[token.lower()] for token in tokens if token.lower() in _REFERENCES} | (
+        {stated} if stated else set()
     )
-    said |= {reference} if reference else set()
-    if len(said) != 1:
-        what = "is said to be gauge and absolute" if said else "does not tell whether it is gauge or absolute pressure"
+    references |= {reference} if reference else set()
+    if len(references) != 1:
+        what = (
+            "is said to be gauge and absolute"
+            if references
+            else "does not tell whether it is gauge or absolute pressure"
+        )
         raise BadInput(
             f"{where}: column {given.column!r} {what}, expected one of them, in its name (pressure_{unit}_gauge) or by "
             "--pressure gauge|absolute"
         )
-    return Choice(given.column, unit, said.pop())
+    return Choice(given.column, unit, references.pop())
 
 
 def _example(quantity: str) -> str:

@@ -28,24 +28,24 @@ class JointCondition:
     Attributes:
         condition: ``free`` or ``locked``.
         lock_angle: where a locked joint was held [rad].
-        told_from: what says so: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
+        source: where that is from: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
     """
 
     condition: str
     lock_angle: float
-    told_from: str
+    source: str
 
 
 def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float | None = None) -> JointCondition:
-    """Tell a free joint from a locked one.
+    """Whether the joint was free or locked.
 
-    A joint is locked whose measured angle stays while the pressures change enough to move it. Where that cannot be told
-    (no angle was measured, or the pressures hardly change), what a live filter was told decides, if its estimate was
-    recorded; else the joint is taken for free.
+    A joint is locked whose measured angle stays while the pressures change enough to move it. Where that does
+    not show (no angle was measured, or the pressures hardly change), the setting of the live filter decides, if its
+    estimate was recorded; else the joint is taken for free.
 
     Args:
         recording: the recording.
-        joint: ``free`` or ``locked`` where it is known, ``auto`` to tell.
+        joint: ``free`` or ``locked`` where it is known, ``auto`` to detect it.
         lock_angle: angle of a locked joint [rad]; default: that of the recorded estimate, else the median of the
             measured angle to 0.1°, else 0.
 
@@ -56,18 +56,18 @@ def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float
         raise BadInput(f"joint {joint!r}: expected free, locked or auto")
     if lock_angle is not None and joint != "locked":
         raise BadInput(f"a lock angle was given and joint is {joint!r}: expected locked")
-    condition, told = (joint, "command line") if joint != "auto" else _told(recording)
+    condition, source = (joint, "command line") if joint != "auto" else _detected(recording)
     if condition == "free":
-        return JointCondition("free", 0.0, told)
+        return JointCondition("free", 0.0, source)
     if lock_angle is None:
         lock_angle = _live_lock(recording)
     if lock_angle is None:
         angle = _finite(recording.angle)
         lock_angle = math.radians(round(math.degrees(float(np.median(angle))), _DECIMALS)) if angle.size else 0.0
-    return JointCondition("locked", lock_angle, told)
+    return JointCondition("locked", lock_angle, source)
 
 
-def _told(recording: Recording) -> tuple[str, str]:
+def _detected(recording: Recording) -> tuple[str, str]:
     angle = _finite(recording.angle)
     if angle.size:
         if _range(angle) >= _STILL:

@@ -95,7 +95,7 @@ class JointFacts:
     @classmethod
     def of(cls, joint: JointCondition) -> JointFacts:
         """The facts of a condition; only a locked joint has an angle."""
-        return cls(joint.condition, joint.lock_angle if joint.condition == "locked" else None, joint.told_from)
+        return cls(joint.condition, joint.lock_angle if joint.condition == "locked" else None, joint.source)
 
 
 @dataclass(frozen=True)

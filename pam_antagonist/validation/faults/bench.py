@@ -110,7 +110,9 @@ class Bench:
             arguments = ["--rig", self.rig, "--link", str(self._port), "--log", str(self.folder / "voltages.csv")]
             self.processes.start("device_emulator", [*arguments, "--seed", "3", "--orders", str(self._pipe)])
         end = time.monotonic() + _START
-        while self.watcher.listeners() == 0 or len({s.part.partition(":")[0] for s in self.watcher.said}) < len(names):
+        while self.watcher.listeners() == 0 or len({s.part.partition(":")[0] for s in self.watcher.statuses}) < len(
+            names
+        ):
             self._wait(0.05, end, "a start")
         self.ready(_START)
 
@@ -232,7 +234,7 @@ class Bench:
 
     def _trouble(self) -> str:
         """What the nodes complain about now, in words."""
-        newest = {status.part: status for status in self.watcher.said}
+        newest = {status.part: status for status in self.watcher.statuses}
         return "".join(f"; {status.part}: {status.message}" for status in newest.values() if status.level > 0)
 
     def controlled(self) -> bool:

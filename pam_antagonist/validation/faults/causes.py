@@ -224,7 +224,7 @@ class WrongRig:
         path.write_text(f"based_on: {bench.rig}\nname: something_else\n{self.changes}\n", encoding="utf-8")
         stopped = bench.kill(self.node)
         bench.wait(0.2)
-        before = len(bench.watcher.said)
+        before = len(bench.watcher.statuses)
         started = time.time_ns()
         bench.start(self.node, {"rig": str(path)})
         if not self.runs:
@@ -242,14 +242,14 @@ class WrongRig:
             now, note = bench.kill(self.node), ""
         else:
             now, note = time.time_ns(), _last_words(bench.folder / f"{self.node}.log")
-        before = len(bench.watcher.said)
+        before = len(bench.watcher.statuses)
         bench.start(self.node)
         self._wait_for_it(bench, before)
         return Ended(now, note)
 
     def _wait_for_it(self, bench: Bench, before: int) -> None:
         part = f"{self.node}: lifecycle"
-        bench.until(lambda: any(s.part == part for s in bench.watcher.said[before:]), _START, f"{self.node} again")
+        bench.until(lambda: any(s.part == part for s in bench.watcher.statuses[before:]), _START, f"{self.node} again")
 
 
 def _last_words(log: Path) -> str:

@@ -128,7 +128,7 @@ class Observed:
         cleared_ns: when the stop was cleared; None: nobody cleared one.
         end_ns: when nothing was looked at any more.
         rows: what was on the valves, in the order of time, from before the fault on.
-        said: on ``/diagnostics``, from shortly before the fault on.
+        statuses: on ``/diagnostics``, from shortly before the fault on.
         note: what else is to be said.
     """
 
@@ -137,7 +137,7 @@ class Observed:
     cleared_ns: int | None
     end_ns: int
     rows: Sequence[Row]
-    said: Sequence[Status]
+    statuses: Sequence[Status]
     note: str = ""
 
 
@@ -151,7 +151,7 @@ class Outcome:
         by: whose safe voltages these were first.
         share_safe: share of the fault's time with safe voltages (0 to 1).
         wrong: number of voltages that nobody can have meant.
-        said: what was expected on ``/diagnostics`` and was said.
+        statuses: what was expected on ``/diagnostics`` and was said.
         control_s: from the end of the fault, or of the stop, to control [s]; None: it did not come back.
         note: what else is to be said.
         failures: expectations that did not hold, in words.
@@ -162,7 +162,7 @@ class Outcome:
     by: str = ""
     share_safe: float = 0.0
     wrong: int = 0
-    said: tuple[str, ...] = ()
+    statuses: tuple[str, ...] = ()
     control_s: float | None = None
     note: str = ""
     failures: tuple[str, ...] = field(default=())
@@ -213,7 +213,7 @@ def judge(fault: Fault, seen: Observed) -> Outcome:
 def heard(wanted: Said, seen: Observed) -> str:
     """The status that was wanted, in words; empty if nobody said it."""
     before: dict[str, float] = {}
-    for status in seen.said:
+    for status in seen.statuses:
         if status.part != wanted.part:
             continue
         if wanted.counted:

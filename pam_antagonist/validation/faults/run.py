@@ -79,9 +79,9 @@ def make(fault: Fault, bench: Bench) -> Observed:
         ProcessFailed: a node has ended, or something did not come about.
     """
     bench.ready()
-    first = len(bench.watcher.said)
+    first = len(bench.watcher.statuses)
     first_row = max(0, len(bench.rows()) - 1)
-    before = list({status.part: status for status in bench.watcher.said[:first]}.values())
+    before = list({status.part: status for status in bench.watcher.statuses[:first]}.values())
     begin = fault.cause.begin(bench)
     bench.wait(fault.lasts)
     over, note = fault.cause.end(bench)
@@ -92,7 +92,7 @@ def make(fault: Fault, bench: Bench) -> Observed:
     bench.back(_BACK)
     bench.wait(_AFTER)
     rows = bench.rows()[first_row:]
-    return Observed(begin, over, cleared, rows[-1].time_ns, rows, [*before, *bench.watcher.said[first:]], note)
+    return Observed(begin, over, cleared, rows[-1].time_ns, rows, [*before, *bench.watcher.statuses[first:]], note)
 
 
 def _clear(fault: Fault, bench: Bench) -> int:

@@ -49,7 +49,7 @@ def said(outcome: Outcome) -> str:
     if not outcome.fault.says:
         return "nothing" if outcome.held else ""
     texts = [
-        text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1].rstrip()}…" for text in map(_plain, outcome.said)
+        text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1].rstrip()}…" for text in map(_plain, outcome.statuses)
     ]
     return "; ".join(texts)
 
@@ -90,7 +90,7 @@ def content(outcomes: Sequence[Outcome]) -> dict[str, Any]:
                 "share_safe": outcome.share_safe,
                 "wrong_voltages": outcome.wrong,
                 "control_s": outcome.control_s,
-                "diagnostics": list(outcome.said),
+                "diagnostics": list(outcome.statuses),
                 "note": outcome.note,
                 "failures": list(outcome.failures),
             }

@@ -36,7 +36,7 @@ class Watcher:
         clock: whether it is to be able to publish ``/clock``.
 
     Attributes:
-        said: every status on ``/diagnostics`` of a node in the namespace so far, without the namespace.
+        statuses: every status on ``/diagnostics`` of a node in the namespace so far, without the namespace.
         valves: voltages in ``valve_state`` so far, where it listens to that (:meth:`watch_valves`).
     """
 
@@ -50,7 +50,7 @@ class Watcher:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
         self._prefix = f"{namespace.strip('/')}/"
-        self.said: list[Status] = []
+        self.statuses: list[Status] = []
         self.valves: list[Row] = []
         self._diagnostics = self._node.create_subscription(DiagnosticArray, "/diagnostics", _nothing, qos.RECORD)
         self._reference = self._node.create_publisher(JointReference, TOPICS["reference"].relative, qos.REFERENCE)
@@ -83,7 +83,7 @@ class Watcher:
                 if status.name.startswith(self._prefix):
                     part = status.name.removeprefix(self._prefix)
                     values = {item.key: item.value for item in status.values}
-                    self.said.append(Status(received_ns, part, status.level[0], status.message, values))
+                    self.statuses.append(Status(received_ns, part, status.level[0], status.message, values))
         if self._state is not None:
             for data, received_ns in _taken(self._state, raw=True):
                 _, first, second = self._unpack(data)
@@ -91,7 +91,7 @@ class Watcher:
 
     def latest(self, part: str) -> Status | None:
         """The newest status of a part; None if there is none."""
-        return next((status for status in reversed(self.said) if status.part == part), None)
+        return next((status for status in reversed(self.statuses) if status.part == part), None)
 
     def refer(self, angle: float) -> None:
         """Publish a reference [rad]."""

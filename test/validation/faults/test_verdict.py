@@ -38,7 +38,7 @@ SAYS = Status(150 * MS, "bridge: safety", 2, "stopped: so", {})
 
 def seen(*rows: tuple[float, tuple[float, float]], **changes: Any) -> Observed:
     """A fault at 100 ms that is over at 200 ms, and cleared at 300 ms."""
-    usual: dict[str, Any] = {"cleared_ns": 300 * MS, "said": (SAYS,), **changes}
+    usual: dict[str, Any] = {"cleared_ns": 300 * MS, "statuses": (SAYS,), **changes}
     log = [Row(round(at * MS), "voltage", voltage, False) for at, voltage in ((0, ON), *rows)]
     return Observed(100 * MS, 200 * MS, end_ns=400 * MS, rows=log, **usual)
 
@@ -48,7 +48,7 @@ def test_a_stop_in_time_that_lasts_until_it_is_cleared_holds() -> None:
     assert outcome.held, outcome.failures
     assert (outcome.safe_ms, outcome.by, outcome.wrong) == (pytest.approx(21.0), "bridge", 0)
     assert outcome.control_s == pytest.approx(0.01)
-    assert outcome.said == ("bridge: safety ERROR: stopped: so",)
+    assert outcome.statuses == ("bridge: safety ERROR: stopped: so",)
 
 
 @pytest.mark.parametrize(
@@ -59,10 +59,10 @@ def test_a_stop_in_time_that_lasts_until_it_is_cleared_holds() -> None:
         (seen((121, BRIDGE_SAFE), (250, ON)), "did not have safe voltages"),  # went on before it was cleared
         (seen((121, BRIDGE_SAFE)), "control did not come back"),
         (seen((110, (10.0, 0.0)), (121, BRIDGE_SAFE), (310, ON)), "1 wrong voltages"),
-        (seen((121, BRIDGE_SAFE), (310, ON), said=()), "nobody said bridge: safety"),
-        (seen((121, BRIDGE_SAFE), (310, ON), said=(SAYS._replace(time_ns=90 * MS),)), "nobody said"),
-        (seen((121, BRIDGE_SAFE), (310, ON), said=(SAYS._replace(level=1),)), "nobody said"),
-        (seen((121, BRIDGE_SAFE), (310, ON), said=(SAYS._replace(part="plant: safety"),)), "nobody said"),
+        (seen((121, BRIDGE_SAFE), (310, ON), statuses=()), "nobody said bridge: safety"),
+        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(time_ns=90 * MS),)), "nobody said"),
+        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(level=1),)), "nobody said"),
+        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(part="plant: safety"),)), "nobody said"),
     ],
 )
 def test_what_does_not_hold_is_said(observed: Observed, words: str) -> None:
@@ -90,7 +90,7 @@ def test_a_count_has_to_grow_during_the_fault() -> None:
 
     def counted(*counts: tuple[int, int]) -> Outcome:
         said = [Status(at * MS, "estimator: samples", 0, "", {"duplicate messages": str(n)}) for at, n in counts]
-        return judge(fault, seen(cleared_ns=None, said=said))
+        return judge(fault, seen(cleared_ns=None, statuses=said))
 
     assert counted((50, 3), (150, 4)).held
     assert not counted((50, 3), (150, 3)).held
