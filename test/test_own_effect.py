@@ -95,7 +95,7 @@ def test_a_rig_file_has_the_effect_and_its_typos_are_refused(lab: Path, run: Run
 FILTER = """
 import numpy as np
 from pam_antagonist.estimation import Estimator, simulate_model
-from pam_antagonist.model.profiles import profile
+from pam_antagonist.simulation.excitation import profile
 from pam_antagonist.rig import load_rig
 
 rig = load_rig("sorption.yaml")
