@@ -41,6 +41,7 @@ from pam_antagonist.model.effects.hooks import (
     EVERYWHERE,
     HOOKS,
     JOINT_RATE,
+    JOINT_SETTLED,
     MUSCLE_RATE,
     MUSCLE_SETTLED,
     Hook,
@@ -51,6 +52,7 @@ _EXPRESSIONS = {
     "supply_pressure": "p[SUPPLY]",
     "quickest_lag": "quickest_lag(p)",
     "orifice_flow": "orifice_flow(chamber_pressure, p[ATMOSPHERE], p)",
+    "passive_force": "static_map(i, muscle_length, p[ATMOSPHERE], p)",
 }
 """Quantities that are worked out where a function asks for them."""
 _HEADER = '''"""Effects put together; written by pam_antagonist.model.composition, which explains it."""
@@ -251,7 +253,7 @@ def source_text(effects: Mapping[str, Effect]) -> str:
         "static_force": f"static_map(i, muscle_length, {behind}, p)",
     }
     writer.state_values("muscle_settled", "x", "settled", True, MUSCLE_SETTLED, settled)
-    writer.state_values("joint_settled", "x", "settled", False, (), {})
+    writer.state_values("joint_settled", "x", "settled", False, JOINT_SETTLED, {})
     writer.lags()
     constants = "\n".join(f"{name} = {index}" for name, index in sorted(writer.constants.items()))
     imports = "\n".join(sorted(writer.imports))
@@ -288,6 +290,7 @@ def _load(name: str, file: Path) -> ModuleType:
 
 _composed = _imported(source_text(CATALOGUE))
 
+spool_voltage: Any = _composed.spool_voltage
 voltage_shift: Any = _composed.voltage_shift
 open_rate_shift: Any = _composed.open_rate_shift
 open_rate: Any = _composed.open_rate
@@ -297,6 +300,7 @@ mass_loss: Any = _composed.mass_loss
 cooling: Any = _composed.cooling
 valve_pressure_rate: Any = _composed.valve_pressure_rate
 contraction_force: Any = _composed.contraction_force
+muscle_force: Any = _composed.muscle_force
 coulomb_torque: Any = _composed.coulomb_torque
 disturbance_torque: Any = _composed.disturbance_torque
 joint_torque: Any = _composed.joint_torque

@@ -22,13 +22,11 @@ _open_rate, _flow_regime = flow.open_rate, flow.flow_regime
 _muscle_torque, _coulomb_torque, _acceleration = joint.muscle_torque, joint.coulomb_torque, joint.acceleration
 
 # What effects do.
-_held_open_rate, _supply_change, _chamber = (
-    composition.open_rate,
-    composition.supply_change,
-    composition.chamber_pressure,
-)
+_spool_voltage, _held_open_rate = composition.spool_voltage, composition.open_rate
+_supply_change, _chamber = composition.supply_change, composition.chamber_pressure
 _mass_loss, _cooling, _valve_pressure_rate = composition.mass_loss, composition.cooling, composition.valve_pressure_rate
-_contraction_force, _with_coulomb = composition.contraction_force, composition.coulomb_torque
+_contraction_force, _passed_on = composition.contraction_force, composition.muscle_force
+_with_coulomb = composition.coulomb_torque
 _with_disturbance, _joint_torque = composition.disturbance_torque, composition.joint_torque
 _muscle_rates, _joint_rates = composition.muscle_rates, composition.joint_rates
 
@@ -43,11 +41,18 @@ def chamber_pressure(i, x, p):
 
 
 @inlined
+def _force_with_effects(i, muscle_length, length_rate, chamber, x, p):
+    """Contraction force [N] of muscle i: the static map, what effects add to it, and what of the sum is passed on."""
+    static = _force(i, muscle_length, chamber, p)
+    return _passed_on(_contraction_force(static, i, muscle_length, length_rate, chamber, x, p), i, p)
+
+
+@inlined
 def _muscle_force(i, sine, cosine, x, p):
     """Contraction force of muscle i of a state, effects included."""
     muscle_length, chamber = _length(i, sine, p), chamber_pressure(i, x, p)
     length_rate = _length_rate(i, cosine, x[VELOCITY], p)
-    return _contraction_force(_force(i, muscle_length, chamber, p), i, muscle_length, length_rate, chamber, x, p)
+    return _force_with_effects(i, muscle_length, length_rate, chamber, x, p)
 
 
 @inlined
@@ -166,23 +171,29 @@ def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external,
     if plain:
         force_1, force_2 = _linear_force(0, length_1, pressure_1, p), _linear_force(1, length_2, pressure_2, p)
     else:
-        force_1 = _contraction_force(_force(0, length_1, pressure_1, p), 0, length_1, speed_1, pressure_1, None, p)
-        force_2 = _contraction_force(_force(1, length_2, pressure_2, p), 1, length_2, speed_2, pressure_2, None, p)
+        force_1 = _force_with_effects(0, length_1, speed_1, pressure_1, None, p)
+        force_2 = _force_with_effects(1, length_2, speed_2, pressure_2, None, p)
     acceleration, _ = _motion(
         angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, None, p, plain
     )
     return velocity, acceleration, rate_1, rate_2
 
 
+@inlined
+def _outside(u):
+    """External torque [N m] of an input that has one."""
+    return u[2] if u.shape[0] > 2 else 0.0
+
+
 @kernel
-def _rows(x, wanted_1, wanted_2, external, p, dx):
+def _rows(x, u, wanted_1, wanted_2, p, dx):
     """All rows with any added states; the same functions as in :func:`_slopes`, put together for every case.
 
     Args:
         x: state (n,).
+        u: input, as for :func:`derivative`.
         wanted_1: open rate [-] that the voltage of valve 1 asks for.
         wanted_2: likewise of valve 2.
-        external: torque [N m] from outside that is known.
         p: parameter vector.
         dx: result (n,).
     """
@@ -195,6 +206,9 @@ def _rows(x, wanted_1, wanted_2, external, p, dx):
         sensed, chamber = x[PRESSURE_1 + i], chamber_pressure(i, x, p)
         muscle_length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
         wanted = wanted_1 if i == 0 else wanted_2
+        spool = _spool_voltage(u[i], i, x, p)
+        if spool != u[i]:
+            wanted = _open_rate(i, spool, p)
         alpha = _held_open_rate(wanted, i, x, p)
         polytropic, rate, passed, drawn = _air(
             i, alpha, sensed, chamber, muscle_length, length_rate, supply, x, p, False
@@ -202,8 +216,8 @@ def _rows(x, wanted_1, wanted_2, external, p, dx):
         consumption += drawn
         dx[PRESSURE_1 + i] = _valve_pressure_rate(rate, i, sensed, chamber, passed, x, p)
         _muscle_rates(
-            i, angle, velocity, sine, muscle_length, length_rate, wanted, sensed, chamber, passed, polytropic, rate,
-            x, dx, p,
+            i, angle, velocity, sine, muscle_length, length_rate, u[i], wanted, sensed, chamber, passed, polytropic,
+            rate, x, dx, p,
         )  # fmt: skip
     _joint_rates(angle, velocity, sine, consumption, x, dx, p)
     if p[LOCKED] != 0.0:
@@ -214,14 +228,8 @@ def _rows(x, wanted_1, wanted_2, external, p, dx):
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
         angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(0, x, p), chamber_pressure(1, x, p),
-        _with_disturbance(external, x, p), x, p, False,
+        _with_disturbance(_outside(u), x, p), x, p, False,
     )  # fmt: skip
-
-
-@inlined
-def _outside(u):
-    """External torque [N m] of an input that has one."""
-    return u[2] if u.shape[0] > 2 else 0.0
 
 
 @kernel
@@ -234,7 +242,7 @@ def derivative(x, u, p, dx):
         p: parameter vector.
         dx: result (n,), written in place.
     """
-    _rows(x, _open_rate(0, u[0], p), _open_rate(1, u[1], p), _outside(u), p, dx)
+    _rows(x, u, _open_rate(0, u[0], p), _open_rate(1, u[1], p), p, dx)
 
 
 @inlined
@@ -254,16 +262,15 @@ def _extended_step(x, u, p, dt, result):
     """:func:`rk4_step` with any number of states."""
     n = x.shape[0]
     wanted_1, wanted_2 = _open_rate(0, u[0], p), _open_rate(1, u[1], p)
-    external = _outside(u)
     # One piece of memory: to ask for it takes as long as a good part of the step.
     memory = np.empty((5, n))
     slopes, point = memory[:4], memory[4]
-    _rows(x, wanted_1, wanted_2, external, p, slopes[0])
+    _rows(x, u, wanted_1, wanted_2, p, slopes[0])
     for stage in range(1, 4):
         reach = dt if stage == 3 else 0.5 * dt
         for i in range(n):
             point[i] = x[i] + reach * slopes[stage - 1, i]
-        _rows(point, wanted_1, wanted_2, external, p, slopes[stage])
+        _rows(point, u, wanted_1, wanted_2, p, slopes[stage])
     sixth = dt / 6.0
     for i in range(n):
         result[i] = x[i] + sixth * (slopes[0, i] + 2.0 * (slopes[1, i] + slopes[2, i]) + slopes[3, i])

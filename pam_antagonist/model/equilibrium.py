@@ -9,11 +9,11 @@ import numpy as np
 from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model import composition, dynamics, flow, muscle
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2
-from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, STIFFNESS, STOP
+from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, STIFFNESS, STOP, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
-_open_rate, _mass_flow, _torque = flow.open_rate, flow.mass_flow, dynamics.torque
+_open_rate, _valve_flow, _torque = flow.open_rate, flow.valve_flow, dynamics.torque
 _joint_torque, _muscle_settled = composition.joint_torque, composition.muscle_settled
 _joint_settled = composition.joint_settled
 
@@ -101,12 +101,15 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
     x = np.zeros(int(p[STATES]))
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2
     sine, cosine, _ = _leverage(angle, p)
+    consumption = 0.0
     for i in range(2):
         wanted = _open_rate(i, u[i], p)
         pressure = x[PRESSURE_1 + i]
+        passed, drawn = _valve_flow(i, wanted, pressure, p[SUPPLY], p)
+        consumption += drawn
         _muscle_settled(
-            i, angle, velocity, sine, _length(i, sine, p), _length_rate(i, cosine, velocity, p), wanted, pressure,
-            _mass_flow(i, wanted, pressure, p), x, p,
+            i, angle, velocity, sine, _length(i, sine, p), _length_rate(i, cosine, velocity, p), u[i], wanted, pressure,
+            passed, x, p,
         )  # fmt: skip
-    _joint_settled(x, p)
+    _joint_settled(consumption, x, p)
     return x

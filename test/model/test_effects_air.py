@@ -81,7 +81,7 @@ def test_supply_falls_by_what_is_drawn_and_recovers(rig):
     stiffness, time = 2e8, 0.4
     p = locked(rig, supply_droop={"stiffness": stiffness, "time": time})
     # Wide open to the tank from 150 kPa: choked, so that the flow per Pa of supply is constant.
-    short = held(p, (10.0, 10.0), 0.01, (150e3, 150e3), dt=1e-4)[:, 4]
+    short = held(p, (10.0, 10.0), 0.01, (150e3, 150e3), before=(0.0, 0.0), dt=1e-4)[:, 4]
     drawn = 2.0 * T["A_11"] * paper.nozzle(T, TANK, 150e3)
     # ds/dt = −c m_0 (1 + s/P_tank) − s/T, a straight line in s.
     rate = stiffness * drawn / TANK + 1.0 / time
@@ -103,6 +103,58 @@ def test_steady_pressure_under_a_drooping_supply(rig):
     drawn = {0.394 * area * paper.nozzle(T, TANK + droop, pressure) for area in (T["A_11"], T["A_12"])}
     # Which of the areas it is depends on the last bit of a flow that is zero.
     assert 0.99 * min(drawn) <= -droop / (2.0 * stiffness * time) <= 1.01 * max(drawn)
+
+
+# Play of a valve
+
+
+def to_and_fro(swing, cycles=2, period=2.0, middle=5.5):
+    """Voltages (N, 2) that go up and down as triangles."""
+    phase = np.arange(round(cycles * period / DT) + 1) * DT / period
+    wave = 1.0 - 4.0 * np.abs((phase + 0.25) % 1.0 - 0.5)
+    return np.column_stack([middle + swing * wave, np.full(len(phase), middle)])
+
+
+@pytest.mark.parametrize(("play", "swing"), [(0.1, 0.5), (0.3, 0.5), (0.3, 0.2)])
+def test_the_loop_between_command_and_spool_has_the_area_of_the_play_operator(rig, play, swing):
+    """A swing of ±a takes the spool ±(a − b/2) and turns by b at either end: the area is b (2 a − b)."""
+    p = locked(rig, valve_play={"play_1": play})
+    voltage = to_and_fro(swing)
+    start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
+    assert start[4:] == pytest.approx([5.5]), "in the middle of its play"
+    spool = dynamics.simulate(start, voltage, p, DT, 4)[0][:, 4]
+    cycle = slice(len(voltage) // 2, None)
+    assert abs(trapezoid(spool[cycle], voltage[cycle, 0])) == pytest.approx(play * (2.0 * swing - play), rel=0.02)
+    assert np.ptp(spool[cycle]) == pytest.approx(2.0 * swing - play, abs=0.004)
+    assert np.abs(spool - voltage[:, 0]).max() <= 0.5 * play + 0.003
+
+
+def test_a_command_within_the_play_moves_nothing(rig):
+    p = locked(rig, valve_play={"play_1": 0.3})
+    voltage = to_and_fro(0.14)
+    start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
+    moved = dynamics.simulate(start, voltage, p, DT, 1)[0]
+    still = dynamics.simulate(start, np.full_like(voltage, 5.5), p, DT, 1)[0]
+    assert np.array_equal(moved, still)
+
+
+def test_play_leaves_two_steady_pressures_at_one_voltage(rig):
+    """They are those of the curve half a play to either side."""
+    p = locked(rig, valve_play={"play_2": 0.2})
+    for before, stands_at in ((5.0, 5.4), (6.0, 5.6)):
+        pressure = held(p, (5.5, 5.5), 60.0, before=(5.5, before))[-1, 3]
+        assert pressure == pytest.approx(held(locked(rig), (5.5, stands_at), 60.0)[-1, 3], abs=20.0)
+
+
+def test_play_that_shrinks_ends_at_the_model_without(rig):
+    voltage = to_and_fro(0.5)
+    end = []
+    for play in (0.04, 0.02, 0.0):
+        p = locked(rig, valve_play={"play_1": play})
+        end.append(dynamics.simulate(equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 1)[0])
+    far, near = (np.abs(states[:, 2] - end[2][:, 2]).max() for states in end[:2])
+    assert near < 0.75 * far
+    assert far > 300.0
 
 
 # Valve

@@ -29,6 +29,9 @@ SINGLE = {
     "creep": {"share_1": 0.05, "share_2": 0.11, "stiffness": 80.0, "time": 0.7},
     "thermal": {"share_1": 0.2, "share_2": -0.1, "time": 0.4},
     "external_torque": {"noise": 0.1},
+    "valve_play": {"play_1": 0.12, "play_2": 0.05},
+    "warm_up": {"share_1": 0.2, "share_2": -0.1, "time": 5.0},
+    "slack": {"width": 6.0},
 }
 """Sizes that are seen, different for the two muscles, so that a mix-up shows."""
 ONE_MUSCLE = {
@@ -40,6 +43,8 @@ ONE_MUSCLE = {
     "pressure_sensor": {"offset_2": 2e3},
     "creep": {"share_2": 0.1, "time": 0.5},
     "thermal": {"share_2": 0.1, "time": 0.5},
+    "valve_play": {"play_2": 0.2},
+    "warm_up": {"share_2": 0.15, "time": 5.0},
 }
 CASES = {
     **{name: {name: values} for name, values in SINGLE.items()},
@@ -50,6 +55,7 @@ CASES = {
     "valve_offset and lag": {"valve_offset": {"open_rate_1": 0.05}, "valve_lag": {"time_1": 0.012, "time_2": 0.03}},
     "valve at full speed": {"valve_lag": {"time_1": 0.4, "time_2": 1.0, "reach": 0.03}},
     "turbulent line": {"line_resistance": {"resistance_1": 2e8, "resistance_2": 5e7, "time": 4e-3, "exponent": 1.7}},
+    "valve_play and a shifted curve": {"valve_play": {"play_1": 0.3}, "valve_offset": {"voltage_1": 0.2}},
     "creep of the tubes": {"creep": {"stiffness": -120.0, "time": 0.3}},
     "all at once": SINGLE,
 }
@@ -66,8 +72,16 @@ def vector(rig, effects, joint="free"):
 
 def draw(names, rng):
     """Values of added states that may occur."""
-    spread = {"hysteresis": 0.9, "supply": 2e4, "open_rate": 0.4, "chamber": 1e5, "creep": 5.0, "warmth": 1e4}
-    middle = {"open_rate": 0.5, "chamber": 4e5}
+    spread = {
+        "hysteresis": 0.9,
+        "supply": 2e4,
+        "open_rate": 0.4,
+        "chamber": 1e5,
+        "creep": 5.0,
+        "warmth": 1e4,
+        "spool_voltage": 5.0,
+    }
+    middle = {"open_rate": 0.5, "chamber": 4e5, "spool_voltage": 5.0, "warmed": 0.5}
     kinds = [name.removesuffix("_1").removesuffix("_2") for name in names]
     return [middle.get(kind, 0.0) + spread.get(kind, 0.3) * rng.uniform(-1.0, 1.0) for kind in kinds]
 
@@ -147,6 +161,6 @@ def test_trajectory(rig, case, locked, base, u, duration):
     assert np.all(np.abs(x - expected) < bound * scale), (x - expected) / scale
     without = integrated({}, start[:4], u, duration, locked, 0.05)
     moved = np.abs(expected[:4] - without) / np.array([0.1, 10.0, 1e5, 1e5])
-    acts = not (locked and case.split()[0] in ("hysteresis", "creep", "load_torque", "friction"))
+    acts = not (locked and case.split()[0] in ("hysteresis", "creep", "load_torque", "friction", "warm_up", "slack"))
     acts &= not case.startswith(("pressure_sensor", "external_torque"))
     assert (moved.max() > 1e-5) == acts, f"{case} moves the states by {moved}"

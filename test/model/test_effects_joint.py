@@ -243,3 +243,65 @@ def test_a_locked_joint_does_not_feel_a_push(rig):
         dynamics.simulate(x, voltage, p, DT, 1), dynamics.simulate(x, pushed_on, p, DT, 1), strict=True
     ):
         assert np.array_equal(one, other)
+
+
+# Warming up
+
+
+def test_a_muscle_loses_its_share_of_the_gauge_pressure_s_force(rig):
+    """Cold it is the base model; warm, by (6), it has lost s v (P − P_out), and nothing at the atmosphere."""
+    share = 0.08
+    p = with_effects(rig.parameters(), warm_up={"share_1": share, "time": 30.0})
+    for angle, pressure in ((0.0, 450e3), (0.3, 300e3), (-0.2, 101.3e3)):
+        cold, warm = (dynamics.forces(np.array([angle, 0.0, pressure, pressure, w]), p) for w in (0.0, 1.0))
+        base = dynamics.forces(np.array([angle, 0.0, pressure, pressure]), rig.parameters())
+        assert cold == base
+        l_1 = paper.length(T, 1, angle)
+        slope = (paper.force(T, 1, l_1, 500e3) - paper.force(T, 1, l_1, 400e3)) / 100e3
+        assert base[0] - warm[0] == pytest.approx(share * slope * (pressure - 101.3e3), abs=1e-9)
+        assert warm[1] == base[1], "muscle 2 does not drift here"
+
+
+def test_it_warms_from_the_start_on_with_its_time_constant(rig):
+    time = 6.0
+    p = with_effects(rig.parameters("locked"), warm_up={"share_1": 0.1, "share_2": -0.05, "time": time})
+    voltage = np.full((30_001, 2), 5.5)
+    start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
+    assert start[4] == 0.0
+    states, torque, _ = dynamics.simulate(start, voltage, p, DT, 1)
+    assert states[:, 4] == pytest.approx(1.0 - np.exp(-DT * np.arange(len(states)) / time), abs=1e-9)
+    base, steady, _ = dynamics.simulate(start[:4], voltage, rig.parameters("locked"), DT, 1)
+    assert np.array_equal(states[:, :4], base), "the pressures of a locked joint do not feel it"
+    v_1, v_2 = ((paper.force(T, i, T["L_0"], 500e3) - paper.force(T, i, T["L_0"], 400e3)) / 100e3 for i in (1, 2))
+    lost = 0.1 * v_1 * (states[-1, 2] - 101.3e3) + 0.05 * v_2 * (states[-1, 3] - 101.3e3)
+    assert torque[-1] - steady[-1] == pytest.approx(-T["r"] * lost * states[-1, 4], rel=1e-6)
+
+
+# Slack
+
+
+@pytest.mark.parametrize("width", [0.1, 2.0, 20.0])
+def test_a_slack_muscle_never_pushes(rig, width):
+    base, p = rig.parameters(), with_effects(rig.parameters(), slack={"width": width})
+    pushes = 0
+    for angle in np.linspace(-0.43, 0.43, 23):
+        for pressure in np.linspace(101.3e3, 700e3, 25):
+            x = np.array([angle, 0.0, pressure, pressure])
+            for pulls, linear in zip(dynamics.forces(x, p), dynamics.forces(x, base), strict=True):
+                assert pulls > 0.0
+                # Above either branch of the sharp bend, and nowhere by more than half the width.
+                assert 0.0 <= pulls - max(linear, 0.0) <= 0.5 * width + 1e-12
+                pushes += linear < 0.0
+    assert pushes > 50, "the base model pushes in some of these states"
+
+
+def test_where_the_base_model_pushes(rig):
+    """The figures of docs/explanation/model.md: pressures [kPa] below which a muscle's force is negative."""
+    base = rig.parameters()
+
+    def zero_force(muscle, degrees):
+        low, high = (dynamics.forces(np.array([math.radians(degrees), 0.0, q, q]), base)[muscle] for q in (1e5, 2e5))
+        return 100.0 + 100.0 * low / (low - high)
+
+    assert [round(zero_force(0, degrees)) for degrees in (-25, 0, 25)] == [109, 131, 284]
+    assert [round(zero_force(1, degrees)) for degrees in (-25, 0, 25)] == [327, 119, 83]

@@ -17,7 +17,7 @@ from pam_antagonist.simulation import excitation
 VOLTAGE = excitation.profile("steps", 8.0, 1e-3, seed=6)
 NAMES = (
     "hysteresis", "leak", "supply_droop", "valve_lag", "valve_offset", "line_resistance", "pressure_sensor",
-    "load_torque", "friction", "creep", "thermal", "external_torque",
+    "load_torque", "friction", "creep", "thermal", "external_torque", "valve_play", "warm_up", "slack",
 )  # fmt: skip
 """As reports call them."""
 

@@ -1,4 +1,4 @@
-"""The twelve effects once more, in plain Python, written from the words and laws of docs/effects.md.
+"""The fifteen effects once more, in plain Python, written from the words and laws of docs/effects.md.
 
 Like :mod:`transcription` it imports nothing of the package. ``e`` holds the effects' numbers under
 ``"effect.parameter"``; what is not in it is not there. Added states follow P_2 in the order of ``ORDER``.
@@ -21,6 +21,9 @@ ORDER = (
     ("warmth_1", "thermal.share_1"),
     ("warmth_2", "thermal.share_2"),
     ("external_torque", "external_torque.noise"),
+    ("spool_voltage_1", "valve_play.play_1"),
+    ("spool_voltage_2", "valve_play.play_2"),
+    ("warmed", "warm_up.share_1", "warm_up.share_2"),
 )
 """Added states, and the numbers that bring each."""
 
@@ -50,9 +53,14 @@ def relaxes(t, e, i, psi, chamber):
     return e.get(f"creep.share_{i}", 0.0) * paper.force(t, i, l_i, chamber) - e.get("creep.stiffness", 0.0) * l_i
 
 
-def contraction_force(t, e, i, psi, chamber, loop, late):
-    static = paper.force(t, i, paper.length(t, i, psi), chamber)
-    return static - relaxes(t, e, i, psi, chamber) + late + e.get(f"hysteresis.amplitude_{i}", 0.0) * loop
+def contraction_force(t, e, i, psi, chamber, loop, late, warm):
+    l_i = paper.length(t, i, psi)
+    static = paper.force(t, i, l_i, chamber)
+    force = static - relaxes(t, e, i, psi, chamber) + late + e.get(f"hysteresis.amplitude_{i}", 0.0) * loop
+    # By (6) that is v_i times the gauge pressure.
+    force -= e.get(f"warm_up.share_{i}", 0.0) * warm * (static - paper.force(t, i, l_i, t["P_out"]))
+    width = e.get("slack.width", 0.0)
+    return force if width == 0.0 else (force + math.hypot(force, width)) / 2
 
 
 def torque_on_muscles(t, e, x):
@@ -63,7 +71,7 @@ def torque_on_muscles(t, e, x):
         chamber = added.get(f"chamber_{i}", x[1 + i])
         loop = added.get(f"hysteresis_{i}", 0.0)
         late = added.get(f"creep_{i}", relaxes(t, e, i, x[0], chamber))
-        forces.append(contraction_force(t, e, i, x[0], chamber, loop, late))
+        forces.append(contraction_force(t, e, i, x[0], chamber, loop, late, added.get("warmed", 0.0)))
     return t["r"] * math.cos(x[0]) * (forces[0] - forces[1]), forces
 
 
@@ -92,7 +100,11 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
     drawn_in_all = 0.0
     shown = []
     for i in (1, 2):
-        wanted = open_rate(t, e, i, u[i - 1])
+        spool = added.get(f"spool_voltage_{i}", u[i - 1])
+        if f"spool_voltage_{i}" in added:
+            outside_the_play = max(0.0, abs(u[i - 1] - spool) - e[f"valve_play.play_{i}"] / 2)
+            rates[f"spool_voltage_{i}"] = math.copysign(outside_the_play, u[i - 1] - spool) / (t["T_stp"] / 2)
+        wanted = open_rate(t, e, i, spool)
         alpha = added.get(f"open_rate_{i}", wanted)
         if f"open_rate_{i}" in added:
             full_speed = 1.0 / e[f"valve_lag.time_{i}"]
@@ -126,6 +138,8 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
             rates[f"creep_{i}"] = (relaxes(t, e, i, psi, chamber) - added[f"creep_{i}"]) / e["creep.time"]
     if "supply" in added:
         rates["supply"] = -e["supply_droop.stiffness"] * drawn_in_all - added["supply"] / e["supply_droop.time"]
+    if "warmed" in added:
+        rates["warmed"] = (1.0 - added["warmed"]) / e["warm_up.time"]
     rest = [rates[name] for name in names]
     if locked:
         return [0.0, 0.0, *shown, *rest]

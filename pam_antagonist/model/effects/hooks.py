@@ -20,6 +20,8 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     "muscle_length": ("m", "l_i, equation (2)"),
     "length_rate": ("m/s", "dl_i/dt"),
     "static_force": ("N", "contraction force by the static map, equations (6) and (7)"),
+    "passive_force": ("N", "the same at the pressure of the atmosphere"),
+    "muscle_force": ("N", "contraction force, with what effects add to it"),
     "valve_voltage": ("V", "u_i"),
     "wanted_open_rate": ("-", "open rate that the voltage asks for"),
     "valve_pressure": ("Pa", "pressure at valve and sensor, P_i"),
@@ -70,11 +72,12 @@ class Hook:
 _JOINT = ("joint_angle", "joint_velocity", "travel")
 _LOSS = ("chamber_pressure", "orifice_flow")
 _LINE = ("valve_pressure", "chamber_pressure", "valve_flow")
-_FORCE = ("muscle_length", "length_rate", "chamber_pressure")
+_FORCE = ("muscle_length", "length_rate", "chamber_pressure", "passive_force")
 
 HOOKS: dict[str, Hook] = {
     hook.name: hook
     for hook in (
+        Hook("spool_voltage", "voltage for which the spool stands", "V", "replaces", "valve_voltage", states="needed"),
         Hook("voltage_shift", "shift of the curve along the voltage", "V", "subtracts", "valve_voltage", states="none"),
         Hook("open_rate_shift", "change of the open rate", "-", "adds", "wanted_open_rate", states="none"),
         Hook("open_rate", "open rate at which the valve stands", "-", "replaces", "wanted_open_rate", states="needed"),
@@ -84,6 +87,7 @@ HOOKS: dict[str, Hook] = {
         Hook("cooling", "what dP/dt loses", "Pa/s", "subtracts", "polytropic_rate", ("chamber_pressure",)),
         Hook("valve_pressure_rate", "dP/dt at the valve", "Pa/s", "replaces", "chamber_rate", _LINE, states="needed"),
         Hook("contraction_force", "further contraction force", "N", "adds", "static_force", _FORCE),
+        Hook("muscle_force", "force that the muscle passes on", "N", "replaces", "muscle_force", states="none"),
         Hook("coulomb_torque", "further Coulomb torque", "N m", "adds", "coulomb_torque", _JOINT, False, floor=True),
         Hook("disturbance_torque", "torque from outside", "N m", "adds", "muscle_torque", (), False, states="needed"),
         Hook("joint_torque", "torque on the joint", "N m", "adds", "muscle_torque", _JOINT, False),
@@ -94,14 +98,16 @@ HOOKS: dict[str, Hook] = {
 """All hooks by name, in the order in which the model passes them."""
 
 MUSCLE_RATE = (
-    *_JOINT, "muscle_length", "length_rate", "static_force", "wanted_open_rate", "valve_pressure", "chamber_pressure",
-    "valve_flow", "polytropic_rate", "chamber_rate",
+    *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "wanted_open_rate", "valve_pressure",
+    "chamber_pressure", "valve_flow", "polytropic_rate", "chamber_rate",
 )  # fmt: skip
 """What the derivative of a muscle's state may ask for."""
 JOINT_RATE = (*_JOINT, "drawn_flow")
 """What the derivative of a state of the whole joint may ask for."""
 MUSCLE_SETTLED = (
-    *_JOINT, "muscle_length", "length_rate", "static_force", "wanted_open_rate", "valve_pressure", "chamber_pressure",
-    "valve_flow",
+    *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "wanted_open_rate", "valve_pressure",
+    "chamber_pressure", "valve_flow",
 )  # fmt: skip
 """What the value of a muscle's state after a long rest may ask for."""
+JOINT_SETTLED = ("drawn_flow",)
+"""What the value of a state of the whole joint after a long rest may ask for."""

@@ -31,6 +31,9 @@ BUILT_IN = (
     "creep",
     "thermal",
     "external_torque",
+    "valve_play",
+    "warm_up",
+    "slack",
 )
 """Files of this folder, in the catalogue's order."""
 

@@ -1,0 +1,68 @@
+r"""Play between a valve's command and its spool.
+
+```math
+v_i \in \left[u_i - \tfrac12 b_i,\; u_i + \tfrac12 b_i\right],\qquad
+\dot v_i = \frac{1}{T}\left(\min\big(\max(v_i,\, u_i - \tfrac12 b_i),\, u_i + \tfrac12 b_i\big) - v_i\right),\qquad
+\alpha_i = \kappa(v_i).
+```
+
+$v_i$ is the voltage for which the spool stands. It stays while the command $u_i$ moves within the play, and is taken
+along at a distance of $b_i/2$ once the command has left it. A command that goes to and fro by more than $b_i$ opens
+the valve along two branches of the curve, $b_i$ apart. $T$ is the quickest lag that a step of the integration
+follows, so that the speed does not matter. A spool whose command has stood for long starts in the middle of its
+play, $v_i = u_i$. Shift and lag of the valve (`valve_offset`, `valve_lag`) come after the play.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_muscle, state_per_muscle
+
+
+@inlined
+def position(spool_voltage):
+    """Voltage for which the spool stands [V]: the state itself."""
+    return spool_voltage
+
+
+@inlined
+def following(play, spool_voltage, valve_voltage, quickest_lag):
+    """dv/dt [V/s] of a spool that its command takes along at either end of the play.
+
+    Args:
+        play: b [V].
+        spool_voltage: v [V].
+        valve_voltage: u [V].
+        quickest_lag: shortest time constant that a step of the integration follows [s].
+    """
+    taken_along = min(max(spool_voltage, valve_voltage - 0.5 * play), valve_voltage + 0.5 * play)
+    return (taken_along - spool_voltage) / quickest_lag
+
+
+@inlined
+def in_the_middle(valve_voltage):
+    """V [V] of a spool whose command has stood for long: the middle of the play."""
+    return valve_voltage
+
+
+EFFECT = Effect(
+    name="valve_play",
+    meaning="There is play between a valve's command and its spool: the spool stays while the command turns round.",
+    law="α_i = κ(v_i), where v_i is held within u_i ± b_i/2 and stays otherwise",
+    source="play operator: Krasnosel'skii and Pokrovskii (1989); backlash and hysteresis of valves: Tao and Kokotović "
+    "(1996), the hysteresis of data sheets of proportional valves",
+    signature="Mass flow of one muscle wrong after its voltage has turned round, and right while it goes on one way; "
+    "steady pressures depend on the way the voltage came.",
+    parameters=per_muscle("play", "V", 0.0, 1.0, 0.05, "play of the valve", symbol="b"),
+    states=state_per_muscle(
+        "spool_voltage", "V", "play", 0.02, 1e-4, symbol="v", rate=following, settled=in_the_middle
+    ),
+    hooks={"spool_voltage": position},
+    sentence="the spool of {valve} has play (valve_play)",
+    experiment="raise one voltage in steps of 0.2 V, hold each for 10 s, and lower it again by the same steps",
+    told_from={
+        "valve_offset": "approach the same voltage from below and from above: a shifted curve gives one pressure, play "
+        "two",
+        "valve_lag": "hold the voltage after a step: a lag dies out, play stays",
+    },
+    sealed=SealedJoint(part=None, reason="no valve moves"),
+)

@@ -1,0 +1,73 @@
+r"""A force map that drifts with running time.
+
+```math
+F_i = F(l_i, P_i) - s_i\, w\,\big(F(l_i, P_i) - F(l_i, P_{out})\big),\qquad \dot w = (1 - w)/T,\qquad w(0) = 0 .
+```
+
+The share $s_i$ is lost of what the pressure adds to the force; a negative share is gained. The pressure's part is the
+product of the gauge pressure and the braid's geometry (Chou and Hannaford 1996). How much of it arrives depends on
+bladder and braid, whose elasticity and friction change as the muscle warms and is worked in. The force at the
+atmosphere's pressure stays as it was identified. The clock starts with the recording: a muscle that is warm already
+drifts no more. Where `hysteresis` or `creep` is there too, their parts do not drift.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import (
+    AddedState,
+    Effect,
+    EffectParameter,
+    SealedJoint,
+    inlined,
+    per_muscle,
+)
+
+
+@inlined
+def lost_force(share, warmed, static_force, passive_force):
+    """What warming up adds to the contraction force [N]: a share of the pressure's part, with the sign of a loss.
+
+    Args:
+        share: s [-].
+        warmed: w [-].
+        static_force: F(l, P) [N].
+        passive_force: F(l, P_out) [N].
+    """
+    return -share * warmed * (static_force - passive_force)
+
+
+@inlined
+def warming(time, warmed):
+    """dw/dt [1/s].
+
+    Args:
+        time: T [s].
+        warmed: w [-].
+    """
+    return (1.0 - warmed) / time
+
+
+EFFECT = Effect(
+    name="warm_up",
+    meaning="The muscles get weaker or stronger with running time, as they warm up.",
+    law="F_i loses s_i w (F(l_i, P_i) − F(l_i, P_out)), dw/dt = (1 − w)/T, w = 0 at the start",
+    source="first-order warming; that a muscle's force drifts with its temperature in long runs: Andrikopoulos, "
+    "Nikolakopoulos and Manesis (2012); force by gauge pressure: Chou and Hannaford (1996)",
+    signature="Torque and rest angle drift from the start on, the more the higher the pressure; no step in voltage or "
+    "angle begins it, and pressures are as they should be.",
+    parameters=(
+        *per_muscle("share", "-", -0.3, 0.3, 0.02, "share of the pressure's force that is lost", symbol="s"),
+        EffectParameter("time", "s", 40.0, 5.0, 600.0, 40.0, "time constant of the warming", "T"),
+    ),
+    states=(AddedState("warmed", "-", "share_1", 0.1, 1e-3, ("share_2",), symbol="w", rate=warming),),
+    hooks={"contraction_force": lost_force},
+    sentence="the force of the muscles drifts with running time (warm_up)",
+    experiment="record for ten minutes, and once more at once: a muscle that is warm drifts no more",
+    told_from={
+        "creep": "hold voltages and angle for ten minutes, then step: creep begins anew with each step, warming does "
+        "not",
+        "pressure_sensor": "compare the sensor with a gauge at the start and at the end",
+    },
+    sealed=SealedJoint(part=None, reason="within one recording a slow drift of the force looks like creep"),
+    needs_angle=True,
+)
