@@ -34,7 +34,7 @@ setup(
     maintainer_email="maintainers@pam-antagonist.invalid",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/templates/*"]},
+    package_data={NAME: ["py.typed", "report/templates/*", "validation/battery/*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -1,24 +1,24 @@
-"""A diagnosis on a battery of joints whose effects are known: what it says of each, and how often it is right."""
+"""What a diagnosis says of each joint of a battery, beside what is so."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
-from statistics import median
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import load_rig
 from pam_antagonist.strict_json import write_json
-from pam_antagonist.validation.battery.plants import DURATION, JOINTS, KINDS, RIG, Case
+from pam_antagonist.validation.battery.plants import DURATION, JOINTS, RIG, Case
 
 HOLDOUT = 1.0 / 3.0
 CHANNELS = ("angle", "torque", "pressure_1", "pressure_2")
@@ -52,7 +52,7 @@ class Outcome:
         effects: what is there: name, muscle.
         form: how it is written.
         seed: of the case.
-        sizes: of its effects.
+        sizes: of its effects, as they were asked for.
         duration: of each recording [s].
         verdict: ``effect``, ``none`` or ``unexplained``; ``refused`` where the recordings were.
         found: name, muscle of each effect that was found, the strongest first.
@@ -62,6 +62,8 @@ class Outcome:
         errors: held-out RMSE of that channel [deg, N m or Pa]: recalibrated, extended, and of the true model.
         seconds: that the diagnosis took.
         threads: that it had.
+        reached: sizes that the effects really had.
+        code: fingerprint of the program that made the diagnosis.
     """
 
     name: str
@@ -79,6 +81,8 @@ class Outcome:
     errors: Mapping[str, float | None]
     seconds: float
     threads: int
+    reached: tuple[float, ...] = ()
+    code: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -162,7 +166,21 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
         errors=errors,
         seconds=seconds,
         threads=threads,
+        reached=case.reached,
+        code=fingerprint(),
     )
+
+
+@lru_cache(maxsize=1)
+def fingerprint() -> str:
+    """Of every source file of the program, but for what measures it: equal as long as nothing is changed."""
+    package = Path(__file__).parents[2]
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        if "validation" not in source.relative_to(package).parts:
+            digest.update(source.relative_to(package).as_posix().encode())
+            digest.update(source.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def _leading(ranking: Iterable[Any]) -> tuple[Candidate, ...]:
@@ -249,7 +267,7 @@ def load(folder: Path, number: int, case: Case, duration: float) -> Outcome | No
         for key in ("effects", "found"):
             content[key] = tuple((str(name), muscle) for name, muscle in content[key])
         content["leading"] = tuple(Candidate(*values) for values in content["leading"])
-        for key in ("form", "sizes", "ambiguous_with"):
+        for key in ("form", "sizes", "reached", "ambiguous_with"):
             content[key] = tuple(content[key])
         outcome = Outcome(**content)
     except (OSError, ValueError, TypeError, KeyError) as error:
@@ -265,90 +283,3 @@ def load(folder: Path, number: int, case: Case, duration: float) -> Outcome | No
 
 def _path(folder: Path, number: int) -> Path:
     return folder / f"case_{number:03d}.json"
-
-
-@dataclass(frozen=True)
-class Score:
-    """How often a diagnosis was right.
-
-    Attributes:
-        what: is counted.
-        wanted: in words.
-        value: the share, None where there was no such case.
-        count: of how many.
-        bound: the share that is wanted.
-        at_most: whether ``bound`` is the most, not the least.
-    """
-
-    what: str
-    wanted: str
-    value: float | None
-    count: int
-    bound: float | None = None
-    at_most: bool = False
-
-    @property
-    def holds(self) -> bool | None:
-        """Whether it is what was wanted; None where nothing was, or there is nothing to count."""
-        if self.bound is None or self.value is None:
-            return None
-        return self.value <= self.bound if self.at_most else self.value >= self.bound
-
-
-def scores(outcomes: Sequence[Outcome]) -> list[Score]:
-    """The figures that the battery is for."""
-    by_kind = {kind: [item for item in outcomes if item.kind == kind] for kind in KINDS}
-
-    def share(values: Sequence[bool]) -> tuple[float | None, int]:
-        return (sum(values) / len(values) if values else None), len(values)
-
-    def right(kind: str) -> tuple[float | None, int]:
-        return share([item.right for item in by_kind[kind]])
-
-    single, pairs = by_kind["single"], by_kind["pair"]
-    on_muscle = [item.right_muscle for item in single if item.right_muscle is not None]
-    not_told_apart = [item.right or item.effects[0][0] in item.ambiguous_with for item in single]
-    one_first = [bool(item.names) and item.names[0] in dict(item.effects) for item in pairs]
-    leads = [
-        item.right or [candidate.effect for candidate in item.leading[:1]] == [item.effects[0][0]] for item in single
-    ]
-    exact = [not item.superfluous for item in (*single, *pairs) if item.names]
-    alarms = [not item.right for item in by_kind["none"]]
-    reductions = [item.reduction for item in single if item.right and item.reduction is not None]
-    reduction = median(reductions) if reductions else None
-    return [
-        Score("single effect: the right one first", "at least 90 %", *right("single"), 0.9),
-        Score("single effect: and on its muscle", "", *share(on_muscle)),
-        Score("single effect: first, or among those it cannot be told from", "", *share(not_told_apart)),
-        Score("single effect: named, or the first of the candidates where none explains enough", "", *share(leads)),
-        Score("two effects: both found", "at least 70 %", *right("pair"), 0.7),
-        Score("two effects: one of them first", "", *share(one_first)),
-        Score("one or two effects, some found: none named that is not there", "", *share(exact)),
-        Score("nothing: false alarm", "at most 5 %", *share(alarms), 0.05, at_most=True),
-        Score("in no catalogue: unexplained", "at least 80 %", *right("foreign"), 0.8),
-        Score(
-            "error that a true model takes away, taken away (median)", "at least 70 %", reduction, len(reductions), 0.7
-        ),
-    ]
-
-
-def confusion(outcomes: Sequence[Outcome]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """What was there against what was said first.
-
-    Returns:
-        Header and rows of text; a row is an effect that was alone, ``none``, or what is in no catalogue; a column the
-        first effect that was found, ``none`` or ``unexplained``.
-    """
-    counts: dict[str, dict[str, int]] = {}
-    for item in outcomes:
-        if item.kind != "pair":
-            row = "none" if item.kind == "none" else item.effects[0][0]
-            row = f"({item.form[0]})" if item.kind == "foreign" else row
-            said = item.names[0] if item.names else item.verdict
-            counts.setdefault(row, {})
-            counts[row][said] = counts[row].get(said, 0) + 1
-    order = [*CATALOGUE, "none", *sorted(row for row in counts if row.startswith("("))]
-    rows = [row for row in order if row in counts]
-    columns = [c for c in (*CATALOGUE, "none", "unexplained", "refused") if any(c in counts[row] for row in rows)]
-    body = tuple((row, *(str(counts[row][c]) if c in counts[row] else "·" for c in columns)) for row in rows)
-    return ("there \\ said first", *columns), body

@@ -1,9 +1,8 @@
 """A joint with effects in other forms than the catalogue's, to try a diagnosis on.
 
 Each form is a function of its own; :func:`rates` puts them together with the model's own equations (2) to (10), which
-are taken from :mod:`pam_antagonist.model` and not written again. A form whose size is 0 is not there.
-
-Numbers of the forms stand in a flat array ``q``, indexed by ``Q``; those that both muscles have follow one another.
+are taken from :mod:`pam_antagonist.model`. Numbers of the forms stand in a flat array ``q``, indexed by ``Q``; a form
+whose number is 0 is not there. Those that both muscles have follow one another.
 """
 
 from __future__ import annotations
@@ -30,67 +29,63 @@ SETTLING = 500
 """Samples with the pressures held before a recording begins, so that it begins at rest."""
 
 _NAMES = (
-    # Hysteresis: Dahl, and Maxwell slip.
-    *("dahl_1", "dahl_2", "dahl_width", "dahl_power", "slip_1", "slip_2", "slip_width"),
-    # Leak: linear in the pressure, as in a long capillary.
-    *("seep_1", "seep_2", "capillary_1", "capillary_2"),
-    # Supply: a regulator's drop with the root of the flow; a tank that is fed through an orifice.
-    *("regulator", "tank", "feed"),
-    # Valve: second-order spool.
-    *("spool_1", "spool_2"),
-    # Line with a volume: resistance, flow at which it is twice the laminar one, volume.
-    *("line_1", "line_2", "line_turbulent", "line_volume"),
-    # Load: a pendulum off the vertical behind a gear, a spring that hardens.
-    *("pendulum", "pendulum_gear", "pendulum_angle", "spring", "spring_angle", "spring_hardening"),
-    # Friction: bristles, and a level that falls with the velocity.
-    *("bristle", "bristle_angle", "rub", "rub_velocity"),
-    # Creep: branches with times and weights.
-    *("creep_1", "creep_2"),
+    # Hysteresis: Dahl; Maxwell slip, which may grow with the pressure and fade with the speed.
+    *("dahl_1", "dahl_2", "dahl_width", "dahl_power"),
+    *("slip_1", "slip_2", "slip_width", "slip_pressure", "slip_fade", "slip_velocity"),
+    # Leak: linear in the pressure, as in a long capillary, a seam that a pressure opens, a crack that the length opens.
+    *("seep_1", "seep_2", "capillary_1", "capillary_2", "seam_1", "seam_2", "seam_pressure", "crack_1", "crack_2"),
+    # Supply: drops with the root of the flow and with its square; a tank behind an orifice; a compressor's switch.
+    *("regulator", "inlet", "tank", "feed", "compressor", "switch"),
+    # Valve: spool. Line: resistance, flow at which it is twice the laminar one, volume, ratio at which it chokes.
+    *("spool_1", "spool_2", "line_1", "line_2", "line_turbulent", "line_volume", "line_critical"),
+    # Load: a pendulum off the vertical behind a gear, a spring that hardens, bumpers on either side.
+    *("pendulum", "pendulum_gear", "pendulum_angle"),
+    *("spring", "spring_angle", "spring_hardening", "bumper", "bumper_gap"),
+    # Friction: bristles whose level falls with the velocity, a level that does, and one that changes with the angle.
+    *("bristle", "bristle_angle", "bristle_fall", "rub", "rub_velocity", "rub_fall", "rub_wave", "rub_number"),
+    # Creep: branches with times and weights, quicker under load.
+    *("creep_1", "creep_2", "creep_load"),
     *(f"creep_time_{k}" for k in range(ELEMENTS)),
     *(f"creep_weight_{k}" for k in range(ELEMENTS)),
     # Gas: energy balance with the mass in the chamber; gas, wall and surroundings.
-    *("gas_1", "gas_2", "gas_time", "wall_1", "wall_2", "wall_time"),
+    *("gas_1", "gas_2", "gas_time", "gas_flow", "wall_1", "wall_2", "wall_time"),
+    # Force that gets less with the running time, or with the work done.
+    *("tire_1", "tire_2", "tire_time", "tire_work"),
     # In no catalogue.
     *("exchange", "cogging", "cogging_number", "swell_1", "swell_2", "crosstalk", "bend_1", "bend_2"),
 )
 Q = {name: index for index, name in enumerate(_NAMES)}
 _DAHL, _DAHL_WIDTH, _DAHL_POWER = Q["dahl_1"], Q["dahl_width"], Q["dahl_power"]
-_SLIP, _SLIP_WIDTH = Q["slip_1"], Q["slip_width"]
-_SEEP, _CAPILLARY = Q["seep_1"], Q["capillary_1"]
-_REGULATOR, _TANK, _FEED = Q["regulator"], Q["tank"], Q["feed"]
-_SPOOL = Q["spool_1"]
-_LINE, _LINE_TURBULENT, _LINE_VOLUME = Q["line_1"], Q["line_turbulent"], Q["line_volume"]
+_SLIP, _SLIP_WIDTH, _SLIP_PRESSURE = Q["slip_1"], Q["slip_width"], Q["slip_pressure"]
+_SLIP_FADE, _SLIP_VELOCITY = Q["slip_fade"], Q["slip_velocity"]
+_SEEP, _CAPILLARY, _SEAM, _SEAM_PRESSURE = Q["seep_1"], Q["capillary_1"], Q["seam_1"], Q["seam_pressure"]
+_CRACK, _SPOOL, _REGULATOR, _INLET, _TANK = Q["crack_1"], Q["spool_1"], Q["regulator"], Q["inlet"], Q["tank"]
+_FEED, _COMPRESSOR, _SWITCH, _CREEP_LOAD = Q["feed"], Q["compressor"], Q["switch"], Q["creep_load"]
+_LINE, _LINE_TURBULENT = Q["line_1"], Q["line_turbulent"]
+_LINE_VOLUME, _LINE_CRITICAL = Q["line_volume"], Q["line_critical"]
 _PENDULUM, _PENDULUM_GEAR, _PENDULUM_ANGLE = Q["pendulum"], Q["pendulum_gear"], Q["pendulum_angle"]
 _SPRING, _SPRING_ANGLE, _SPRING_HARDENING = Q["spring"], Q["spring_angle"], Q["spring_hardening"]
-_BRISTLE, _BRISTLE_ANGLE, _RUB, _RUB_VELOCITY = Q["bristle"], Q["bristle_angle"], Q["rub"], Q["rub_velocity"]
+_BUMPER, _BUMPER_GAP, _RUB_WAVE, _RUB_NUMBER = Q["bumper"], Q["bumper_gap"], Q["rub_wave"], Q["rub_number"]
+_BRISTLE, _BRISTLE_ANGLE, _BRISTLE_FALL = Q["bristle"], Q["bristle_angle"], Q["bristle_fall"]
+_RUB, _RUB_VELOCITY, _RUB_FALL = Q["rub"], Q["rub_velocity"], Q["rub_fall"]
 _CREEP, _CREEP_TIME, _CREEP_WEIGHT = Q["creep_1"], Q["creep_time_0"], Q["creep_weight_0"]
-_GAS, _GAS_TIME, _WALL, _WALL_TIME = Q["gas_1"], Q["gas_time"], Q["wall_1"], Q["wall_time"]
+_GAS, _GAS_TIME, _GAS_FLOW, _WALL, _WALL_TIME = Q["gas_1"], Q["gas_time"], Q["gas_flow"], Q["wall_1"], Q["wall_time"]
+_TIRE, _TIRE_TIME, _TIRE_WORK = Q["tire_1"], Q["tire_time"], Q["tire_work"]
 _EXCHANGE, _COGGING, _COGGING_NUMBER = Q["exchange"], Q["cogging"], Q["cogging_number"]
 _SWELL, _CROSSTALK, _BEND = Q["swell_1"], Q["crosstalk"], Q["bend_1"]
 
 # States behind [ψ, ψ̇, P_1, P_2].
 _LOOP, _ELEMENT, _SUPPLY_AT, _OPEN, _OPENING, _AT_VALVE = 4, 6, 14, 15, 17, 19
-_LATE, _WARM, _WALL_WARM, _BRISTLE_AT, SIZE = 21, 29, 31, 33, 34
+_LATE, _WARM, _WALL_WARM, _BRISTLE_AT, _TIRED, _RUNNING, SIZE = 21, 29, 31, 33, 34, 36, 37
 
 _MIDDLE, _HALF_RANGE = 450e3, 250e3
-_SPOOL_DAMPING, _REGULATOR_LAG = 0.7, 0.03
+_SPOOL_DAMPING, _REGULATOR_LAG, _MIDDLE_FORCE = 0.7, 0.03, 200.0
 _REFERENCE_FLOW = 1e-4
 
-_leverage, _length, _length_rate, _volume, _force = (
-    muscle.leverage,
-    muscle.length,
-    muscle.length_rate,
-    muscle.volume,
-    muscle.force,
-)
-_orifice_flow, _valve_flow, _pressure_rate, _open_rate = (
-    flow.orifice_flow,
-    flow.valve_flow,
-    flow.pressure_rate,
-    flow.open_rate,
-)
-_muscle_torque, _coulomb_torque, _acceleration = joint.muscle_torque, joint.coulomb_torque, joint.acceleration
-_stop = dynamics._stop
+_leverage, _length, _length_rate = muscle.leverage, muscle.length, muscle.length_rate
+_volume, _force, _pressure_rate, _open_rate = muscle.volume, muscle.force, flow.pressure_rate, flow.open_rate
+_orifice_flow, _valve_flow, _muscle_torque = flow.orifice_flow, flow.valve_flow, joint.muscle_torque
+_coulomb_torque, _acceleration, _stop = joint.coulomb_torque, joint.acceleration, dynamics._stop
 
 
 def numbers(**values: float) -> np.ndarray:
@@ -100,88 +95,71 @@ def numbers(**values: float) -> np.ndarray:
         KeyError: a name that is none.
     """
     q = np.zeros(len(_NAMES))
-    widths = ("dahl_width", "dahl_power", "slip_width", "bristle_angle", "rub_velocity")
-    for name in (*widths, "line_turbulent", "line_volume"):
+    widths = ("dahl_width", "dahl_power", "slip_width", "slip_velocity", "bristle_angle", "rub_velocity")
+    times = ("gas_time", "wall_time", "tire_time", *(f"creep_time_{k}" for k in range(ELEMENTS)))
+    for name in (*widths, *times, "line_turbulent", "line_volume"):
         q[Q[name]] = 1.0
-    for name in ("gas_time", "wall_time", *(f"creep_time_{k}" for k in range(ELEMENTS))):
-        q[Q[name]] = 1.0
+    q[_BRISTLE_FALL] = q[_RUB_FALL] = 0.4
     for name, value in values.items():
         q[Q[name]] = value
     return q
 
 
 @inlined
-def dahl_rate(loop, rate, q):
-    """Dahl (1968): dz/dt of a loop that bends all the way round, (dl/dt)/s · (1 − z sgn dl/dt)^power.
-
-    Args:
-        loop: z [-].
-        rate: dl/dt [m/s].
-        q: sizes of the forms, see ``Q``.
-    """
+def _dahl_rate(loop, rate, q):
+    """Dahl (1968): dz/dt of a loop that bends all the way round, (dl/dt)/s · (1 − z sgn dl/dt)^power."""
     way = 1.0 if rate > 0.0 else -1.0
     return rate / q[_DAHL_WIDTH] * max(1.0 - loop * way, 0.0) ** q[_DAHL_POWER]
 
 
 @inlined
-def slip_share(i, x, q):
+def _slip_share(i, pressure, rate, x, q):
     """Mean extension of the Maxwell-slip elements of muscle i, each over the length at which it slips [-].
 
-    Args:
-        i: muscle, 0 or 1.
-        x: state of the joint with its forms.
-        q: sizes of the forms, see ``Q``.
+    A braid that a higher pressure loads rubs harder (Davis and Caldwell 2006). In the generalised model (Al-Bender et
+    al. 2005) the elements hold less while they slip quickly.
     """
     total = 0.0
     for k in range(ELEMENTS):
         total += x[_ELEMENT + ELEMENTS * i + k] / (q[_SLIP_WIDTH] * (k + 0.5))
-    return total / ELEMENTS
+    loaded = 1.0 + q[_SLIP_PRESSURE] * (pressure - _MIDDLE) / _HALF_RANGE
+    return total / ELEMENTS * loaded * (1.0 - q[_SLIP_FADE] * (1.0 - math.exp(-abs(rate) / q[_SLIP_VELOCITY])))
 
 
 @kernel
-def slip(i, travel, x, q):
-    """Maxwell slip (Al-Bender et al. 2005): each element follows the length until it slips.
-
-    Args:
-        i: muscle, 0 or 1.
-        travel: change of the length [m].
-        x: state of the joint with its forms, changed in place.
-        q: sizes of the forms, see ``Q``.
-    """
+def _slip(i, travel, x, q):
+    """Maxwell slip (Al-Bender et al. 2005): each element follows the length until it slips."""
     for k in range(ELEMENTS):
         at, most = _ELEMENT + ELEMENTS * i + k, q[_SLIP_WIDTH] * (k + 0.5)
         x[at] = min(max(x[at] + travel, -most), most)
 
 
 @inlined
-def escaped(i, pressure, p, q):
+def _escaped(i, pressure, muscle_length, p, q):
     """Mass flow of the leaks [kg/s]: linear in the gauge pressure, or in the difference of squares (capillary).
 
-    Args:
-        i: muscle, 0 or 1.
-        pressure: absolute [Pa].
-        p: parameter vector of the model.
-        q: sizes of the forms, see ``Q``.
+    A seam opens above a pressure, in proportion to what is above it. A crack opens beyond the middle length.
     """
     outside = p[ATMOSPHERE]
-    return q[_SEEP + i] * (pressure - outside) + q[_CAPILLARY + i] * (pressure * pressure - outside * outside)
+    gauge = pressure - outside
+    seam = q[_SEAM + i] * max(pressure - q[_SEAM_PRESSURE], 0.0) * gauge
+    crack = q[_CRACK + i] * max(muscle_length - _length(i, 0.0, p), 0.0) * gauge
+    return q[_SEEP + i] * gauge + q[_CAPILLARY + i] * (pressure * pressure - outside * outside) + seam + crack
 
 
 @inlined
-def supply_rate(deviation, drawn, p, q):
+def _supply_rate(deviation, drawn, running, p, q):
     """How the supply's deviation s [Pa] from its set pressure moves [Pa/s].
 
-    A regulator drops with the root of the flow; a tank of volume V is refilled through an orifice.
-
-    Args:
-        deviation: s [Pa].
-        drawn: mass flow from the supply [kg/s].
-        p: parameter vector of the model.
-        q: sizes of the forms, see ``Q``.
+    A regulator drops with the root of the flow, a line in front of the valves with its square; a tank of volume V is
+    refilled through an orifice, or by a compressor that is running or not.
     """
-    if q[_REGULATOR] != 0.0:
-        drop = q[_REGULATOR] * math.sqrt(max(drawn, 0.0) / _REFERENCE_FLOW)
+    if q[_REGULATOR] != 0.0 or q[_INLET] != 0.0:
+        ratio = max(drawn, 0.0) / _REFERENCE_FLOW
+        drop = q[_REGULATOR] * math.sqrt(ratio) + q[_INLET] * ratio * ratio
         return (-drop - deviation) / _REGULATOR_LAG
+    if q[_COMPRESSOR] != 0.0:
+        return q[_COMPRESSOR] * (2.0 * running - drawn / _REFERENCE_FLOW)
     if q[_TANK] != 0.0:
         refill = q[_FEED] * _orifice_flow(p[SUPPLY], p[SUPPLY] + deviation, p)
         return q[_TANK] * p[GAS_CONSTANT] * p[TEMPERATURE] * (refill - drawn)
@@ -189,25 +167,27 @@ def supply_rate(deviation, drawn, p, q):
 
 
 @inlined
-def line_flow(i, difference, q):
+def _line_flow(i, upper, lower, q):
     """Mass flow [kg/s] through a line: ΔP = R m (1 + |m|/m_0), solved for m.
 
-    Args:
-        i: muscle, 0 or 1.
-        difference: ΔP over the line [Pa].
-        q: sizes of the forms, see ``Q``.
+    A fitting whose flow chokes (ISO 6358) gets no more once the ratio of the pressures falls below the critical one.
     """
+    high, low = max(upper, lower), min(upper, lower)
+    if q[_LINE_CRITICAL] != 0.0:
+        low = max(low, q[_LINE_CRITICAL] * high)
     reference = q[_LINE_TURBULENT]
-    root = math.sqrt(1.0 + 4.0 * abs(difference) / (q[_LINE + i] * reference))
+    root = math.sqrt(1.0 + 4.0 * (high - low) / (q[_LINE + i] * reference))
     size = 0.5 * reference * (root - 1.0)
-    return size if difference > 0.0 else -size
+    return size if upper > lower else -size
 
 
 @inlined
-def load(angle, q):
-    """Torque of the loads [N m]: a geared pendulum whose rest is not at 0, a spring that hardens, cogging."""
+def _load(angle, q):
+    """Torque of the loads [N m]: a geared pendulum whose rest is not at 0, a spring that hardens, bumpers, cogging."""
     stretch = angle - q[_SPRING_ANGLE]
     pull = q[_SPRING] * stretch * (1.0 + q[_SPRING_HARDENING] * stretch * stretch)
+    deep = max(abs(angle) - q[_BUMPER_GAP], 0.0)
+    pull += q[_BUMPER] * deep * math.sqrt(deep) * (1.0 if angle > 0.0 else -1.0)
     return (
         q[_PENDULUM] * math.sin(q[_PENDULUM_GEAR] * angle - q[_PENDULUM_ANGLE])
         - pull
@@ -216,23 +196,17 @@ def load(angle, q):
 
 
 @inlined
-def rubbing(velocity, q):
-    """Friction [N m] by Hess and Soom (1990): a level at rest, and a third less of it at speed."""
+def _rubbing(angle, velocity, q):
+    """Friction [N m] by Hess and Soom (1990): a level at rest, and less of it at speed; a gear's goes round."""
     ratio = velocity / q[_RUB_VELOCITY]
-    return q[_RUB] * (0.8 + 0.4 / (1.0 + ratio * ratio))
+    wave = 1.0 + q[_RUB_WAVE] * math.sin(q[_RUB_NUMBER] * angle)
+    return q[_RUB] * wave * (1.2 - q[_RUB_FALL] + q[_RUB_FALL] / (1.0 + ratio * ratio))
 
 
 @inlined
-def late_force(i, static, x, q):
-    """Force of a muscle [N] some of whose share comes late, in branches of their own times.
-
-    Args:
-        i: muscle, 0 or 1.
-        static: force of the force map [N].
-        x: state of the joint with its forms.
-        q: sizes of the forms, see ``Q``.
-    """
-    total = static
+def _late_force(i, static, x, q):
+    """Force of a muscle [N], less by what it is tired, some of whose share comes late, in branches of their own."""
+    total = static * (1.0 - q[_TIRE + i] * x[_TIRED + i])
     if q[_CREEP + i] != 0.0:
         for k in range(ELEMENTS):
             total += q[_CREEP + i] * q[_CREEP_WEIGHT + k] * (x[_LATE + ELEMENTS * i + k] - static)
@@ -240,36 +214,28 @@ def late_force(i, static, x, q):
 
 
 @inlined
-def contraction_force(i, sine, pressure, x, q, p):
-    """Contraction force of muscle i [N], forms included.
-
-    Args:
-        i: muscle, 0 or 1.
-        sine: of the angle.
-        pressure: absolute [Pa].
-        x: state of the joint with its forms.
-        q: sizes of the forms, see ``Q``.
-        p: parameter vector of the model.
-    """
+def _contraction_force(i, sine, cosine, pressure, x, q, p):
+    """Contraction force of muscle i [N], forms included."""
     static = _force(i, _length(i, sine, p), pressure, p)
     bent = (pressure - _MIDDLE) / _HALF_RANGE
-    total = late_force(i, static, x, q) + q[_DAHL + i] * x[_LOOP + i] + q[_BEND + i] * bent * bent
+    total = _late_force(i, static, x, q) + q[_DAHL + i] * x[_LOOP + i] + q[_BEND + i] * bent * bent
     if q[_SLIP + i] != 0.0:
-        total += q[_SLIP + i] * slip_share(i, x, q)
+        total += q[_SLIP + i] * _slip_share(i, pressure, _length_rate(i, cosine, x[1], p), x, q)
     return total
 
 
 @inlined
-def _cooling(i, pressure, rate, x, q, dx):
+def _cooling(i, pressure, rate, through, x, q, dx):
     """What Ṗ loses to the walls [Pa/s]; the states of the gas in ``dx``.
 
     By an energy balance the warmth θ/T − 1 follows dP/P and cools with a time that grows with the mass of gas,
-    so with the pressure. With a wall of its own warmth, gas, wall and surroundings exchange heat one after the other.
+    so with the pressure; air that streams in or out cools it quicker (forced convection). With a wall of its own
+    warmth, gas, wall and surroundings exchange heat one after the other.
     """
     lost = 0.0
     warm = x[_WARM + i]
     if q[_GAS + i] != 0.0:
-        fall = warm / (q[_GAS_TIME] * pressure / _MIDDLE)
+        fall = warm / (q[_GAS_TIME] * pressure / _MIDDLE) * (1.0 + q[_GAS_FLOW] * abs(through) / _REFERENCE_FLOW)
         dx[_WARM + i] = q[_GAS + i] * (1.0 + warm) * rate / pressure - fall
         lost = pressure / (1.0 + warm) * fall
     if q[_WALL + i] != 0.0:
@@ -321,31 +287,37 @@ def rates(x, wanted, push, supply_change, p, q, dx):
         volume, slope = _volume(i, muscle_length, p)
         arriving = through
         if q[_LINE + i] != 0.0:
-            arriving = line_flow(i, at_valve - chamber, q)
+            arriving = _line_flow(i, at_valve, chamber, q)
             dx[_AT_VALVE + i] = _pressure_rate(at_valve, q[_LINE_VOLUME], 0.0, through - arriving, p)
-        net = arriving - escaped(i, chamber, p, q) - (crossing if i == 0 else -crossing)
+        net = arriving - _escaped(i, chamber, muscle_length, p, q) - (crossing if i == 0 else -crossing)
         swelling = q[_SWELL + i] / _HALF_RANGE
         swollen = volume * (1.0 + swelling * (chamber - _MIDDLE))
         rate = _pressure_rate(chamber, swollen, slope * length_rate, net, p)
         # The volume that grows with the pressure takes its share of every change of it.
         rate /= 1.0 + p[POLYTROPIC_VOLUME] * volume * swelling * chamber / swollen
-        dx[2 + i] = rate - _cooling(i, chamber, rate, x, q, dx)
+        dx[2 + i] = rate - _cooling(i, chamber, rate, net, x, q, dx)
         if q[_DAHL + i] != 0.0:
-            dx[_LOOP + i] = dahl_rate(x[_LOOP + i], length_rate, q)
+            dx[_LOOP + i] = _dahl_rate(x[_LOOP + i], length_rate, q)
         if q[_CREEP + i] != 0.0:
             static = _force(i, muscle_length, chamber, p)
+            # Rubber relaxes quicker under load (Schapery 1969).
+            hurry = (max(static, 10.0) / _MIDDLE_FORCE) ** q[_CREEP_LOAD]
             for k in range(ELEMENTS):
-                dx[_LATE + ELEMENTS * i + k] = (static - x[_LATE + ELEMENTS * i + k]) / q[_CREEP_TIME + k]
-    dx[_SUPPLY_AT] = supply_rate(x[_SUPPLY_AT], drawn_in_all, p, q)
+                dx[_LATE + ELEMENTS * i + k] = (static - x[_LATE + ELEMENTS * i + k]) / q[_CREEP_TIME + k] * hurry
+        if q[_TIRE + i] != 0.0:
+            work = abs(_force(i, muscle_length, chamber, p) * length_rate)
+            gain = work / q[_TIRE_WORK] if q[_TIRE_WORK] != 0.0 else 1.0 / q[_TIRE_TIME]
+            dx[_TIRED + i] = gain - x[_TIRED + i] / q[_TIRE_TIME]
+    dx[_SUPPLY_AT] = _supply_rate(x[_SUPPLY_AT], drawn_in_all, x[_RUNNING], p, q)
     if p[LOCKED] != 0.0:
         return
-    force_1 = contraction_force(0, sine, x[2], x, q, p)
-    force_2 = contraction_force(1, sine, x[3], x, q, p)
-    coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p) + rubbing(velocity, q)
-    balance = _muscle_torque(cosine, force_1, force_2, p) + push + load(angle, q)
+    force_1 = _contraction_force(0, sine, cosine, x[2], x, q, p)
+    force_2 = _contraction_force(1, sine, cosine, x[3], x, q, p)
+    coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p) + _rubbing(angle, velocity, q)
+    balance = _muscle_torque(cosine, force_1, force_2, p) + push + _load(angle, q)
     if q[_BRISTLE] != 0.0:
         # Bristles (Canudas de Wit et al. 1995): a spring that slips, with a Stribeck level, and its damping.
-        level = 1.0 + 0.4 * math.exp(-abs(velocity) / 0.1)
+        level = 1.0 + q[_BRISTLE_FALL] * math.exp(-abs(velocity) / 0.1)
         bend = velocity - abs(velocity) * x[_BRISTLE_AT] / (q[_BRISTLE_ANGLE] * level)
         dx[_BRISTLE_AT] = bend
         balance -= q[_BRISTLE] / q[_BRISTLE_ANGLE] * (x[_BRISTLE_AT] + 2e-3 * bend)
@@ -366,10 +338,13 @@ def _step(x, wanted, push, supply_change, p, q, dt, slopes, point):
     for i in range(SIZE):
         x[i] += dt / 6.0 * (slopes[0, i] + 2.0 * (slopes[1, i] + slopes[2, i]) + slopes[3, i])
     _stop(x, p)
+    if q[_COMPRESSOR] != 0.0 and abs(x[_SUPPLY_AT]) > 0.5 * q[_SWITCH]:
+        # Between the switch's two pressures it goes on as it is.
+        x[_RUNNING] = 1.0 if x[_SUPPLY_AT] < 0.0 else 0.0
     if q[_SLIP] != 0.0 or q[_SLIP + 1] != 0.0:
         after, _, _ = _leverage(x[0], p)
         for i in range(2):
-            slip(i, _length(i, after, p) - _length(i, sine, p), x, q)
+            _slip(i, _length(i, after, p) - _length(i, sine, p), x, q)
 
 
 @kernel
@@ -418,7 +393,7 @@ def simulate(angle, pressure, voltage, push, supply_change, p, q, dt, substeps):
         angles[k] = x[0]
         for i in range(2):
             pressures[k, i] = x[_AT_VALVE + i] if q[_LINE + i] != 0.0 else x[2 + i]
-        force_1 = contraction_force(0, sine, x[2], x, q, p)
-        force_2 = contraction_force(1, sine, x[3], x, q, p)
+        force_1 = _contraction_force(0, sine, cosine, x[2], x, q, p)
+        force_2 = _contraction_force(1, sine, cosine, x[3], x, q, p)
         torques[k] = _muscle_torque(cosine, force_1, force_2, p)
     return angles, pressures, torques

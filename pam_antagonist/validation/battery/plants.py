@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import scattered
 from pam_antagonist.validation.battery import physics
-from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Deviation, Form
+from pam_antagonist.validation.battery.forms import FORMS, Deviation
 
 Floats = NDArray[np.float64]
 KINDS = ("single", "pair", "none", "foreign")
@@ -28,15 +28,15 @@ JOINTS = ("free", "locked")
 RIG = "shin2022"
 SPREAD = 0.01
 """Relative standard deviation of the base parameters [-]."""
-SMALLEST = 3.0
-"""Least size of an effect, in noises of the channel that it moves most."""
 DURATION = 60.0
-_SUBSTEPS = 4
+_SUBSTEPS = Deviation().substeps
 _FIRST_STAMP_NS = 1_000_000_000_000_000_000
 _START_PRESSURE = 450e3
 _LOWEST, _HIGHEST, _REST = 4.15, 8.0, 5.5
 _VOLTAGE_STEP = 10.0 / 4096
-_KIND_SHARES = (("single", 0.5), ("pair", 0.2), ("none", 0.15), ("foreign", 0.15))
+_CLOSE = 1.1
+"""A size is right to this factor."""
+_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,10 @@ class Case:
         effects: name in the catalogue and muscle (1, 2 or None: both, or no muscle's) of each effect.
         form: how they are written, in words.
         seed: of everything that is random in it.
-        sizes: of each effect, in noises of the channel that it moves most.
+        sizes: of each effect: root mean square, over a minute of the free joint, by which it alone moves the channel
+            that it moves most, in noises of a sample.
+        exact: whether the effects are adjusted until they have these sizes; otherwise they are the forms' amounts,
+            and right to a factor of about three.
     """
 
     name: str
@@ -73,6 +76,7 @@ class Case:
     form: tuple[str, ...]
     seed: int
     sizes: tuple[float, ...]
+    exact: bool = False
 
     def recordings(self, duration: float = DURATION) -> tuple[Recording, Recording]:
         """The joint free, then locked at 0°.
@@ -138,94 +142,62 @@ class Case:
 
     def deviations(self) -> list[Deviation]:
         """What its effects change."""
-        known = {form.name: form for form in (*SINGLE, *FOREIGN)}
+        if self.exact:
+            return [_of_size(self, index)[0] for index in range(len(self.form))]
         rng = np.random.default_rng([self.seed, 1])
         return [
-            known[name].make(size, muscle, rng)
+            FORMS[name].make(size, muscle, rng)
             for name, size, (_, muscle) in zip(self.form, self.sizes, self.effects, strict=True)
         ]
 
+    @property
+    def reached(self) -> tuple[float, ...]:
+        """Sizes that the effects really have: a form may be too small or too large for the one that is wanted."""
+        return tuple(_of_size(self, index)[1] for index in range(len(self.form))) if self.exact else self.sizes
+
     def moved(self, duration: float = DURATION) -> dict[str, float]:
         """How far its effects move each channel, root mean square over the sensor's noise, by ``joint channel``."""
-        sensors = load_rig(RIG).sensors
         out = {}
         for joint in JOINTS:
             with_them, without = (self.channels(joint, duration, effects) for effects in (True, False))
-            for channel, std in (("angle", sensors.angle_std), ("torque", sensors.torque_std)):
-                difference = getattr(with_them, channel) - getattr(without, channel)
-                out[f"{joint} {channel}"] = float(np.sqrt(np.mean(difference**2))) / std
-            difference = with_them.pressure - without.pressure
-            for i, rms in enumerate(np.sqrt(np.mean(difference**2, axis=0)).tolist(), 1):
-                out[f"{joint} pressure_{i}"] = rms / sensors.pressure_std
+            out.update({f"{joint} {name}": value for name, value in _apart(with_them, without).items()})
         return out
 
     def _random(self, joint: str, what: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, JOINTS.index(joint), ("base", "voltage", "noise").index(what), 7])
 
 
-def cases(seed: int, count: int) -> list[Case]:
-    """A battery: half of it single effects, the rest pairs, nothing at all, and what is in no catalogue.
-
-    Every form comes up before any comes up again, so that a battery of 80 holds them all.
-
-    Args:
-        seed: of the battery.
-        count: how many cases; a longer battery of the same seed begins with the shorter one.
-
-    Raises:
-        BadInput: a negative seed, or fewer than one case.
-    """
-    if seed < 0 or count < 1:
-        raise BadInput(f"battery: seed {seed} and {count} cases, expected a seed of 0 or more and one case or more")
-    rng = np.random.default_rng(seed)
-    singles, firsts, foreigners = _Deck(SINGLE, rng), _Deck(SINGLE, rng), _Deck(FOREIGN, rng)
-    done = dict.fromkeys(KINDS, 0)
-    out = []
-    for number in range(count):
-        # The kind that is furthest behind its share.
-        kind = max(_KIND_SHARES, key=lambda item: item[1] * (number + 1) - done[item[0]])[0]
-        done[kind] += 1
-        forms: list[Form] = []
-        if kind == "single":
-            forms = [singles.draw()]
-        elif kind == "foreign":
-            forms = [foreigners.draw()]
-        elif kind == "pair":
-            first = firsts.draw()
-            others = [form for form in SINGLE if form.effect != first.effect]
-            forms = [first, others[int(rng.integers(len(others)))]]
-        out.append(_case(number, kind, forms, seed, rng))
-    return out
+def _apart(one: Channels, other: Channels) -> dict[str, float]:
+    """Root mean squares of the differences, in noises of a sample, by channel."""
+    sensors = load_rig(RIG).sensors
+    differences = {
+        "angle": (one.angle - other.angle) / sensors.angle_std,
+        "torque": (one.torque - other.torque) / sensors.torque_std,
+        "pressure_1": (one.pressure - other.pressure)[:, 0] / sensors.pressure_std,
+        "pressure_2": (one.pressure - other.pressure)[:, 1] / sensors.pressure_std,
+    }
+    return {name: float(np.sqrt(np.mean(values**2))) for name, values in differences.items()}
 
 
-def _case(number: int, kind: str, forms: Sequence[Form], seed: int, rng: np.random.Generator) -> Case:
-    effects, sizes = [], []
-    for form in forms:
-        muscle = int(rng.integers(1, 3)) if form.by_muscle else None
-        effects.append((form.effect, muscle))
-        sizes.append(float(np.exp(rng.uniform(np.log(SMALLEST), np.log(form.largest)))))
-    words = " + ".join(f"{effect} {muscle}" if muscle else effect for effect, muscle in effects) or "none"
-    return Case(
-        name=f"{number:03d} {words}",
-        kind=kind,
-        effects=tuple(effects),
-        form=tuple(form.name for form in forms),
-        seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0]),
-        sizes=tuple(sizes),
-    )
-
-
-class _Deck:
-    """Forms in random order, shuffled again when all have come up."""
-
-    def __init__(self, forms: Sequence[Form], rng: np.random.Generator) -> None:
-        self._forms, self._rng = forms, rng
-        self._left: list[Form] = []
-
-    def draw(self) -> Form:
-        if not self._left:
-            self._left = [self._forms[k] for k in self._rng.permutation(len(self._forms))]
-        return self._left.pop()
+@lru_cache(maxsize=16)
+def _of_size(case: Case, index: int) -> tuple[Deviation, float]:
+    """One of a case's effects with the amount that gives it its size, and the size that it then has."""
+    form, muscle, size = FORMS[case.form[index]], case.effects[index][1], case.sizes[index]
+    p, voltage, period = case.parameters("free"), case.voltage("free"), load_rig(RIG).sample_period
+    without = _played(p, voltage, [], period)
+    amount, tried = size, []
+    for _ in range(_ROUNDS):
+        amount = min(max(amount, form.smallest), form.largest)
+        # The same draws for every amount.
+        deviation = form.make(amount, muscle, np.random.default_rng([case.seed, 1, index]))
+        reached = max(_apart(_played(p, voltage, [deviation], period), without).values())
+        tried.append((abs(np.log(max(reached, 1e-9) / size)), reached, deviation))
+        if tried[-1][0] < np.log(_CLOSE):
+            break
+        # What sticks jumps: no leap further than a factor of three.
+        amount *= float(np.clip(size / max(reached, 1e-9), 1.0 / 3.0, 3.0))
+    _, reached, deviation = min(tried, key=lambda item: item[0])
+    return deviation, reached
 
 
 def staircase(time: Floats, rng: np.random.Generator) -> Floats:
@@ -260,10 +232,11 @@ def _measured(values: Floats, std: float, step: float, rng: np.random.Generator)
 
 def _played(p: np.ndarray, voltage: Floats, deviations: Sequence[Deviation], period: float) -> Channels:
     """A joint under these voltages."""
-    step = period / _SUBSTEPS
-    fine = np.asarray(np.arange(len(voltage) * _SUBSTEPS) * step)
+    substeps = max((deviation.substeps for deviation in deviations), default=_SUBSTEPS)
+    step = period / substeps
+    fine = np.asarray(np.arange(len(voltage) * substeps) * step)
     time = np.asarray(np.arange(1, len(voltage) + 1) * period)
-    at_valve: Floats = np.repeat(voltage, _SUBSTEPS, axis=0)
+    at_valve: Floats = np.repeat(voltage, substeps, axis=0)
     push, supply = np.zeros(len(voltage)), np.zeros(len(voltage))
     q = physics.numbers()
     factors: dict[str, float] = {}
@@ -276,7 +249,7 @@ def _played(p: np.ndarray, voltage: Floats, deviations: Sequence[Deviation], per
         supply = supply if deviation.supply is None else supply + deviation.supply(time)
     changes = {name: p[par.INDEX[name]] * factor for name, factor in factors.items()}
     p = par.changed(p, {**changes, "friction.time_step": step})
-    angle, pressure, torque = physics.simulate(0.0, _START_PRESSURE, at_valve, push, supply, p, q, period, _SUBSTEPS)
+    angle, pressure, torque = physics.simulate(0.0, _START_PRESSURE, at_valve, push, supply, p, q, period, substeps)
     for deviation in deviations:
         angle = angle if deviation.angle is None else deviation.angle(angle)
         pressure = pressure if deviation.pressure is None else deviation.pressure(time, pressure)

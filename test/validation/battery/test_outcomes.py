@@ -9,11 +9,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from battery_outcomes import CREEP, DROOP, LEAK, outcome
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.validation.battery import command, outcomes
-from pam_antagonist.validation.battery.plants import JOINTS, Case, cases
+from pam_antagonist.validation.battery import command, outcomes, remainders, scores
+from pam_antagonist.validation.battery.draw import NOTHING_FROM, cases
+from pam_antagonist.validation.battery.plants import JOINTS, Case
 
 NOTHING = {"angle": None, "torque": None, "pressure": {"rmse_pa": [None, None]}}
 
@@ -33,18 +35,6 @@ def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=No
         ],
         errors={"recalibrated": before or errors(1, 1, (1e4, 1e4)), "extended": after or errors(1, 1, (1e4, 1e4))},
     )
-
-
-def outcome(kind: str, effects=(), verdict: str = "none", found=(), **values) -> outcomes.Outcome:
-    base = {
-        "name": "a case", "kind": kind, "effects": tuple(effects), "form": tuple(name for name, _ in effects),
-        "seed": 1, "sizes": (5.0,) * len(effects), "duration": 60.0, "verdict": verdict, "found": tuple(found),
-        "ambiguous_with": (), "leading": (), "channel": None, "errors": {}, "seconds": 1.0, "threads": 1,
-    }  # fmt: skip
-    return outcomes.Outcome(**{**base, **values})
-
-
-LEAK, CREEP, DROOP = ("leak", 1), ("creep", None), ("supply_droop", None)
 
 
 @pytest.mark.parametrize(
@@ -85,50 +75,6 @@ def test_reduction_is_a_share_of_what_a_true_model_takes_away() -> None:
     assert of(10.0, 12.0, 2.0) == pytest.approx(-0.25)
     assert of(2.05, 2.0, 2.0) is None, "there was nothing to take away"
     assert of(None, 4.0, 2.0) is None
-
-
-def test_scores() -> None:
-    items = [
-        outcome("single", [LEAK], "effect", [("leak", 2)], errors={"recalibrated": 10.0, "extended": 4.0, "true": 2.0}),
-        outcome("single", [CREEP], "effect", [DROOP], ambiguous_with=("creep",)),
-        outcome("single", [LEAK], "unexplained", leading=[outcomes.Candidate("leak", 40.0, 20.0, 0.6, 0.7)]),
-        outcome("pair", [LEAK, CREEP], "effect", [CREEP]),
-        outcome("none"), outcome("none"), outcome("none"), outcome("none", [], "effect", [LEAK]),
-        outcome("foreign", [("exchange", None)], "unexplained"),
-    ]  # fmt: skip
-    values = {score.what: (score.value, score.count, score.holds) for score in outcomes.scores(items)}
-    assert values["single effect: the right one first"] == (pytest.approx(1.0 / 3.0), 3, False)
-    assert values["single effect: and on its muscle"] == (0.0, 1, None)
-    assert values["single effect: first, or among those it cannot be told from"] == (pytest.approx(2.0 / 3.0), 3, None)
-    leads = values["single effect: named, or the first of the candidates where none explains enough"]
-    assert leads == (pytest.approx(2.0 / 3.0), 3, None)
-    assert values["two effects: both found"] == (0.0, 1, False)
-    assert values["two effects: one of them first"] == (1.0, 1, None)
-    assert values["one or two effects, some found: none named that is not there"] == (pytest.approx(2.0 / 3.0), 3, None)
-    assert values["nothing: false alarm"] == (0.25, 4, False)
-    assert values["in no catalogue: unexplained"] == (1.0, 1, True)
-    assert values["error that a true model takes away, taken away (median)"] == (pytest.approx(0.75), 1, True)
-    assert all(score.value is None and score.holds is None for score in outcomes.scores([]))
-
-
-def test_confusion_matrix() -> None:
-    header, rows = outcomes.confusion(
-        [
-            outcome("single", [LEAK], "effect", [LEAK]),
-            outcome("single", [LEAK], "effect", [CREEP]),
-            outcome("single", [CREEP], "unexplained"),
-            outcome("pair", [LEAK, CREEP], "effect", [CREEP]),
-            outcome("none"),
-            outcome("foreign", [("exchange", None)], "effect", [LEAK]),
-        ]
-    )
-    assert header == ("there \\ said first", "leak", "creep", "none", "unexplained")
-    assert rows == (
-        ("leak", "1", "1", "·", "·"),
-        ("creep", "·", "·", "·", "1"),
-        ("none", "·", "·", "1", "·"),
-        ("(exchange)", "1", "·", "·", "·"),
-    )
 
 
 def a_case(effect: str, form: str, muscle: int | None) -> Case:
@@ -177,12 +123,12 @@ def test_recordings_that_are_refused_are_a_wrong_answer() -> None:
 
     result = outcomes.judge(a_case("leak", "seeping", 1), refuse, 12.0)
     assert result.verdict == "refused" and not result.right
-    assert outcomes.confusion([result])[1] == (("leak", "1"),)
-    assert outcomes.confusion([result])[0][1:] == ("refused",)
+    assert scores.confusion([result])[1] == (("leak", "1"),)
+    assert scores.confusion([result])[0][1:] == ("refused",)
 
 
 def test_outcomes_survive_their_file(tmp_path: Path) -> None:
-    case = cases(3, 1)[0]
+    case = cases(3, 1)[0][1]
     result = outcomes.judge(case, lambda recordings: said("effect", ("leak", 1), ("creep", None)), 10.0)
     outcomes.save(tmp_path, 0, result)
     assert outcomes.load(tmp_path, 0, case, 10.0) == result
@@ -191,9 +137,9 @@ def test_outcomes_survive_their_file(tmp_path: Path) -> None:
 
 
 def test_the_file_of_another_battery_is_refused(tmp_path: Path) -> None:
-    case = cases(3, 1)[0]
+    case = cases(3, 1)[0][1]
     outcomes.save(tmp_path, 0, outcomes.judge(case, lambda recordings: said("none"), 10.0))
-    for wanted, duration in ((cases(4, 1)[0], 10.0), (case, 20.0), (dataclasses.replace(case, sizes=(9.0,)), 10.0)):
+    for wanted, duration in ((cases(4, 1)[0][1], 10.0), (case, 20.0), (dataclasses.replace(case, sizes=(9.0,)), 10.0)):
         with pytest.raises(BadInput, match="another battery"):
             outcomes.load(tmp_path, 0, wanted, duration)
     (tmp_path / "case_000.json").write_text("{}", encoding="utf-8")
@@ -237,17 +183,62 @@ def test_goes_on_where_it_was_interrupted(tmp_path: Path, oracle, capsys) -> Non
     (out / "case_004.json").unlink()
     arguments = ("--out", out, "--count", 6, "--duration", 10, "--jobs", 1, "--docs", tmp_path / "battery.md")
     assert run(*arguments) == 0
-    assert len(oracle) == 7 and oracle[-1] == cases(1, 6)[4].name
+    assert len(oracle) == 7 and oracle[-1] == cases(1, 6)[4][1].name
     text = capsys.readouterr().out
     assert "6 of 6 cases are finished" in text and "single effect: the right one first" in text
     page = (tmp_path / "battery.md").read_text(encoding="utf-8")
     assert "./run battery --out DIR --count 6 --seed 1 --duration 10" in page
     assert "s at most, with 1 to 2 threads" in page
-    tables = [line for line in page.splitlines() if line.startswith("|")]
-    assert len({line.count("|") for line in tables}) <= 3
-    for item in cases(1, 6):
+    for part in page.split("\n\n"):
+        if part.startswith("|"):
+            assert len({line.count("|") for line in part.splitlines()}) == 1
+    assert (tmp_path / "battery" / "detection.png").read_bytes().startswith(b"\x89PNG")
+    assert "(battery/detection.png)" in page and "All cases were diagnosed by the same code" in page
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    first = summary["scores"][0]
+    assert first["what"] == "single effect: the right one first" and len(first["interval"]) == 2
+    assert summary["finished"] == 6 and summary["seed"] == 1
+    for _, item in cases(1, 6):
         if item.kind == "single":
             assert f"| {item.effects[0][0]} |" in page
+
+
+def test_cases_with_nothing_wrong_by_number(tmp_path: Path, oracle, capsys) -> None:
+    out = tmp_path / "result"
+    assert run("--out", out, "--count", 0, "--nothing", 3, "--duration", 10) == 0
+    text = capsys.readouterr().out
+    assert "3 of 3 cases are finished" in text
+    # None of three: up to 71 % of all joints may give a false alarm.
+    assert "0.0 to 70.8 %" in text
+    assert sorted(path.name for path in out.glob("case_*")) == [f"case_{NOTHING_FROM + k}.json" for k in range(3)]
+
+
+def test_pages_of_changed_code_say_so(tmp_path: Path, oracle) -> None:
+    arguments = ("--out", tmp_path / "result", "--count", 0, "--nothing", 2, "--duration", 10)
+    assert run(*arguments) == 0
+    path = tmp_path / "result" / f"case_{NOTHING_FROM}.json"
+    path.write_text(path.read_text(encoding="utf-8").replace(outcomes.fingerprint(), "older"), encoding="utf-8")
+    assert run(*arguments, "--docs", tmp_path / "battery.md") == 0
+    assert "The code was changed in between" in (tmp_path / "battery.md").read_text(encoding="utf-8")
+
+
+def test_remainders_are_worked_out_once(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def made(form) -> remainders.Remainder:
+        asked.append(form.name)
+        return remainders.Remainder(8.0, 10.0, 5.0, 1.5)
+
+    monkeypatch.setattr(remainders, "remainder", made)
+    assert run("--out", tmp_path, "--remainders") == 0
+    assert asked == [form.name for form in remainders.with_law()]
+    assert "15.0 %" in capsys.readouterr().out
+    assert remainders.load(tmp_path / remainders.FILE)[asked[0]].share == pytest.approx(0.15)
+    assert run("--out", tmp_path, "--remainders") == 0
+    assert len(asked) == len(set(asked))
+    (tmp_path / remainders.FILE).write_text("[]", encoding="utf-8")
+    assert run("--out", tmp_path, "--remainders") == 2
+    assert "no remainders" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -256,6 +247,7 @@ def test_goes_on_where_it_was_interrupted(tmp_path: Path, oracle, capsys) -> Non
         (("--shard", "3/2"), "I/K"),
         (("--shard", "one"), "I/K"),
         (("--count", 0), "one case or more"),
+        (("--nothing", -1), "one case or more"),
         (("--seed", -1), "seed of 0 or more"),
         (("--duration", 1), "10 to 3600"),
         (("--jobs", 0), "1 or more"),
@@ -277,7 +269,7 @@ def test_an_output_that_is_a_file(tmp_path: Path, capsys) -> None:
 def test_bags_with_their_truth(tmp_path: Path, capsys) -> None:
     assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 0
     assert "2 cases" in capsys.readouterr().out
-    for number, case in enumerate(cases(1, 2)):
+    for number, case in cases(1, 2):
         folder = tmp_path / "bags" / f"{number:03d}"
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         assert truth["name"] == case.name and truth["kind"] == case.kind

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -16,8 +17,10 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import load_rig
 from pam_antagonist.validation.battery import physics
+from pam_antagonist.validation.battery.draw import LARGE, LEVELS, NOTHING_FROM, cases
 from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Form
-from pam_antagonist.validation.battery.plants import JOINTS, KINDS, SMALLEST, Case, cases, staircase
+from pam_antagonist.validation.battery.plants import JOINTS, KINDS, Case, staircase
+from pam_antagonist.validation.battery.remainders import is_other, known
 
 RIG = load_rig("shin2022")
 
@@ -85,7 +88,7 @@ def test_a_muscle_s_effect_leaves_the_other_s_pressure(form: Form) -> None:
 
 
 def test_recordings_are_like_those_of_a_laboratory() -> None:
-    case = cases(3, 1)[0]
+    case = cases(3, 1)[0][1]
     free, locked = case.recordings(20.0)
     for recording, joint in ((free, "free"), (locked, "locked")):
         assert len(recording) == 20_000
@@ -125,27 +128,70 @@ def test_voltages_are_steps_and_ramps_within_the_valves_range() -> None:
 
 
 def test_a_battery_holds_all_kinds_and_all_forms() -> None:
-    battery = cases(1, 80)
+    battery = [case for _, case in cases(1, 80)]
     counts = {kind: sum(case.kind == kind for case in battery) for kind in KINDS}
     assert counts == {"single": 40, "pair": 16, "none": 12, "foreign": 12}
-    alone = {case.form[0] for case in battery if case.kind == "single"}
-    assert alone == {form.name for form in SINGLE}
-    assert {case.form[0] for case in battery if case.kind == "foreign"} == {form.name for form in FOREIGN}
+    assert {case.effects[0][0] for case in battery if case.kind == "single"} == set(CATALOGUE)
     assert len({case.seed for case in battery}) == 80
     largest = {form.name: form.largest for form in (*SINGLE, *FOREIGN)}
     for case in battery:
         assert len(case.effects) == len(case.form) == len(case.sizes) == {"none": 0, "pair": 2}.get(case.kind, 1)
-        assert all(SMALLEST <= size <= largest[name] for name, size in zip(case.form, case.sizes, strict=True))
+        assert case.exact and set(case.form) <= set(largest)
         if case.kind == "pair":
             assert case.effects[0][0] != case.effects[1][0]
-    sizes = np.array([case.sizes[0] for case in battery if case.kind == "single"])
-    assert sizes.min() < 5.0 and sizes.max() > 20.0
+    # In a battery that is long enough, every form has been drawn.
+    long = [case for _, case in cases(1, 800)]
+    assert {case.form[0] for case in long if case.kind == "single"} == {form.name for form in SINGLE}
+    assert {case.form[0] for case in long if case.kind == "foreign"} == {form.name for form in FOREIGN}
+
+
+def test_sizes_of_every_effect_are_on_the_grid() -> None:
+    # Twelve effects, six levels, each once.
+    count = 2 * len(CATALOGUE) * len(LEVELS)
+    single = [case for _, case in cases(1, count) if case.kind == "single"]
+    drawn = sorted((case.effects[0][0], case.sizes[0]) for case in single)
+    assert drawn == sorted((name, level) for name in CATALOGUE for level in LEVELS)
+    for _, case in cases(1, count):
+        if case.kind != "single":
+            assert all(LARGE <= size <= LEVELS[-1] for size in case.sizes)
+
+
+def test_half_of_the_cases_are_in_forms_that_the_law_cannot_imitate() -> None:
+    others = {form.name for form in SINGLE if is_other(form)}
+    assert len({form.effect for form in SINGLE if form.name in others}) >= 8
+    for seed in (1, 2, 3):
+        battery = [case for _, case in cases(seed, 80)]
+        with_law = [case for case in battery if case.kind in ("single", "pair")]
+        drawn = sum(bool(set(case.form) & others) for case in with_law)
+        assert drawn >= 0.55 * len(with_law)
+        assert drawn + sum(case.kind == "foreign" for case in battery) >= 40
+    assert all(form.source for form in SINGLE if form.name in others)
+    assert set(known()) == {form.name for form in SINGLE if CATALOGUE[form.effect].deterministic}
+
+
+def test_further_cases_with_nothing_wrong() -> None:
+    battery = cases(1, 5, 100)
+    assert battery[:5] == cases(1, 5)
+    assert [number for number, _ in battery[5:]] == list(range(NOTHING_FROM, NOTHING_FROM + 100))
+    assert {case.kind for _, case in battery[5:]} == {"none"}
+    assert len({case.seed for _, case in battery}) == 105
+    assert cases(1, 9, 3)[-1] == cases(1, 5, 3)[-1]
+
+
+@pytest.mark.parametrize("size", [0.5, 16.0])
+@pytest.mark.parametrize("name", ["seeping", "dead time", "bristles", "smooth pushes", "long tube"])
+def test_sizes_are_exact(name: str, size: float) -> None:
+    form = next(form for form in SINGLE if form.name == name)
+    case = dataclasses.replace(case_of(form, size), exact=True)
+    free = {channel: value for channel, value in case.moved(60.0).items() if channel.startswith("free")}
+    assert max(free.values()) == pytest.approx(case.reached[0], rel=1e-6)
+    assert case.reached[0] == pytest.approx(size, rel=0.2)
 
 
 def test_the_same_seed_is_the_same_battery_and_another_is_not() -> None:
     assert cases(4, 30) == cases(4, 60)[:30]
     assert cases(4, 30) != cases(5, 30)
-    one, other = (cases(4, 2)[1].recording("locked", 3.0) for _ in range(2))
+    one, other = (cases(4, 2)[1][1].recording("locked", 3.0) for _ in range(2))
     assert np.array_equal(one.pressure, other.pressure) and np.array_equal(one.torque, other.torque)
 
 
@@ -156,7 +202,7 @@ def test_refused(seed: int, count: int) -> None:
 
 
 def test_written_bags_hold_the_recordings(tmp_path: Path) -> None:
-    case = cases(2, 1)[0]
+    case = cases(2, 1)[0][1]
     case.write(tmp_path, 3.0)
     for joint in JOINTS:
         bag, there = read_bag(tmp_path / joint), case.recording(joint, 3.0)

@@ -1,0 +1,130 @@
+"""Which joints a battery holds: kinds, forms and sizes, drawn so that all come up before any comes up again."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Form
+from pam_antagonist.validation.battery.plants import KINDS, Case
+from pam_antagonist.validation.battery.remainders import is_other
+
+LEVELS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Sizes of single effects: multiples of the noise of a sample (root mean square over a minute)."""
+LARGE = 4.0
+"""Sizes from which on the figures of a battery count; pairs and what is in no catalogue have no smaller ones."""
+NOTHING_FROM = 1000
+"""Number of the first of the further cases with nothing wrong."""
+_KIND_SHARES = (("single", 0.5), ("pair", 0.2), ("none", 0.15), ("foreign", 0.15))
+_OTHER_OF = 4
+"""Of so many singles of an effect, all but one are drawn from forms that are truly other ones."""
+
+Item = TypeVar("Item")
+
+
+def cases(seed: int, count: int, nothing: int = 0) -> list[tuple[int, Case]]:
+    """A battery: half of it single effects, the rest pairs, nothing at all, and what is in no catalogue.
+
+    Three quarters of the single effects and both of every pair are in forms that the catalogue's law cannot imitate
+    (:func:`~pam_antagonist.validation.battery.remainders.is_other`), where the effect has such a form.
+
+    Args:
+        seed: of the battery.
+        count: how many cases; a longer battery of the same seed begins with the shorter one.
+        nothing: how many further cases with nothing wrong.
+
+    Returns:
+        Each case with its number.
+
+    Raises:
+        BadInput: a negative seed, or numbers of cases that make no battery.
+    """
+    if seed < 0 or not 0 <= count <= NOTHING_FROM or nothing < 0 or count + nothing < 1:
+        raise BadInput(
+            f"battery: seed {seed}, {count} cases and {nothing} with nothing wrong, expected a seed of 0 or more and "
+            f"one case or more, up to {NOTHING_FROM}"
+        )
+    draw = _Draw(np.random.default_rng(seed))
+    done = dict.fromkeys(KINDS, 0)
+    out = []
+    for number in range(count):
+        # The kind that is furthest behind its share.
+        kind = max(_KIND_SHARES, key=lambda item: item[1] * (number + 1) - done[item[0]])[0]
+        done[kind] += 1
+        out.append((number, _case(number, kind, draw.forms(kind), seed, draw)))
+    further = range(NOTHING_FROM, NOTHING_FROM + nothing)
+    return out + [(number, _case(number, "none", [], seed, draw)) for number in further]
+
+
+def _case(number: int, kind: str, forms: Sequence[Form], seed: int, draw: _Draw) -> Case:
+    effects = [(form.effect, int(draw.rng.integers(1, 3)) if form.by_muscle else None) for form in forms]
+    words = " + ".join(f"{effect} {muscle}" if muscle else effect for effect, muscle in effects) or "none"
+    return Case(
+        name=f"{number:03d} {words}",
+        kind=kind,
+        effects=tuple(effects),
+        form=tuple(form.name for form in forms),
+        seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0]),
+        sizes=tuple(draw.size(kind, form) for form in forms),
+        exact=True,
+    )
+
+
+class _Draw:
+    """What has come up, and what has not yet."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
+        self._others = {name: [f for f in SINGLE if f.effect == name and is_other(f)] for name in CATALOGUE}
+        self._close = {name: [f for f in SINGLE if f.effect == name and not is_other(f)] for name in CATALOGUE}
+        self._count: dict[str, int] = defaultdict(int)
+        self._decks: dict[object, _Deck[object]] = {}
+
+    def forms(self, kind: str) -> list[Form]:
+        """The forms of the next case of a kind."""
+        if kind == "none":
+            return []
+        if kind == "foreign":
+            return [self._next("foreign", FOREIGN)]
+        effect = self._next((kind, "effect"), tuple(CATALOGUE))
+        if kind == "single":
+            return [self._form(effect)]
+        rest = tuple(name for name in CATALOGUE if name != effect)
+        return [self._form(effect, always=True), self._form(str(self.rng.choice(rest)), always=True)]
+
+    def size(self, kind: str, form: Form) -> float:
+        """The size of a form in the next case of a kind."""
+        levels = LEVELS if kind == "single" else tuple(level for level in LEVELS if level >= LARGE)
+        return self._next((kind, form.effect if kind == "single" else "size", "size"), levels)
+
+    def _form(self, effect: str, always: bool = False) -> Form:
+        others, close = self._others[effect], self._close[effect]
+        other = always
+        if not always:
+            self._count[effect] += 1
+            other = self._count[effect] % _OTHER_OF != 0
+        chosen = (others if other else close) or others or close
+        return self._next((effect, chosen is others), tuple(chosen))
+
+    def _next(self, deck: object, items: tuple[Item, ...]) -> Item:
+        if deck not in self._decks:
+            self._decks[deck] = _Deck(items, self.rng)  # type: ignore[assignment]
+        return self._decks[deck].draw()  # type: ignore[return-value]
+
+
+class _Deck(Generic[Item]):
+    """Items in random order, shuffled again when all have come up."""
+
+    def __init__(self, items: Sequence[Item], rng: np.random.Generator) -> None:
+        self._items, self._rng = items, rng
+        self._left: list[Item] = []
+
+    def draw(self) -> Item:
+        if not self._left:
+            self._left = [self._items[k] for k in self._rng.permutation(len(self._items))]
+        return self._left.pop()
