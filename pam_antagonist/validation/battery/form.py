@@ -71,7 +71,13 @@ def sides(muscle: int | None) -> tuple[int, ...]:
 
 
 def named(name: str, value: float, muscle: int | None) -> dict[str, float]:
-    """A number of the physics for each muscle that is meant."""
+    """A number of the physics for each muscle that is meant.
+
+    Args:
+        name: of the number, without the muscle's.
+        value: of it.
+        muscle: 1, 2 or None for both.
+    """
     return {f"{name}_{i}": value for i in sides(muscle)}
 
 
@@ -81,7 +87,13 @@ def sign(rng: Random) -> float:
 
 
 def plain(name: str, unit: float, **others: tuple[float, float]) -> Make:
-    """A number of the physics in proportion to the amount; other numbers drawn between two bounds."""
+    """A number of the physics in proportion to the amount; other numbers drawn between two bounds.
+
+    Args:
+        name: of the number.
+        unit: its value for an amount of 1.
+        others: bounds of the others, by name.
+    """
 
     def make(amount: float, muscle: int | None, rng: Random) -> Deviation:
         drawn = {key: float(rng.uniform(*bounds)) for key, bounds in others.items()}

@@ -22,7 +22,7 @@ def _compressor(amount: float, muscle: int | None, rng: Random) -> Deviation:
 
 def _bottle(amount: float, muscle: int | None, rng: Random) -> Deviation:
     """A bottle that nothing fills (Wehner et al. 2014): the supply falls by all that is drawn."""
-    return Deviation({"compressor": amount * 600.0, "switch": 1e9})
+    return Deviation({"compressor": amount * 100.0, "switch": 1e9})
 
 
 def _warm(name: str, unit: float, low: float, high: float, flow: float = 0.0) -> Make:

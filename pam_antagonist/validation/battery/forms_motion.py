@@ -141,7 +141,10 @@ FORMS: tuple[Form, ...] = (
         "fractional creep", "creep", False, _creep((0.2, 2.0, 20.0, 200.0), _FRACTIONAL, 2e-2),
         "Koeller (1984)", 25.0,
     ),
-    Form("creep under load", "creep", False, _creep((0.3, 3.0, 30.0), (0.4, 0.3, 0.3), 2e-2, 3.0), "Schapery (1969)", 25.0),
+    Form(
+        "creep under load", "creep", False, _creep((0.3, 3.0, 30.0), (0.4, 0.3, 0.3), 2e-2, 3.0),
+        "Schapery (1969)", 25.0,
+    ),
     Form("pushes", "external_torque", False, _pushes("square"), "no law"),
     Form("smooth pushes", "external_torque", False, _pushes("smooth"), "no law"),
     Form("fading pushes", "external_torque", False, _pushes("fading"), "no law"),

@@ -106,7 +106,7 @@ def _bent_curve(amount: float, muscle: int | None, rng: Random) -> Deviation:
 
 def _tube(amount: float, muscle: int | None, rng: Random) -> Deviation:
     """The longer a tube, the more it resists and the more it holds (Richer and Hurmuzlu 2000)."""
-    resistance, volume = amount * 1e7, amount * rng.uniform(2.5e-6, 4.5e-6)
+    resistance, volume = amount * 5e6, amount * rng.uniform(1.25e-6, 2.25e-6)
     numbers = {"line_turbulent": 3e-5, "line_volume": volume}
     substeps = math.ceil(max(4.0, 60.0 / (resistance * volume)))
     return Deviation({**named("line", resistance, muscle), **numbers}, substeps=substeps)

@@ -258,8 +258,9 @@ def _page(run: Run, image: str) -> list[str]:
         "catalogue. Intervals are 95 % intervals by Clopper and Pearson.",
         "",
         f"{len(run.done)} of {run.count + run.nothing} cases. Of the {len(with_law)} with effects of the catalogue, "
-        f"{len(others)} are in forms with a remainder above 10 %. A diagnosis took {seconds[len(seconds) // 2]:.0f} s (median),"
-        f" {seconds[-1]:.0f} s at most, with {_threads(run.done)} (`--jobs`). {_code_sentence(run)}",
+        f"{len(others)} are in forms with a remainder above 10 %. A diagnosis took "
+        f"{seconds[len(seconds) // 2]:.0f} s (median), {seconds[-1]:.0f} s at most, with {_threads(run.done)} "
+        f"(`--jobs`). {_code_sentence(run)}",
         "",
         *_rows(figures_table(run)),
         "",

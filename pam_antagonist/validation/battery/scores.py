@@ -72,7 +72,14 @@ class Score:
 
     @classmethod
     def of(cls, what: str, values: Sequence[bool], bound: float | None = None, at_most: bool = False) -> Score:
-        """A share as a figure."""
+        """A share as a figure.
+
+        Args:
+            what: is counted.
+            values: whether it was so, case by case.
+            bound: the share that is wanted.
+            at_most: whether that is the most, not the least.
+        """
         found = share(values)
         return cls(what, found.value, found.count, found.interval, bound, at_most)
 

@@ -179,7 +179,7 @@ def test_further_cases_with_nothing_wrong() -> None:
 
 
 @pytest.mark.parametrize("size", [0.5, 16.0])
-@pytest.mark.parametrize("name", ["seeping", "dead time", "bristles", "smooth pushes", "long tube"])
+@pytest.mark.parametrize("name", ["seeping", "dead time", "bristles", "smooth pushes", "worn edge"])
 def test_sizes_are_exact(name: str, size: float) -> None:
     form = next(form for form in SINGLE if form.name == name)
     case = dataclasses.replace(case_of(form, size), exact=True)
