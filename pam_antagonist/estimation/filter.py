@@ -162,7 +162,7 @@ def _start(stamp, y, u, memory, settings):
     clock[_REJECTED] = 0
 
 
-@inlined
+@kernel
 def _select(innovation, s, usable_1, usable_2, gate):
     """Which pressures lie within the gate: the joint Mahalanobis distance first, then the better one alone."""
     v1 = innovation[0]
@@ -184,7 +184,7 @@ def _select(innovation, s, usable_1, usable_2, gate):
     return usable_1, usable_2
 
 
-@inlined
+@kernel
 def _finite(x, covariance):
     for i in range(x.shape[0]):
         if not (math.isfinite(x[i]) and math.isfinite(covariance[i, i])):
@@ -220,10 +220,9 @@ def _write(row, memory, settings, nis, flags, work):
     return math.isfinite(moments[0]) and math.isfinite(moments[1])
 
 
-@inlined
-def _dropped(elapsed, memory):
+@kernel
+def _dropped(elapsed, x, covariance, clock, counts):
     """Whether a running filter has no use for a sample at that distance [ns]; stops one that has to begin again."""
-    clock, counts = memory.clock, memory.counts
     if clock[_RUNNING] == 0:
         return False
     if elapsed == 0:
@@ -232,7 +231,7 @@ def _dropped(elapsed, memory):
     if -RESTART_AFTER_NS <= elapsed < 0:
         counts[_LATE] += 1
         return True
-    if elapsed < 0 or elapsed > LONGEST_GAP_NS or not _finite(memory.x, memory.covariance):
+    if elapsed < 0 or elapsed > LONGEST_GAP_NS or not _finite(x, covariance):
         clock[_RUNNING] = 0
         counts[_RESTARTS] += 1
     return False
@@ -321,7 +320,7 @@ def _correct(use_1, use_2, memory, settings, work):
     return nis
 
 
-@inlined
+@kernel
 def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
     """Flags of an estimate; its sample is counted as what it was."""
     flags = 0
@@ -344,7 +343,7 @@ def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
     return flags
 
 
-@inlined
+@kernel
 def process(stamp, y, u, memory, settings, work, row):
     """Take one sample in.
 
@@ -369,7 +368,7 @@ def process(stamp, y, u, memory, settings, work, row):
     memory.innovation[:] = np.nan
     memory.innovation_covariance[:] = np.nan
     elapsed = stamp - clock[_LAST]
-    if _dropped(elapsed, memory):
+    if _dropped(elapsed, memory.x, memory.covariance, clock, counts):
         return False
     if clock[_RUNNING] == 0:
         if complete:
