@@ -9,7 +9,6 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Form
 from pam_antagonist.validation.battery.plants import KINDS, Case
 from pam_antagonist.validation.battery.remainders import is_other
@@ -20,6 +19,8 @@ LARGE = 4.0
 """Sizes from which on the figures of a battery count; pairs and what is in no catalogue have no smaller ones."""
 NOTHING_FROM = 1000
 """Number of the first of the further cases with nothing wrong."""
+EFFECTS = tuple(dict.fromkeys(form.effect for form in SINGLE))
+"""Effects of the catalogue that have forms here; one that a package adds has none."""
 _KIND_SHARES = (("single", 0.5), ("pair", 0.2), ("none", 0.15), ("foreign", 0.15))
 _OTHER_OF = 4
 """Of so many singles of an effect, all but one are drawn from forms that are truly other ones."""
@@ -80,8 +81,8 @@ class _Draw:
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
-        self._others = {name: [f for f in SINGLE if f.effect == name and is_other(f)] for name in CATALOGUE}
-        self._close = {name: [f for f in SINGLE if f.effect == name and not is_other(f)] for name in CATALOGUE}
+        self._others = {name: [f for f in SINGLE if f.effect == name and is_other(f)] for name in EFFECTS}
+        self._close = {name: [f for f in SINGLE if f.effect == name and not is_other(f)] for name in EFFECTS}
         self._count: dict[str, int] = defaultdict(int)
         self._decks: dict[object, _Deck[object]] = {}
 
@@ -91,10 +92,10 @@ class _Draw:
             return []
         if kind == "foreign":
             return [self._next("foreign", FOREIGN)]
-        effect = self._next((kind, "effect"), tuple(CATALOGUE))
+        effect = self._next((kind, "effect"), EFFECTS)
         if kind == "single":
             return [self._form(effect)]
-        rest = tuple(name for name in CATALOGUE if name != effect)
+        rest = tuple(name for name in EFFECTS if name != effect)
         return [self._form(effect, always=True), self._form(str(self.rng.choice(rest)), always=True)]
 
     def size(self, kind: str, form: Form) -> float:

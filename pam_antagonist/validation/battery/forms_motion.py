@@ -148,7 +148,7 @@ FORMS: tuple[Form, ...] = (
     Form("pushes", "external_torque", False, _pushes("square"), "no law"),
     Form("smooth pushes", "external_torque", False, _pushes("smooth"), "no law"),
     Form("fading pushes", "external_torque", False, _pushes("fading"), "no law"),
-    Form("muscles that warm up", "warm_up", True, _tired(by_work=False), ""),
+    Form("muscles that warm up", "warm_up", True, _tired(by_work=False), "Andrikopoulos et al. (2012)"),
     Form("muscles that work warms", "warm_up", True, _tired(by_work=True), "Mullins (1969)"),
     Form("play of the encoder", "play", False, _play, ""),
     Form("cogging", "cogging", False, _cogging, ""),

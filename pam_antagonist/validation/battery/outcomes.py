@@ -30,14 +30,14 @@ class Candidate(NamedTuple):
     Attributes:
         effect: its name.
         delta_bic: evidence where it was fitted.
-        foretold: evidence on the held-out part.
+        held_out_evidence: evidence on the held-out part.
         held: share of the excess that it removes there.
         fitted: share that it removes where it was fitted.
     """
 
     effect: str
     delta_bic: float
-    foretold: float
+    held_out_evidence: float
     held: float
     fitted: float
 

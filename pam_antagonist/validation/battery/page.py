@@ -176,9 +176,9 @@ def detection_figure(run: Run) -> Figure:
     size_axis = Axis("Size [noises]", labels=tuple(f"{one:g}" for one in LEVELS))
     return Figure(
         "Detection against size",
-        "Left: all effects together, with 95 % intervals. Below: right one first, in per cent, for each effect.",
+        "Left: all effects together, with 95 % intervals. Right: right one first, in per cent, for each effect.",
         (
-            Panel(Axis("Size [noises]", log=True), share_axis, tuple(series), 260, "All effects"),
+            Panel(Axis("Size [noises]", log=True), share_axis, tuple(series), 260),
             Panel(size_axis, Axis(labels=names), (heat,), 28 * max(len(names), 4), "Right one first [%]"),
         ),
         beside=True,

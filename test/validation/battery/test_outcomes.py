@@ -283,4 +283,4 @@ def test_help_teaches(capsys) -> None:
     assert run("--help") == 0
     text = capsys.readouterr().out
     assert "examples:" in text and "--shard" in text and "--docs" in text
-    assert len(CATALOGUE) == 12
+    assert len(CATALOGUE) == 15
