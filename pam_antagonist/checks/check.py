@@ -37,8 +37,8 @@ _OTHER_RATE = 1.05
 """Sample periods that differ by more than this factor are said."""
 SHORTEST = 5.0
 """[s] A shorter recording shows too little for these tests."""
-_SEALED_STEP = 50
-"""[samples] A sealed joint moves slowly: so many samples are one point of its comparison."""
+_SEALED_S = 0.05
+"""[s] A sealed joint moves slowly: so far apart are the points of its comparison."""
 _LONGEST = 120.0
 """[s] More of a recording tells no more about what is tested here."""
 
@@ -186,7 +186,8 @@ def _sealed(recording: Recording, rig: Rig, now: Corrections) -> tuple[list[Find
     if recording.angle is None or range_of(now.angle(recording.angle)) < wiring.STILL_ANGLE:
         return [Finding("untested", "the joint does not move: exchanged lines and signs are not tested")], now
     p = rig.parameters("free", 0.0)
-    angle, pressure = now.angle(recording.angle)[::_SEALED_STEP], recording.pressure[::_SEALED_STEP]
+    step = max(1, round(_SEALED_S / recording.sample_period_s))
+    angle, pressure = now.angle(recording.angle)[::step], recording.pressure[::step]
     known = np.isfinite(angle) & np.isfinite(pressure).all(axis=1)
     angle, pressure = angle[known], pressure[known]
     # Muscle 1 gets shorter and wider as the angle grows: its pressure falls.

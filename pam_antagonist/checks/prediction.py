@@ -15,7 +15,8 @@ Floats = NDArray[np.float64]
 
 SETTLE = 2.0
 """[s] After this time the model has forgotten the pressures that it was started with."""
-_START_SAMPLES = 10
+_START_S = 0.01
+"""[s] At the beginning, whose mean pressures are the start."""
 _STEP = 0.02
 """Relative step by which an orifice area is moved to see what it does to the pressures."""
 
@@ -44,8 +45,7 @@ class Prediction:
 def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, known_start: bool = False) -> Prediction:
     """Run a rig's model on the voltages of a recording.
 
-    Voltages hold until the next sample. The model takes steps of the rig's sample period, whatever the rate of the
-    recording is.
+    The model runs on the grid of the recording's own period, in steps of at most 1 ms.
 
     Args:
         recording: its stamps and voltages are used.
@@ -55,8 +55,7 @@ def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, kno
         known_start: whether the recorded pressures are absolute, in Pa and in place, so that the model starts from
             them; otherwise it starts in the middle of the supply's range.
     """
-    period = rig.sample_period
-    step = np.rint(recording.time_s / period).astype(np.int64)
+    period, step = recording.even_grid(rig.sample_period)
     voltage = np.full((int(step[-1]) + 1, 2), np.nan)
     # The value of a sample was on the valves over the time that ends there.
     voltage[step] = recording.voltage
@@ -65,9 +64,9 @@ def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, kno
                                                   int(known.sum()) - 1)]  # fmt: skip
     start = np.full(2, 0.5 * (rig.supply.pressure + rig.atmosphere.pressure))
     if known_start:
-        first = recording.pressure[np.isfinite(recording.pressure).all(axis=1)][:_START_SAMPLES]
+        first = recording.pressure[np.isfinite(recording.pressure).all(axis=1)][: max(1, round(_START_S / period))]
         start = np.clip(first.mean(axis=0), rig.atmosphere.pressure, rig.supply.pressure)
-    run = simulate_model(rig, voltage[following], start, joint, lock_angle)
+    run = simulate_model(rig, voltage[following], start, joint, lock_angle, period=period)
     rows = np.flatnonzero(recording.time_s >= min(SETTLE, 0.5 * recording.duration_s))
     at = step[rows]
     return Prediction(

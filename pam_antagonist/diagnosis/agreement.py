@@ -21,7 +21,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.gauss_newton import Fitted, refit
-from pam_antagonist.inference.trial import BLOCK
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.rig import Rig
 
@@ -146,7 +145,7 @@ def check_same_rig(group: Group, base: Model, jobs: int) -> None:
     """
 
     def own(other: Experiment) -> Fitted:
-        whole = replace(other, fitted=len(other.trial) // BLOCK * BLOCK, judged=(), seed=0)
+        whole = replace(other, fitted=other.trial.whole_blocks(len(other.trial)), judged=(), seed=0)
         return refit(whole, whole.origin)
 
     fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(own)(other) for other in group.held_out)

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.diagnosis import explained, thresholds
-from pam_antagonist.inference.excess import in_mean_squares
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import Fitted, refit
-from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
-from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, blocks
+from pam_antagonist.inference.likelihood import in_mean_squares
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1
 from pam_antagonist.model import dynamics, equilibrium
 
 Floats = NDArray[np.float64]
@@ -51,7 +50,7 @@ _rk4_step = dynamics.rk4_step
 
 
 @kernel
-def _followed(x0, given, angle, p, dt, stiff, damping):  # type: ignore[no-untyped-def]
+def _followed(x0, given, angle, p, dt, substeps, stiff, damping):  # type: ignore[no-untyped-def]
     """Torques (N,) [N m] that make the model follow an angle (N,) [rad]."""
     x = x0.copy()
     u = np.zeros(3)
@@ -59,9 +58,14 @@ def _followed(x0, given, angle, p, dt, stiff, damping):  # type: ignore[no-untyp
     for k in range(len(angle)):
         u[0] = given[k, 0]
         u[1] = given[k, 1]
-        u[2] = stiff * (angle[k] - x[0]) - damping * x[1]
-        _rk4_step(x, u, p, dt, x)
-        out[k] = u[2]
+        change = angle[k] - angle[max(k - 1, 0)]
+        total = 0.0
+        for j in range(substeps):
+            wanted = angle[k] - (substeps - 1 - j) / substeps * change
+            u[2] = stiff * (wanted - x[0]) - damping * x[1]
+            _rk4_step(x, u, p, dt / substeps, x)
+            total += u[2]
+        out[k] = total / substeps
     return out
 
 
@@ -141,7 +145,7 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     trial = experiment.trial
     seen = _observed(experiment, point)
     torque = np.where(_episodes(seen), seen, 0.0)
-    samples = np.repeat(torque, BLOCK)
+    samples = np.repeat(torque, trial.block)
     samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
     disturbed = replace(experiment, trial=replace(trial, external=known + samples))
@@ -158,7 +162,7 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
         recurring=_recurring(seen, torque != 0.0, _angle(experiment)),
         shares=(explained.held_share([experiment], before, after), explained.whole_share([experiment], before, after)),
         squares=explained.share_of(squares),
-        noise=float(np.sqrt(np.mean(steps**2) / (_LOOK * BLOCK * trial.dt))),
+        noise=float(np.sqrt(np.mean(steps**2) / (_LOOK * trial.block_s))),
     )
 
 
@@ -179,7 +183,7 @@ def _bent_back(experiment: Experiment, point: Point) -> Point:
         for _ in range(_REWEIGHTED):
             size = np.abs(torque + matrix @ step)
             usual = max(float(np.median(size)), _LEAST_TORQUE)
-            weights = 1.0 / (np.maximum(size, _ABOUT_NONE * usual) * usual * BLOCKS_PER_ERROR)
+            weights = 1.0 / (np.maximum(size, _ABOUT_NONE * usual) * usual * experiment.blocks_per_error)
             information = (matrix * weights[:, None]).T @ matrix + np.diag(prior)
             slope = matrix.T @ (weights * torque) + prior * theta[:directions]
             step = np.asarray(-np.linalg.solve(information, slope))
@@ -190,7 +194,7 @@ def _bent_back(experiment: Experiment, point: Point) -> Point:
 def _between(experiment: Experiment, torque: Floats) -> Experiment:
     """The recording with its angle unknown during episodes: where the model was made to follow, it always fits."""
     measured = experiment.trial.measured.copy()
-    during = np.repeat(torque != 0.0, BLOCK)
+    during = np.repeat(torque != 0.0, experiment.trial.block)
     measured[: len(during)][during, ANGLE] = np.nan
     return replace(experiment, trial=replace(experiment.trial, measured=measured))
 
@@ -199,11 +203,12 @@ def _observed(experiment: Experiment, point: Point) -> Floats:
     """Torque (B,) [N m] that makes the model follow the measured angle."""
     trial = experiment.trial
     angle = _angle(experiment)
-    measured = np.interp(np.arange(len(trial)), (np.arange(len(angle)) + 0.5) * BLOCK, angle)
+    measured = np.interp(np.arange(len(trial)), (np.arange(len(angle)) + 0.5) * trial.block, angle)
     p = experiment.parameters(point)
     start = experiment.simulated(point)[0]
     x0 = equilibrium.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
-    return blocks(_followed(x0, trial.given, measured, p, trial.dt, _STIFF, _DAMPING)[:, None])[:, 0]
+    torque = _followed(x0, trial.given, measured, p, trial.dt, trial.substeps, _STIFF, _DAMPING)
+    return trial.blocks(torque[:, None])[:, 0]
 
 
 def _angle(experiment: Experiment) -> Floats:

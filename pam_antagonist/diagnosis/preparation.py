@@ -28,7 +28,7 @@ from pam_antagonist.identification.sealed import (
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven, sweeps
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.inference.trial import BLOCK, TORQUE, Trial, check, make_trial
+from pam_antagonist.inference.trial import TORQUE, Trial, check, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.recording import Recording, bag_name
@@ -159,8 +159,9 @@ def prepare(recordings: Sequence[Recording], held_out: Sequence[Recording], rig:
 
 
 def cut(trial: Trial, holdout: float) -> int:
-    """Sample from which on nothing is fitted."""
-    return round(len(trial) * (1.0 - holdout) / 100.0) * 100
+    """Sample from which on nothing is fitted: a whole number of blocks, to a tenth of a second."""
+    tenth = max(1, round(0.1 / trial.block_s)) * trial.block
+    return round(len(trial) * (1.0 - holdout) / tenth) * tenth
 
 
 def _valve_driven(
@@ -230,12 +231,12 @@ def valve_driven_experiments(
     if not others:
         return tuple(ValveDriven(rig, trial, cut(trial, share), seed=seed, jobs=jobs) for trial in trials), ()
     held = tuple(
-        ValveDriven(rig, trial, round(START / trial.dt / BLOCK) * BLOCK, seed=seed, jobs=jobs) for trial in others
+        ValveDriven(rig, trial, round(START / trial.block_s) * trial.block, seed=seed, jobs=jobs) for trial in others
     )
     common = {trial.joint for trial in trials} & {trial.joint for trial in others}
     return tuple(
         ValveDriven(
-            rig, trial, len(trial) // BLOCK * BLOCK,
+            rig, trial, trial.whole_blocks(len(trial)),
             tuple(other for other in held if not common or other.trial.joint == trial.joint), seed, jobs,
         )
         for trial in trials

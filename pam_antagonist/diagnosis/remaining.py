@@ -18,7 +18,6 @@ from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, SPAN, equation_errors, signals, unit_of
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.likelihood import correlation_length
-from pam_antagonist.inference.trial import BLOCK
 from pam_antagonist.inference.valve_driven import ValveDriven
 
 Floats = NDArray[np.float64]
@@ -185,12 +184,12 @@ def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingR
         around = surroundings(experiment, fitted.point)
         if isinstance(experiment, ValveDriven):
             out += _of_equations(experiment, fitted.point, around)
-        first = -(-experiment.fitted // BLOCK)
+        first = -(-experiment.fitted // experiment.trial.block)
         whole = experiment.residual(fitted.point, whole=True)[: len(experiment.measured)]
         late = np.arange(len(whole)) >= first
         for k, channel in enumerate(experiment.titles):
             if over[k] >= thresholds.AT_NOISE:
-                values, step = whole[:, k] * channel.factor, BLOCK * experiment.trial.dt
+                values, step = whole[:, k] * channel.factor, experiment.trial.block_s
                 out.append(_described(experiment, channel, float(over[k]), values, late, around, step))
     return out
 
@@ -200,19 +199,19 @@ def surroundings(experiment: Experiment, point: Point) -> Surroundings:
     given = signals(experiment, point)
     pressure = np.column_stack([given["pressure 1"], given["pressure 2"]])
     voltage = np.column_stack([given["voltage 1"], given["voltage 2"]]) if "voltage 1" in given else None
-    time = np.asarray(np.arange(len(pressure)) * (BLOCK * experiment.trial.dt))
+    time = np.asarray(np.arange(len(pressure)) * (experiment.trial.block_s))
     return Surroundings(pressure, voltage, time, given.get("angle"), given.get("velocity"))
 
 
 def _of_equations(experiment: Experiment, point: Point, around: Surroundings) -> list[RemainingResidual]:
     errors = equation_errors(experiment, point)
     windows = around.windows(errors.begin)
-    late = errors.begin + SPAN > experiment.fitted // BLOCK
+    late = errors.begin + SPAN > experiment.fitted // experiment.trial.block
     out = []
     for k in errors.known:
         over = float(np.sqrt(np.mean(errors.values[~late, k] ** 2))) / errors.noise[k]
         if over >= thresholds.CLEAR_EQUATION_ERROR:
-            step = SPAN * BLOCK * experiment.trial.dt
+            step = SPAN * experiment.trial.block_s
             out.append(_described(experiment, EQUATIONS[k], over, errors.values[:, k], late, windows, step))
     return out
 

@@ -31,7 +31,7 @@ from pam_antagonist.diagnosis.thresholds import CHANCE
 from pam_antagonist.estimation import metrics
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.likelihood import correlation_length
-from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE, blocks
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model import dynamics, flow, muscle, sensor
 
@@ -67,8 +67,8 @@ def signals(experiment: Experiment, point: Point) -> dict[str, Floats]:
     voltages; a locked one has no motion.
     """
     if isinstance(experiment, ValveDriven):
-        model = blocks(experiment.simulated(point, whole=True))
-        voltage = blocks(experiment.trial.voltage)
+        model = experiment.trial.blocks(experiment.simulated(point, whole=True))
+        voltage = experiment.trial.blocks(experiment.trial.voltage)
         out = {
             "voltage 1": voltage[:, 0],
             "voltage 2": voltage[:, 1],
@@ -76,9 +76,9 @@ def signals(experiment: Experiment, point: Point) -> dict[str, Floats]:
             "pressure 2": model[:, PRESSURE_1 + 1],
         }
         if experiment.trial.joint == "free":
-            out |= {"angle": model[:, ANGLE], "velocity": np.gradient(model[:, ANGLE], BLOCK * experiment.trial.dt)}
+            out |= {"angle": model[:, ANGLE], "velocity": np.gradient(model[:, ANGLE], experiment.trial.block_s)}
         return {name: np.asarray(values, dtype=np.float64) for name, values in out.items()}
-    course = blocks(experiment.states(point)[0][:, :4])
+    course = experiment.trial.blocks(experiment.states(point)[0][:, :4])
     return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
 
 
@@ -90,8 +90,8 @@ def statistics(experiment: Experiment, point: Point) -> list[dict[str, Any]]:
         point: the model.
     """
     given = signals(experiment, point)
-    first = -(-experiment.fitted // BLOCK)
-    step = BLOCK * experiment.trial.dt
+    first = -(-experiment.fitted // experiment.trial.block)
+    step = experiment.trial.block_s
     residual = experiment.residual(point, whole=True)[: len(experiment.measured)]
     out = []
     # A model that is given the measured angle at every step shows the errors of its equations in its residuals.
@@ -124,9 +124,9 @@ def of_innovations(experiment: Experiment, point: Point, time: Floats, innovatio
         innovation: of the pressures there, in standard deviations (M, 2).
     """
     given = signals(experiment, point)
-    step = BLOCK * experiment.trial.dt
+    step = experiment.trial.block_s
     block = (time / step).astype(np.int64)
-    first, count = -(-experiment.fitted // BLOCK), len(experiment.measured)
+    first, count = -(-experiment.fitted // experiment.trial.block), len(experiment.measured)
     behind = {name: values[first:] for name, values in given.items()}
     out = []
     for number in (0, 1):
@@ -135,7 +135,7 @@ def of_innovations(experiment: Experiment, point: Point, time: Floats, innovatio
         count_of = np.bincount(block[inside] - first, minlength=count - first)
         total = np.bincount(block[inside] - first, values[inside], minlength=count - first)
         means = np.where(count_of > 0, total / np.maximum(count_of, 1), 0.0)
-        row = row_of(means, 1.0 / np.sqrt(BLOCK), behind, step)
+        row = row_of(means, 1.0 / np.sqrt(experiment.trial.block), behind, step)
         # Every sample tells of the whiteness, not means of them.
         row["whiteness_p"] = metrics.whiteness_p(values[inside][:, None])
         out.append({"channel": f"innovation {number + 1}", "kind": "innovation", "unit": "σ", **row})
@@ -265,17 +265,15 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     if moves:
         known.append(3)
     begin = np.arange(_NEAR, len(shown) - SPAN - 1, SPAN)
-    start = np.array(
-        [_measured_state(states, shown, block, trial.dt if moves else None, p) for block in range(len(shown))]
-    )
+    start = np.array([_measured_state(states, shown, block, trial, moves, p) for block in range(len(shown))])
     factors = np.array([[_flow_of_rate(i, start[b], p) for i in (0, 1)] for b in begin])
-    seconds = SPAN * BLOCK * trial.dt
+    seconds, size = SPAN * trial.block_s, trial.block
 
     def ends_at(block: int, x: Floats) -> Floats:
         """Pressures' readings and angle at the end of a window (3,)."""
-        first = block * BLOCK + BLOCK // 2
-        run, _ = dynamics.course(x, trial.given[first : first + (SPAN + 1) * BLOCK], p, trial.dt, 1)
-        end = run[SPAN * BLOCK - BLOCK // 2 : SPAN * BLOCK + BLOCK // 2].mean(axis=0)
+        first = block * size + size // 2
+        run, _ = dynamics.course(x, trial.given[first : first + (SPAN + 1) * size], p, trial.dt, trial.substeps)
+        end = run[SPAN * size - size // 2 :][:size].mean(axis=0)
         return np.array([sensor.reading(0, end[2], p), sensor.reading(1, end[3], p), end[0]])
 
     values = np.full((len(begin), 4), np.nan)
@@ -288,7 +286,7 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     values[:, 3] = np.degrees(rates[:, 2])
     # What the sensors' noise does at the start and at the end of a window, for some of them.
     errors = np.zeros(4)
-    velocity = noise[ANGLE] * np.sqrt(2.0) / (2 * _NEAR * BLOCK * trial.dt)
+    velocity = noise[ANGLE] * np.sqrt(2.0) / (2 * _NEAR * trial.block_s)
     of_state = ((0, noise[ANGLE]), (1, velocity if moves else 0.0), (2, noise[PRESSURE_1]), (3, noise[PRESSURE_1 + 1]))
     probes = np.linspace(0, len(begin) - 1, min(_PROBES, len(begin))).astype(int)
     for w in probes:
@@ -309,16 +307,16 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     return EquationErrors(begin, np.nan_to_num(values), np.sqrt(errors), tuple(known))
 
 
-def _measured_state(states: Floats, shown: Floats, block: int, dt: float | None, p: Floats) -> Floats:
+def _measured_state(states: Floats, shown: Floats, block: int, trial: Trial, moves: bool, p: Floats) -> Floats:
     """The simulation's state in the middle of a block, with what was measured in place of what was simulated.
 
-    The angle stays the simulation's where `dt` is None.
+    The angle stays the simulation's where the joint does not move.
     """
-    x = states[block * BLOCK + BLOCK // 2].copy()
-    if dt is not None:
+    x = states[block * trial.block + trial.block // 2].copy()
+    if moves:
         low, high = max(block - _NEAR, 0), min(block + _NEAR, len(shown) - 1)
         x[0] = shown[block, ANGLE]
-        x[1] = (shown[high, ANGLE] - shown[low, ANGLE]) / ((high - low) * BLOCK * dt)
+        x[1] = (shown[high, ANGLE] - shown[low, ANGLE]) / ((high - low) * trial.block_s)
     for i in (0, 1):
         x[2 + i] = sensor.pressure_behind(i, shown[block, PRESSURE_1 + i], p)
     return x

@@ -15,7 +15,7 @@ from pam_antagonist.inference.angle_driven import BALANCE, sweeps
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted
-from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, solve
+from pam_antagonist.inference.likelihood import solve
 from pam_antagonist.inference.trial import ANGLE, TORQUE
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, Effect
 
@@ -188,6 +188,7 @@ def invisible(experiments: Sequence[Experiment], base: Model, jobs: int) -> tupl
 def _shows(name: str, experiment: Experiment, fitted: Fitted) -> bool:
     candidate = Candidate(name)
     shapes = {shape.path: shape.item.neutral for shape in candidate.shapes}
+    counted = experiment.blocks_per_error
     scale, none = fitted.scale, np.zeros((*fitted.residual.shape, 0))
     for size in candidate.sizes:
         values = dict.fromkeys(size.paths, size.bounded(size.item.scale))
@@ -195,10 +196,10 @@ def _shows(name: str, experiment: Experiment, fitted: Fitted) -> bool:
         # As a fit would see it, were the rest noise.
         step = solve(
             change, fitted.base, none, scale, experiment.prior, np.zeros(experiment.size), rounds=1,
-            first=scale.noise**2, length=np.full(len(scale.noise), BLOCKS_PER_ERROR),
+            first=scale.noise**2, length=np.full(len(scale.noise), counted),
         )  # fmt: skip
         rise = np.log1p(np.mean(step.residual**2, axis=0) / scale.noise**2)
-        independent = len(change) / BLOCKS_PER_ERROR
-        if independent * float(rise.sum()) - float(np.log(change.size / BLOCKS_PER_ERROR)) > thresholds.STRONG:
+        independent = len(change) / counted
+        if independent * float(rise.sum()) - float(np.log(change.size / counted)) > thresholds.STRONG:
             return True
     return False

@@ -168,6 +168,7 @@ class Estimator:
             measurement_noise=measurement,
             gain_noise=measurement * (2.0 if chosen.gain == "printed" else 1.0),
             period=rig.sample_period,
+            step=min(rig.sample_period, par.LONGEST_STEP),
             kappa=chosen.kappa,
             gate=chosen.gate,
             lock_angle=lock_angle,
@@ -304,8 +305,9 @@ def simulate_model(
     joint: str = "free",
     lock_angle: float = 0.0,
     angle0: float | None = None,
-    substeps: int = 1,
+    substeps: int | None = None,
     external_torque: np.ndarray | None = None,
+    period: float | None = None,
 ) -> ModelRun:
     """The model alone from the first pressures on, without any measurement after them.
 
@@ -317,13 +319,18 @@ def simulate_model(
         joint: ``free`` or ``locked``.
         lock_angle: angle [rad] of a locked joint.
         angle0: angle [rad] of a free joint at the first sample; default: that of a filter's start.
-        substeps: Runge-Kutta steps a sample.
+        substeps: Runge-Kutta steps a sample; default: as many as keep each within 1 ms.
         external_torque: torque from outside (N,) [N m] where it is known.
+        period: time from row to row [s]; default: the rig's sample period.
 
     Raises:
         BadInput: the first pressures or voltages are not finite.
     """
     p = rig.parameters(joint, lock_angle)
+    every = rig.sample_period if period is None else period
+    if substeps is None:
+        substeps = dynamics.substeps_of(every)
+        p[par.FRICTION_STEP] = every / substeps
     held = _hold_last(np.array(voltage, dtype=np.float64, order="C"))
     shown = np.asarray(pressure0, dtype=np.float64)
     if not (np.all(np.isfinite(shown)) and np.all(np.isfinite(held))):
@@ -336,7 +343,7 @@ def simulate_model(
     else:
         angle = equilibrium.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
     start = equilibrium.initial_state(angle, pressures[0], pressures[1], held[0], p)
-    states, torques, sigma = dynamics.simulate(start, held, p, rig.sample_period, substeps)
+    states, torques, sigma = dynamics.simulate(start, held, p, every, substeps)
     readings = np.column_stack([sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)])
     return ModelRun(states[:, 0], states[:, 1], readings, torques, sigma)
 

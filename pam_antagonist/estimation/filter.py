@@ -8,12 +8,17 @@ there. What can be wrong with it is decided here, by stamps alone and never by t
 
 * not newer than the last one: dropped and counted (``duplicates``, ``late``);
 * older by more than ``RESTART_AFTER_NS``: the clock was set back, the filter starts again;
-* samples missing before it: predicted over, up to ``LONGEST_GAP_NS``; beyond that the filter starts again;
+* further from the last one than the stream's own period: samples are missing. They are predicted over with the last
+  known voltages, up to ``LONGEST_GAP_NS``; beyond that the filter starts again;
 * a pressure that is not finite: the other one alone is used, or none (prediction only);
 * voltages that are not finite: the last known ones are taken to hold;
 * an innovation beyond the gate (Mahalanobis distance): the pressure that is further off is left out,
   then the other one if that is beyond the gate as well. After ``PATIENCE`` such samples in a row it is
   the filter that is wrong, not the sensor, and the pressures are used again.
+
+A stream may have any rate. Its own period is the median of the last distances between stamps. It is the rig's nominal
+period where it is near that. The model takes steps as near to 1 ms as whole ones allow, and the process noise, which a
+tuning gives a nominal period, grows with the time that passes.
 """
 
 from __future__ import annotations
@@ -33,6 +38,11 @@ from pam_antagonist.model.parameters import LOCKED
 RESTART_AFTER_NS = 500_000_000
 LONGEST_GAP_NS = 1_000_000_000
 PATIENCE = 20
+"""Samples, at any rate: so many readings in a row tell a wrong filter from a wrong sensor."""
+_FAR = 1.75
+"""Own periods of an estimated size from one sample to the next, from which on samples are missing between them."""
+_NEAR = 0.25
+"""Relative difference of a stream's period from the nominal one that jitter may make."""
 
 MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, LATE = 1, 2, 4, 8, 16, 32, 64
 """Flags of an estimate, as in ``JointEstimate.msg``."""
@@ -40,8 +50,10 @@ MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, L
 COUNTERS = ("processed", "predicted_only", "missing", "outliers", "late", "duplicates", "gaps", "repaired", "restarts")
 _PROCESSED, _PREDICTED_ONLY, _MISSING, _OUTLIERS, _LATE, _DUPLICATES, _GAPS, _REPAIRS, _RESTARTS = range(len(COUNTERS))
 
-CLOCK_SIZE = 4
-_RUNNING, _LAST, _STARTED, _REJECTED = range(CLOCK_SIZE)
+_RUNNING, _LAST, _STARTED, _REJECTED, _SEEN, _FIRST_DISTANCE = range(6)
+_DISTANCES = 9
+"""Distances between stamps that are remembered, in a ring from ``_FIRST_DISTANCE`` of the clock on."""
+CLOCK_SIZE = _FIRST_DISTANCE + _DISTANCES
 
 ESTIMATE_DTYPE = np.dtype(
     [
@@ -75,7 +87,8 @@ class Settings(NamedTuple):
         process_noise: diagonal of Q a sample period (n,).
         measurement_noise: diagonal of R (2,) [Pa²].
         gain_noise: what stands for R in the gain (2,) [Pa²], see :func:`pam_antagonist.estimation.ukf.update`.
-        period: sample period [s].
+        period: nominal sample period [s].
+        step: time that a step of the model takes, about [s].
         kappa: κ, the scaling of the sigma points [-].
         gate: largest Mahalanobis distance of a pressure that is used [-].
         lock_angle: angle of a locked joint [rad].
@@ -87,6 +100,7 @@ class Settings(NamedTuple):
     measurement_noise: np.ndarray
     gain_noise: np.ndarray
     period: float
+    step: float
     kappa: float
     gate: float
     lock_angle: float
@@ -100,7 +114,8 @@ class Memory(NamedTuple):
         covariance: P (n, n).
         cross: covariance with the consider parameters C (n, m).
         held: last known voltages (2,) [V].
-        clock: whether the filter runs, last stamp [ns], stamp of the start [ns], rejected samples in a row (4,).
+        clock: whether the filter runs, last stamp [ns], stamp of the start [ns], rejected samples in a row, how many
+            distances between stamps were seen, and the last of these [ns] (CLOCK_SIZE,).
         counts: what became of the samples (len(COUNTERS),).
         innovation: of the last sample (2,) [Pa], NaN where a pressure was not used.
         innovation_covariance: (2, 2) [Pa²].
@@ -160,6 +175,7 @@ def _start(stamp, y, u, memory, settings):
     clock[_LAST] = stamp
     clock[_STARTED] = stamp
     clock[_REJECTED] = 0
+    clock[_SEEN] = 0
 
 
 @kernel
@@ -246,16 +262,49 @@ def _begin(stamp, y, u, memory, settings, work, row):
 
 
 @inlined
-def _advance(elapsed, u, known_u, memory, settings, work):
-    """Predict over the time since the last sample [ns], missing samples included; how many steps, repaired pivots."""
+def _own_period(elapsed, clock, nominal):
+    """Period of the stream [s]: the median of the last distances [ns], the nominal one [s] where that is near.
+
+    It follows from the stamps since the filter's start alone, so that a replay finds the same.
+    """
+    clock[_FIRST_DISTANCE + clock[_SEEN] % _DISTANCES] = elapsed
+    clock[_SEEN] += 1
+    count = min(clock[_SEEN], _DISTANCES)
+    middle = elapsed
+    for i in range(count):
+        candidate = clock[_FIRST_DISTANCE + i]
+        below, equal = 0, 0
+        for j in range(count):
+            other = clock[_FIRST_DISTANCE + j]
+            below += other < candidate
+            equal += other == candidate
+        # The lower of the two in the middle of an even number: a gap among few distances is no period.
+        if below <= (count - 1) // 2 < below + equal:
+            middle = candidate
+            break
+    own = middle / 1e9
+    return nominal if abs(own - nominal) <= _NEAR * nominal else own
+
+
+@inlined
+def _advance(elapsed, period, u, known_u, memory, settings, work):
+    """Predict over the time since the last sample [ns], missing samples included.
+
+    The voltages of a sample were on the valves over the stream's period [s] that ends there.
+
+    Returns:
+        Whether samples are missing, and how many pivots were repaired.
+    """
     seconds = elapsed / 1e9
-    steps = max(1, int(seconds / settings.period + 0.5))
+    steps = max(1, int(seconds / settings.step + 0.5))
     dt = seconds / steps
+    gap = seconds >= (1.5 if period == settings.period else _FAR) * period
+    since = steps - max(1, int(period / dt + 0.5)) if gap else 0
     for i in range(memory.x.shape[0]):
         memory.noise[i] = settings.process_noise[i] * (dt / settings.period)
     repaired = 0
     for step in range(steps):
-        if step == steps - 1 and known_u:
+        if step == since and known_u:
             memory.held[0] = u[0]
             memory.held[1] = u[1]
         outcome = _spread_predict(
@@ -272,7 +321,7 @@ def _advance(elapsed, u, known_u, memory, settings, work):
         if outcome < 0:
             break
         repaired += outcome
-    return steps, repaired
+    return gap, repaired
 
 
 @inlined
@@ -376,8 +425,9 @@ def process(stamp, y, u, memory, settings, work, row):
         counts[_MISSING] += 1
         return False
 
-    steps, repaired = _advance(elapsed, u, known_u, memory, settings, work)
-    if steps > 1:
+    period = _own_period(elapsed, clock, settings.period)
+    gap, repaired = _advance(elapsed, period, u, known_u, memory, settings, work)
+    if gap:
         counts[_GAPS] += 1
     clock[_LAST] = stamp
     if not _finite(memory.x, memory.covariance):
@@ -388,7 +438,7 @@ def process(stamp, y, u, memory, settings, work, row):
 
     use_1, use_2, outlier = _gate(y, finite_1, finite_2, memory, settings)
     nis = _correct(use_1, use_2, memory, settings, work)
-    flags = _flagged(finite_1, finite_2, known_u, outlier, steps > 1, repaired > 0, counts)
+    flags = _flagged(finite_1, finite_2, known_u, outlier, gap, repaired > 0, counts)
     counts[_PROCESSED] += 1
     return _write(row, memory, settings, nis, flags, work)
 
@@ -450,6 +500,9 @@ def started_ns(clock: Any) -> int | None:
     return int(clock[_STARTED]) if clock[_RUNNING] else None
 
 
-def running_since(stamp_ns: int) -> tuple[int, int, int, int]:
+def running_since(stamp_ns: int) -> np.ndarray:
     """The clock (CLOCK_SIZE,) of a filter that was started at a stamp [ns]."""
-    return 1, stamp_ns, stamp_ns, 0
+    clock = np.zeros(CLOCK_SIZE, dtype=np.int64)
+    clock[_RUNNING] = 1
+    clock[_LAST] = clock[_STARTED] = stamp_ns
+    return clock

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.inference.spread import USUAL_SPREAD, Variation
-from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE, Trial, blocks
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model import parameters as par
 
@@ -86,7 +86,8 @@ def fit_force_map(
     def model(q: Floats) -> Floats:
         return np.array([dynamics.torque(state, q) for state in points.states])
 
-    return _solve(model, points, p, free, torque_std / np.sqrt(BLOCK), _deviations(model, points, p, ways))
+    size = min(trial.block for trial in trials)
+    return _solve(model, points, p, free, torque_std / np.sqrt(size), _deviations(model, points, p, ways))
 
 
 def _deviations(model, points: _Points, p: Floats, ways: Sequence[Variation]) -> Floats:  # type: ignore[no-untyped-def]
@@ -143,8 +144,8 @@ def _gather(trials, p, torque) -> _Points | None:  # type: ignore[no-untyped-def
             continue
         if trial.joint == "free" and not trial.has(ANGLE):
             continue
-        means = blocks(trial.measured)
-        step = BLOCK * trial.dt
+        means = trial.blocks(trial.measured)
+        step = trial.block_s
         angle = means[:, ANGLE] if trial.joint == "free" else np.full(len(means), trial.lock_angle)
         velocity = np.gradient(angle, step)
         bending = np.gradient(velocity, step)
@@ -153,7 +154,7 @@ def _gather(trials, p, torque) -> _Points | None:  # type: ignore[no-untyped-def
         pressure = [sensor.pressure_behind(i, means[:, PRESSURE_1 + i], p) for i in (0, 1)]
         states = np.column_stack([angle, velocity, *pressure])
         wanted = np.zeros(len(means)) if torque is None else torque(states, means)
-        external = blocks(trial.given[:, 2:])[:, 0]
+        external = trial.blocks(trial.given[:, 2:])[:, 0]
         time = (np.arange(len(means)) + 0.5) * step
         good = np.isfinite(states).all(axis=1) & np.isfinite(wanted) & np.isfinite(bending)
         parts.append(

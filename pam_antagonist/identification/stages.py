@@ -21,7 +21,7 @@ from pam_antagonist.inference.free_parameters import FreeParameter, moved
 from pam_antagonist.inference.joint_fit import JointFit, joint_fit
 from pam_antagonist.inference.joint_problem import JointProblem
 from pam_antagonist.inference.spread import Variation, deviations
-from pam_antagonist.inference.trial import BLOCK, CHANNELS, PRESSURE_1, Trial
+from pam_antagonist.inference.trial import CHANNELS, PRESSURE_1, Trial
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -220,7 +220,7 @@ def padded(problem: JointProblem, theta: Floats) -> list[Floats]:
     """Block residuals of all four channels, one (B, 4) a trial; NaN where a channel says nothing."""
     out = []
     for trial, part in zip(problem.trials, problem.residuals(theta), strict=True):
-        full = np.full((len(trial) // BLOCK, len(CHANNELS)), np.nan)
+        full = np.full((len(trial) // trial.block, len(CHANNELS)), np.nan)
         full[:, problem.counted(trial)] = part
         out.append(full)
     return out

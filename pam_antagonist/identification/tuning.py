@@ -22,8 +22,7 @@ from scipy.optimize import minimize, minimize_scalar
 from pam_antagonist.estimation import EstimateRun, Estimator
 from pam_antagonist.inference.free_parameters import Direction, FreeParameter, moved
 from pam_antagonist.inference.joint_fit import JointFit
-from pam_antagonist.inference.noise import converter_step, white_std
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial, converter_step, white_std
 from pam_antagonist.model import equilibrium
 from pam_antagonist.rig import Rig
 
@@ -34,7 +33,7 @@ def with_noise(rig: Rig, trials: Sequence[Trial]) -> Rig:
     """The rig with the sensors' noise and R of the tuning ``default`` as the recordings show them."""
 
     def of(channel: int) -> float:
-        stds = [white_std(trial.measured[:, channel]) for trial in trials if trial.has(channel)]
+        stds = [white_std(trial.measured[:, channel], trial.dt) for trial in trials if trial.has(channel)]
         known = [std for std in stds if math.isfinite(std)]
         return float(np.sqrt(np.mean(np.square(known)))) if known else float("nan")
 
@@ -57,6 +56,8 @@ def with_noise(rig: Rig, trials: Sequence[Trial]) -> Rig:
 SETTLE_S = 1.0
 """[s] after the start of the filter that are not judged: its first covariance is a guess."""
 _PART_S = 20.0
+_APART_S = 0.01
+"""[s] between the estimates that count."""
 _MOST_CONSIDERED = 10
 """Directions, with the single parameters that were declared uncertain and not fitted: each is two sigma points more."""
 _EXPLAINED = 0.99
@@ -123,7 +124,6 @@ def considered_directions(
     values, vectors = np.linalg.eigh(covariance)
     roots = vectors * np.sqrt(np.maximum(values, 0.0))
     plain = rig.replaced(tunings={**rig.tunings, "default": rig.tuning("default").replaced(consider=False)})
-    settle = round(SETTLE_S / rig.sample_period)
 
     def changed(step: Floats) -> Rig:
         values = {i.name: rig.value(i.name) + i.prior_std * float(s) for i, s in zip(free, step, strict=True)}
@@ -131,7 +131,8 @@ def considered_directions(
 
     def estimate(step: Floats) -> tuple[Floats, Floats]:
         now = changed(step)
-        rows = np.concatenate([run_filter(now, trial).rows[settle::10] for trial in trials])
+        runs = [run_filter(now, trial).rows[trial.samples(SETTLE_S) :: trial.samples(_APART_S)] for trial in trials]
+        rows = np.concatenate(runs)
         variances = rows["covariance"][:, (0, 2), (0, 2)]
         return np.column_stack([rows["angle"], rows["torque"]]), variances
 
@@ -327,7 +328,6 @@ def innovation_likelihood(run: EstimateRun, settle: int) -> tuple[float, int]:
 
 def _tune_process(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[Rig, tuple[float, float], int]:
     tuning = rig.tuning("default")
-    settle = round(SETTLE_S / rig.sample_period)
 
     def with_process(logarithm: Floats) -> Rig:
         velocity, pressure = (float(10.0**value) for value in np.clip(logarithm, [-12.0, -2.0], [1.0, 8.0]))
@@ -339,7 +339,7 @@ def _tune_process(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[Rig, tu
     def against(logarithm: Floats) -> float:
         now = with_process(logarithm)
         runs = Parallel(n_jobs=jobs, prefer="threads")(delayed(run_filter)(now, trial) for trial in trials)
-        sums = [innovation_likelihood(run, settle) for run in runs]
+        sums = [innovation_likelihood(run, trial.samples(SETTLE_S)) for run, trial in zip(runs, trials, strict=True)]
         return -sum(value for value, _ in sums) / max(sum(number for _, number in sums), 1)
 
     start = np.log10(np.maximum([tuning.process[1], tuning.process[2]], [1e-12, 1e-2]))

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.inference.excess import in_mean_squares
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
-from pam_antagonist.inference.noise import block_noise
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, blocks
+from pam_antagonist.inference.likelihood import in_mean_squares
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, block_noise
 from pam_antagonist.inference.valve_driven import predict, start_of
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model.effects import CATALOGUE
@@ -35,8 +34,8 @@ AIR, BALANCE = "air", "balance"
 """Parts of a driven joint; each effect of the catalogue says which of them shows it."""
 
 _CORNER_HZ = 3.0
-_STRIDE = 4
-"""Samples a step: what is left of a motion behind 3 Hz hardly changes within one."""
+_STEP_S = 4e-3
+"""[s] Longest step: what is left of a motion behind 3 Hz hardly changes within one."""
 _SMOOTH = 1e-6
 """[rad] White noise below which an angle needs no smoothing: its direction of motion shows as it is."""
 SLIDING = 0.02
@@ -52,7 +51,7 @@ _rk4_step, _torque_needed = dynamics.rk4_step, dynamics.torque_needed
 
 
 @kernel
-def _driven(x0, angle, velocity, acceleration, direction, p, dt):  # type: ignore[no-untyped-def]
+def _driven(x0, angle, velocity, acceleration, direction, p, dt, substeps):  # type: ignore[no-untyped-def]
     """Pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that a motion needs."""
     samples = len(angle)
     x = x0.copy()
@@ -61,10 +60,11 @@ def _driven(x0, angle, velocity, acceleration, direction, p, dt):  # type: ignor
     needed = np.empty(samples)
     for k in range(samples):
         if k > 0:
-            # Held over the step at its middle, of second order: the joint of p is locked, its air sees the velocity.
-            x[0] = 0.5 * (angle[k] + angle[k - 1])
+            # Held over a step at its middle, of second order: the joint of p is locked, its air sees the velocity.
             x[1] = (angle[k] - angle[k - 1]) / dt
-            _rk4_step(x, u, p, dt, x)
+            for j in range(substeps):
+                x[0] = 0.5 * (angle[k] + angle[k - 1]) + ((j + 0.5) / substeps - 0.5) * (angle[k] - angle[k - 1])
+                _rk4_step(x, u, p, dt / substeps, x)
         x[0] = angle[k]
         x[1] = velocity[k]
         needed[k] = _torque_needed(x, acceleration[k], direction[k], p)
@@ -185,7 +185,7 @@ class AngleDriven(Experiment):
         values = _parted(self.trial.measured)[:, list(self.channels)]
         if self.resolved:
             values = np.where(np.abs(self.motion.velocity)[:, None] > SLIDING, values, np.nan)
-        return blocks(values)
+        return self.trial.blocks(values)
 
     @cached_property
     def motion(self) -> Motion:
@@ -209,7 +209,10 @@ class AngleDriven(Experiment):
         values = _parted(self.trial.measured)
         by_angle = np.array([slopes[0] + slopes[1], slopes[0] - slopes[1]]) / 2.0 * angle
         return np.array(
-            [np.hypot(block_noise(values[:, c]), by) for c, by in zip(self.channels, by_angle, strict=True)]
+            [
+                np.hypot(block_noise(values[:, c], self.trial.block), by)
+                for c, by in zip(self.channels, by_angle, strict=True)
+            ]
         )
 
     @cached_property
@@ -236,11 +239,13 @@ class AngleDriven(Experiment):
         velocity = float(motion.velocity[0]) if abs(motion.velocity[0]) > SLIDING else 0.0
         x0 = equilibrium.initial_state(first, pressures[0], pressures[1], np.zeros(3), p, velocity)
         end = len(self.trial) if whole else self.fitted
-        at = np.arange(0, end, _STRIDE)
+        stride = self.trial.samples(_STEP_S)
+        at = np.arange(0, end, stride)
         course = [part[:end][at] for part in (motion.angle, motion.velocity, motion.acceleration)]
         # A joint that trembles while it sticks shows no direction.
         direction = np.add.reduceat(motion.direction[:end], at) / np.diff(np.append(at, end))
-        pressure, needed = _driven(x0, *course, direction, p, _STRIDE * self.trial.dt)
+        period = stride * self.trial.dt
+        pressure, needed = _driven(x0, *course, direction, p, period, dynamics.substeps_of(period, _STEP_S))
         every = np.arange(end)
         columns = [np.interp(every, at, column) for column in (*pressure.T, needed)]
         return np.column_stack(columns[:2]), np.asarray(columns[2])

@@ -17,10 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.excess import in_decibels
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, values_along
-from pam_antagonist.inference.likelihood import Scale, solve
-from pam_antagonist.inference.trial import BLOCK, Trial, blocks
+from pam_antagonist.inference.likelihood import ERROR_S, Scale, in_decibels, solve
+from pam_antagonist.inference.trial import Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -147,7 +146,14 @@ class Experiment(ABC):
     @cached_property
     def vector(self) -> Floats:
         """Parameter vector of the rig as configured."""
-        return self.rig.parameters(self.trial.joint, self.trial.lock_angle)
+        p = self.rig.parameters(self.trial.joint, self.trial.lock_angle)
+        p[par.FRICTION_STEP] = self.trial.step
+        return p
+
+    @property
+    def blocks_per_error(self) -> float:
+        """Blocks per value that a fit counts: what a model lacks moves with the commands, about once a second."""
+        return max(1.0, ERROR_S / self.trial.block_s)
 
     def depends_on(self, k: int) -> bool:
         """Whether anything that is compared depends on a base coordinate."""
@@ -160,7 +166,7 @@ class Experiment(ABC):
             before: residual of a model (B, C).
             after: of another one (B, C).
         """
-        return in_decibels(before, after, self.noise)
+        return in_decibels(before, after, self.noise, round(self.blocks_per_error))
 
     def shown(self, point: Point, rig: Rig) -> Floats:
         """What every sensor would show over all of the recording (N, 4), in the order of ``CHANNELS``.
@@ -228,7 +234,7 @@ class Experiment(ABC):
 
         The whole is followed by what it leaves of recordings that are held out, see :meth:`residual_elsewhere`.
         """
-        own = self.residual_of(blocks(self.simulated(point, whole)[:, list(self.channels)]))
+        own = self.residual_of(self.trial.blocks(self.simulated(point, whole)[:, list(self.channels)]))
         if not whole:
             return own
         return np.concatenate([own, *(self.residual_elsewhere(other, point) for other in self.judged)])
@@ -244,9 +250,22 @@ class Experiment(ABC):
         bound = _RUNAWAY * self.noise
         return np.clip(np.nan_to_num(difference, nan=0.0, posinf=np.inf, neginf=-np.inf), -bound, bound)
 
+    def scale(self, residual: Floats | None = None, blocks_per_error: float | None = None) -> Scale:
+        """How residuals are judged.
+
+        Args:
+            residual: whose memory counts (B, C); default: of none.
+            blocks_per_error: blocks per value that a fit counts; default: those of a model that lacks something.
+        """
+        usual = self.blocks_per_error
+        counted = usual if blocks_per_error is None else blocks_per_error
+        if residual is None:
+            return Scale(self.noise, np.ones(len(self.noise)), counted, usual)
+        return Scale.of(residual, self.noise, counted, usual)
+
     def held(self, residual: Floats) -> Floats:
         """The held-out blocks of a residual of the whole; none where there is nothing to judge by."""
-        return residual[-(-self.fitted // BLOCK) :]
+        return residual[-(-self.fitted // self.trial.block) :]
 
     def times_noise(self, residual: Floats) -> Floats:
         """Root mean square of each channel over its noise (C,); 1 where there is nothing to judge by."""
@@ -278,7 +297,7 @@ class Experiment(ABC):
         moved_by = (Point(now.theta + shift, now.effects) for shift in shifts)
         columns = np.stack(self.differences(now, residual, moved_by), axis=2)
         # Weighed and counted as in any fit, and pulled to what the sensors showed.
-        scale, none = Scale(self.noise, np.ones(len(self.noise))), np.zeros((*residual.shape, 0))
+        scale, none = self.scale(), np.zeros((*residual.shape, 0))
         step = solve(residual, columns, none, scale, np.ones(starts), np.zeros(starts), rounds=1).theta
         moved = Point(np.concatenate([point.theta[:count], step]), point.effects)
         weight = 1.0 / (scale.variances(residual) * scale.blocks_per_error)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
-from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, Scale, Step, solve
+from pam_antagonist.inference.likelihood import Scale, Step, solve
 
 Floats = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def refit(
     base: Floats | None = None,
     rounds: int = _ROUNDS,
     renewals: int = 3,
-    blocks_per_error: float = BLOCKS_PER_ERROR,
+    blocks_per_error: float | None = None,
     careful: int = 12,
 ) -> Fitted:
     """Gauss-Newton, with the derivatives by the base coordinates kept from step to step while they serve.
@@ -128,7 +128,7 @@ def refit(
         base: derivatives by the base coordinates (B, C, K + S) from a point nearby; default: worked out here.
         rounds: at most so many steps.
         renewals: how often the derivatives by the base coordinates may be worked out.
-        blocks_per_error: blocks per value that is counted.
+        blocks_per_error: blocks per value that is counted; default: those of a model that lacks something.
         careful: how many steps may be damped ones, which are tried where the others lead nowhere.
     """
     residual = experiment.residual(point)
@@ -139,7 +139,7 @@ def refit(
     effect = effect_jacobian(experiment, point, residual, free)
     gained, first = 0.0, 0
     for _ in range(rounds):
-        scale = Scale.of(residual, experiment.noise, blocks_per_error)
+        scale = experiment.scale(residual, blocks_per_error)
         cost = cost_of(experiment, point, residual, scale)
         found = None
         damped = len(_CAREFUL) if careful > 0 and (fresh or renewals <= 0) else 0
@@ -172,7 +172,7 @@ def refit(
         base = experiment.jacobian(point, residual)
         renewals -= 1
         fresh = True
-    scale = Scale.of(residual, experiment.noise, blocks_per_error)
+    scale = experiment.scale(residual, blocks_per_error)
     last = solve(residual, base, effect, scale, experiment.prior, point.theta, rounds=1, length=scale.length)
     cost = cost_of(experiment, point, residual, scale)
     return Fitted(point, tuple(free), residual, base, effect, scale, cost, last.covariance)

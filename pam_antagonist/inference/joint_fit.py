@@ -16,7 +16,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.joint_problem import JointProblem, stacked
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.spread import USUAL_SPREAD, Deviations, Local, Variation, most_likely_spread
-from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, PRESSURE_2, TORQUE
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial
 from pam_antagonist.inference.valve_driven import STARTS
 from pam_antagonist.rig import Rig
 
@@ -231,24 +231,25 @@ def _first_weights(problem: JointProblem) -> list[Floats]:
     return [np.array([wide[channel] for channel in problem.counted(trial)]) for trial in problem.trials]
 
 
-def noise_floor(rig: Rig) -> dict[int, float]:
+def noise_floor(rig: Rig, trials: Sequence[Trial]) -> dict[int, float]:
     """Standard deviations of the channels' block means by the sensors' declared errors, which average out in a block.
 
-    The step of a converter does not where its noise is smaller (:func:`~pam_antagonist.inference.noise.block_noise`).
+    The step of a converter does not where its noise is smaller (:func:`~pam_antagonist.inference.trial.block_noise`).
     Here that would take weight from an angle that a joint fit follows to a fraction of such a step.
 
     Args:
         rig: with its sensors.
+        trials: whose blocks have the fewest samples of all.
     """
-    sensors = rig.sensors
+    sensors, size = rig.sensors, min(trial.block for trial in trials)
     pressure = np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))
     raw = {ANGLE: sensors.error("angle"), TORQUE: sensors.error("torque"), PRESSURE_1: pressure, PRESSURE_2: pressure}
-    return {channel: max(value / np.sqrt(BLOCK), _LEAST_NOISE[channel]) for channel, value in raw.items()}
+    return {channel: max(value / np.sqrt(size), _LEAST_NOISE[channel]) for channel, value in raw.items()}
 
 
 def _weights(problem: JointProblem, residuals: Sequence[Floats]) -> list[Floats]:
     """RMS of each channel's residuals, pooled over the trials that have it, and never below the noise."""
-    floor = noise_floor(problem.rig)
+    floor = noise_floor(problem.rig, problem.trials)
     total: dict[int, list[float]] = {}
     for trial, part in zip(problem.trials, residuals, strict=True):
         for column, channel in enumerate(problem.counted(trial)):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.free_parameters import FreeParameter
-from pam_antagonist.inference.trial import CHANNELS, Trial, blocks
+from pam_antagonist.inference.trial import CHANNELS, Trial
 from pam_antagonist.inference.valve_driven import STARTS, ValveDriven, predict
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
@@ -124,7 +124,7 @@ class JointProblem:
         """Prediction minus measurement in blocks, one array (B, counted channels) a trial."""
         predicted = side_by_side(lambda index: self.predict(theta, index), range(len(self.trials)), self.jobs)
         return [
-            blocks((values - trial.measured)[:, self.counted(trial)])
+            trial.blocks((values - trial.measured)[:, self.counted(trial)])
             for trial, values in zip(self.trials, predicted, strict=True)
         ]
 
@@ -139,9 +139,9 @@ class JointProblem:
 
         def column(task: tuple[int, int]) -> Floats:
             index, k = task
-            counted = self.counted(self.trials[index])
+            trial = self.trials[index]
             up, down = (self.predict_local(seen[index] + sign * steps[:, k], index) for sign in (1.0, -1.0))
-            return blocks((up - down)[:, counted]) / 2.0
+            return trial.blocks((up - down)[:, self.counted(trial)]) / 2.0
 
         tasks = [(index, k) for index in range(len(self.trials)) for k in range(width)]
         columns = side_by_side(column, tasks, self.jobs)

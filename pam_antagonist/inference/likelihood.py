@@ -2,6 +2,7 @@
 
 The error of each channel is taken for Gaussian with an unknown variance that is at least the sensor's. Its
 autocorrelation says how many independent values a series of residuals is worth; the evidence counts those, not samples.
+How much of a residual is beyond the sensors' noise, and how much of that is gone with another model, is its excess.
 """
 
 from __future__ import annotations
@@ -14,10 +15,16 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+ERROR_S = 1.0
+"""[s] What a model lacks moves with the commands: a fit counts one independent error a second and channel."""
 BLOCKS_PER_ERROR = 50.0
-"""[blocks] What a model lacks moves with the commands: a fit counts one independent error a second and channel."""
+"""[blocks] The same in blocks of 20 ms."""
 _SHORTEST = 10.0
 """A series has at least so many of them for its correlation length to be estimated."""
+_QUIET = 1.5
+"""The mean square of a stretch of noise alone, over its variance, is hardly ever more."""
+_FULL = 20.0
+"""[dB] A stretch is explained where the error falls to a tenth: no law has quite the form of what is there."""
 
 
 def correlation_length(residual: Floats) -> float:
@@ -57,24 +64,33 @@ class Scale:
         noise: least standard deviation of each channel's block means (C,).
         length: blocks per independent value of each channel (C,); 1 where a channel is at its noise.
         blocks_per_error: blocks per value that a fit counts.
+        fewest: blocks per value that the evidence counts at least.
     """
 
     noise: Floats
     length: Floats
     blocks_per_error: float = BLOCKS_PER_ERROR
+    fewest: float = BLOCKS_PER_ERROR
 
     @classmethod
-    def of(cls, residual: Floats, noise: Floats, blocks_per_error: float = BLOCKS_PER_ERROR) -> Scale:
+    def of(
+        cls,
+        residual: Floats,
+        noise: Floats,
+        blocks_per_error: float = BLOCKS_PER_ERROR,
+        fewest: float = BLOCKS_PER_ERROR,
+    ) -> Scale:
         """With the correlation lengths of a residual.
 
         Args:
             residual: (B, C).
             noise: least standard deviation of each channel's block means (C,).
             blocks_per_error: blocks per value that a fit counts.
+            fewest: blocks per value that the evidence counts at least.
         """
         quiet = np.mean(residual**2, axis=0) <= noise**2
         lengths = [1.0 if still else correlation_length(r) for still, r in zip(quiet, residual.T, strict=True)]
-        return cls(noise, np.array(lengths), blocks_per_error)
+        return cls(noise, np.array(lengths), blocks_per_error, fewest)
 
     @property
     def counted(self) -> float:
@@ -83,7 +99,7 @@ class Scale:
         What is wrong in one channel and what a model of another form leaves in the next have one cause and one pace. A
         channel that counts more than the others because it is white now would forbid everything to such a model.
         """
-        return float(max(self.length.max(), BLOCKS_PER_ERROR))
+        return float(max(self.length.max(), self.fewest))
 
     @property
     def share(self) -> float:
@@ -183,3 +199,54 @@ def _solved(matrix: Floats, right: Floats) -> Floats:
     scaled = matrix / np.outer(diagonal, diagonal) + (1e-10 + dead) * np.eye(len(matrix))
     across = diagonal if right.ndim == 1 else diagonal[:, None]
     return np.asarray(np.linalg.solve(scaled, right / across) / across)
+
+
+def in_decibels(before: Floats, after: Floats, noise: Floats, stretch: int) -> tuple[float, float]:
+    """What of the excess over noise is gone with another model, in decibels.
+
+    Each second counts by itself, down to the noise or down to a tenth.
+
+    A model that is wrong for a second has that second against it, however wrong it was. Where a joint sticks at another
+    angle than the model's, squares would count nothing else.
+
+    Args:
+        before: residual of a model (B, C).
+        after: of another one (B, C).
+        noise: standard deviation of each channel's noise (C,).
+        stretch: blocks of a second; in each of them a model is right or wrong once.
+
+    Returns:
+        What is gone, negative where it has grown, and what was there to go.
+    """
+    old, new = _levels(before, noise, stretch), _levels(after, noise, stretch)
+    there = np.minimum(old, _FULL)
+    return float(np.sum(np.clip(old - new, -_FULL, there))), float(np.sum(there))
+
+
+def in_mean_squares(before: Floats, after: Floats, noise: Floats) -> tuple[float, float]:
+    """The same by the mean square of each channel.
+
+    Args:
+        before: residual of a model (B, C).
+        after: of another one (B, C).
+        noise: standard deviation of each channel's noise (C,).
+    """
+    old, new = (_squares(residual, noise) for residual in (before, after))
+    return float(np.sum(old - new)), float(np.sum(old))
+
+
+def _levels(residual: Floats, noise: Floats, stretch: int) -> Floats:
+    """How far each stretch of each channel is above its noise [dB] (S, C)."""
+    if not len(residual):
+        return np.zeros((0, residual.shape[1]))
+    # A rest of less than half a stretch belongs to the last one.
+    begin = np.arange(0, max(len(residual) - stretch // 2, 1), stretch)
+    lengths = np.diff(np.append(begin, len(residual)))
+    squares = np.add.reduceat((residual / noise) ** 2, begin, axis=0) / lengths[:, None]
+    return np.asarray(10.0 * np.log10(np.maximum(squares / _QUIET, 1.0)))
+
+
+def _squares(residual: Floats, noise: Floats) -> Floats:
+    if not len(residual):
+        return np.zeros(residual.shape[1])
+    return np.asarray(np.maximum(np.mean((residual / noise) ** 2, axis=0) - 1.0, 0.0))

@@ -1,14 +1,16 @@
-"""A recording made ready for fitting: an even grid, one joint condition, and what it is good for."""
+"""A recording made ready for fitting: an even grid, one joint condition, its noise, and what it is good for."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.model.dynamics import substeps_of
+from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -17,14 +19,20 @@ Floats = NDArray[np.float64]
 CHANNELS = ("angle", "torque", "pressure_1", "pressure_2")
 """Columns of measurements and predictions: [rad, N m, Pa, Pa]."""
 ANGLE, TORQUE, PRESSURE_1, PRESSURE_2 = range(len(CHANNELS))
-BLOCK = 20
-"""Samples that are averaged to one residual: what a model lacks is slower than this, and noise averages out."""
+BLOCK_S = 0.02
+"""[s] Samples of this time are averaged to one residual: what a model lacks is slower, and noise averages out."""
 
 _SHORTEST = 5.0
 _LEAST_SWING = 30e3
 _LEAST_VOLTAGE_SWING = 0.2
 _SATURATED_SHARE = 0.02
 _LARGEST_MISSING_SHARE = 0.2
+_MOST_LEVELS = 0.25
+"""Distinct values a sample of a converted signal: a signal without steps has nearly as many as samples."""
+_ON_GRID, _SHARE_ON_GRID = 0.02, 0.98
+_LEAST_NOISE = 1e-12
+_SLOW_S = 3e-3
+"""[s] Signals move too much within longer periods for their first differences to be noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +47,7 @@ class Trial:
         voltage: (N, 2) [V]; row k is held over the step that ends at sample k.
         measured: (N, 4) in the order of ``CHANNELS``; NaN where there is no measurement.
         external: torque from outside (N,) [N m], None where nothing was applied.
+        longest_step: a model takes no longer steps than this [s].
     """
 
     name: str
@@ -48,6 +57,7 @@ class Trial:
     voltage: Floats
     measured: Floats
     external: Floats | None = None
+    longest_step: float = LONGEST_STEP
 
     @cached_property
     def given(self) -> Floats:
@@ -63,28 +73,65 @@ class Trial:
         """Time of each sample (N,) [s]."""
         return np.asarray(np.arange(len(self)) * self.dt)
 
+    @property
+    def block(self) -> int:
+        """Samples that are averaged to one residual: as near to ``BLOCK_S`` as whole samples allow."""
+        return self.samples(BLOCK_S)
+
+    @property
+    def block_s(self) -> float:
+        """Length of a block [s]."""
+        return self.block * self.dt
+
+    @property
+    def substeps(self) -> int:
+        """Steps that a model takes a sample."""
+        return substeps_of(self.dt, self.longest_step)
+
+    @property
+    def step(self) -> float:
+        """A model's step [s]."""
+        return self.dt / self.substeps
+
+    def samples(self, seconds: float) -> int:
+        """How many samples are nearest to a time, at least one."""
+        return max(1, round(seconds / self.dt))
+
+    def whole_blocks(self, samples: float) -> int:
+        """The samples of as many whole blocks as there are in a number of samples."""
+        return int(samples) // self.block * self.block
+
+    def blocks(self, values: Floats) -> Floats:
+        """Block means (N // block, C) of columns (N, C); NaN where less than half of a block is known."""
+        return blocks(values, self.block)
+
     def has(self, channel: int) -> bool:
         """Whether anything was measured on a channel, and can show something (a locked joint's angle cannot)."""
         if channel == ANGLE and self.joint == "locked":
             return False
         return bool(np.isfinite(self.measured[:, channel]).any())
 
+    def noise(self, channel: int) -> float:
+        """Standard deviation that a channel's sensor gives to a block mean."""
+        return block_noise(self.measured[:, channel], self.block)
+
     def part(self, begin_s: float, end_s: float) -> Trial:
         """The part between two times [s] of the trial."""
         first, last = round(begin_s / self.dt), round(end_s / self.dt)
-        return Trial(
-            self.name,
-            self.joint,
-            self.lock_angle,
-            self.dt,
-            self.voltage[first:last],
-            self.measured[first:last],
-            None if self.external is None else self.external[first:last],
-        )
+        external = None if self.external is None else self.external[first:last]
+        return replace(self, voltage=self.voltage[first:last], measured=self.measured[first:last], external=external)
 
 
-def blocks(values: Floats, size: int = BLOCK) -> Floats:
-    """Means over blocks of samples, (N // size, C); NaN where less than half of a block is known."""
+def blocks(values: Floats, size: int) -> Floats:
+    """Means over blocks of samples.
+
+    Args:
+        values: columns (N, C), NaN where a value is missing.
+        size: samples of a block.
+
+    Returns:
+        (N // size, C); NaN where less than half of a block is known.
+    """
     count = len(values) // size
     cut = values[: count * size].reshape(count, size, values.shape[1])
     known = np.isfinite(cut)
@@ -94,11 +141,11 @@ def blocks(values: Floats, size: int = BLOCK) -> Floats:
 
 
 def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, name: str) -> Trial:
-    """Put a recording on an even grid; :func:`check` checks that there is something to learn from it.
+    """Put a recording on an even grid of its own period; :func:`check` checks that there is something to learn from it.
 
     Args:
         recording: the recording.
-        rig: whose sample period is used.
+        rig: whose sample period is used where the recording's is the same.
         joint: ``free`` or ``locked``.
         lock_angle: [rad].
         name: for reports and messages.
@@ -106,8 +153,7 @@ def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, na
     Raises:
         BadInput: no finite voltages.
     """
-    dt = rig.sample_period
-    step = np.rint((recording.stamp_ns - recording.stamp_ns[0]) / (dt * 1e9)).astype(np.int64)
+    dt, step = recording.even_grid(rig.sample_period)
     keep = np.concatenate(([True], np.diff(step) > 0))
     step = step[keep]
     samples = int(step[-1]) + 1
@@ -184,3 +230,64 @@ def _stands(trial: Trial, series: Floats, name: str, scale: float, unit: str) ->
                 f"{trial.name}: {name} stands at its {word} end, {bound * scale:.4g} {unit}, in "
                 f"{100 * share:.0f} % of the samples: the sensor is saturated; use a sensor with a larger range"
             )
+
+
+def white_std(values: Floats, dt: float) -> float:
+    """Standard deviation of the noise of a slow signal: that of its differences over √2.
+
+    Args:
+        values: what the sensor showed (N,), NaN where missing.
+        dt: sample period [s]; where it is long, second differences stand for the first.
+
+    Returns:
+        In the unit of the values; NaN where no two neighbours are known.
+    """
+    if dt > _SLOW_S and np.isfinite(values).sum() > 2:
+        return _smooth_noise(values)
+    step = np.diff(values)
+    step = step[np.isfinite(step)]
+    return float(np.sqrt(np.mean(step * step) / 2.0)) if step.size else float("nan")
+
+
+def converter_step(values: Floats) -> float:
+    """Step of the converter behind a signal; 0 where hardly a value comes twice, or where they lie on no grid.
+
+    A slow signal shows little of its converter in the differences of neighbours, which are mostly none, so that its
+    noise looks smaller than the error of a reading is.
+
+    Args:
+        values: what the sensor showed (N,), NaN where missing.
+    """
+    known = values[np.isfinite(values)]
+    levels, counts = np.unique(known, return_counts=True)
+    if len(levels) < 2 or len(levels) > _MOST_LEVELS * len(known):
+        return 0.0
+    apart = np.diff(levels[counts >= np.quantile(counts, 0.5)])
+    if not len(apart):
+        return 0.0
+    step = float(np.median(apart))
+    off = np.abs(apart / step - np.rint(apart / step))
+    return step if np.mean(off < _ON_GRID) > _SHARE_ON_GRID else 0.0
+
+
+def block_noise(values: Floats, size: int) -> float:
+    """Standard deviation that a sensor gives to the mean of a block of samples.
+
+    Noise is what changes between samples: the second difference of a signal that is smooth over three
+    samples is noise of six times the variance. Its largest twentieth is left out: a joint that jumps is not noise. A
+    converter whose step is coarser than the noise rounds all samples of a block alike; its error does not average out.
+
+    Args:
+        values: what the sensor showed (N,), NaN where missing.
+        size: samples of a block.
+    """
+    white, step = _smooth_noise(values), converter_step(values)
+    averaged = white / np.sqrt(size)
+    return float(max(np.hypot(step / np.sqrt(12.0), averaged) if white < step / 2.0 else averaged, _LEAST_NOISE))
+
+
+def _smooth_noise(values: Floats) -> float:
+    """Standard deviation of a sample's noise where the signal is smooth over three samples."""
+    second = np.diff(values[np.isfinite(values)], 2)
+    bound = 2.0 * float(np.quantile(np.abs(second), 0.95))
+    return float(np.sqrt(np.mean(second[np.abs(second) <= bound] ** 2) / 6.0))

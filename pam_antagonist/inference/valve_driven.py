@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, base_directions, candidates
-from pam_antagonist.inference.noise import block_noise
-from pam_antagonist.inference.trial import ANGLE, BLOCK, CHANNELS, PRESSURE_1, Trial, blocks
+from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
 from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import small_signal_lags
@@ -23,13 +22,14 @@ from pam_antagonist.model.joint import quickest_lag
 
 Floats = NDArray[np.float64]
 
-_START_SAMPLES = 20
+_START_S = 0.02
+"""[s] At the beginning of a recording, whose means are its start."""
 _START_ANGLE = 1.7e-3
 """[rad] How well a measured start angle is known, stiction and encoder step together."""
 STARTS = 3
 """Start values: the angle and both pressures."""
-_STRIDES = (4, 2)
-"""[samples] Steps in which derivatives are simulated, the longest first that goes the model's way."""
+_LONG_STEPS = (4e-3, 2e-3)
+"""[s] Steps in which derivatives are simulated, the longest first that goes the model's way."""
 _ASTRAY = 0.5
 """A simulation in longer steps goes the model's way if no channel is off by more than so many noises (RMS)."""
 _TITLES = (
@@ -62,12 +62,12 @@ class ValveDriven(Experiment):
     @cached_property
     def measured(self) -> Floats:
         """Block means of the measurements (B, C) of these channels."""
-        return blocks(self.trial.measured[:, list(self.channels)])
+        return self.trial.blocks(self.trial.measured[:, list(self.channels)])
 
     @cached_property
     def noise(self) -> Floats:
         """Standard deviation of a block mean by the sensor alone (C,)."""
-        return np.array([block_noise(self.trial.measured[:, c]) for c in self.channels])
+        return np.array([self.trial.noise(c) for c in self.channels])
 
     @cached_property
     def first(self) -> Start:
@@ -78,7 +78,8 @@ class ValveDriven(Experiment):
     def start_std(self) -> Floats:
         """How well the start is known (3,) [rad, Pa, Pa]."""
         sensors = self.rig.sensors
-        pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))) / np.sqrt(BLOCK)
+        averaged = self.trial.samples(_START_S)
+        pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))) / np.sqrt(averaged)
         return np.array([0.0 if self.trial.joint == "locked" else _START_ANGLE, pressure, pressure])
 
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
@@ -121,37 +122,38 @@ class ValveDriven(Experiment):
             residual: there (B, C).
             moved: the others.
         """
-        stride, here = self._longest_stride(point, residual)
-        lags, shortest = small_signal_lags(self.parameters(point)), stride * quickest_lag(self.vector)
+        coarse, here = self._coarsest(point, residual)
+        p = self.vector.copy()
+        p[par.FRICTION_STEP] = coarse.step
+        lags, shortest = small_signal_lags(self.parameters(point)), quickest_lag(p)
 
         def difference(there: Point) -> Floats:
             # Longer steps follow no shorter lags than themselves: there, a lag that moves would seem to stay.
             moved_lags = small_signal_lags(self.parameters(there))
             unseen = (lags != moved_lags) & (np.minimum(lags, moved_lags) < shortest)
-            fine = stride == 1 or np.any(unseen)
-            return self.residual(there) - residual if fine else self._strided(there, stride) - here
+            fine = coarse is self._part or np.any(unseen)
+            return self.residual(there) - residual if fine else self._coarse_residual(there, coarse) - here
 
         return self.side_by_side(difference, moved)
 
-    def _longest_stride(self, point: Point, residual: Floats) -> tuple[int, Floats]:
-        """The longest steps [samples] in which the model goes its way at a point, and the residual in those."""
-        for stride in _STRIDES:
-            here = self._strided(point, stride)
+    def _coarsest(self, point: Point, residual: Floats) -> tuple[Trial, Floats]:
+        """The part that is fitted in the longest steps in which the model goes its way at a point; its residual."""
+        for coarse in self._in_long_steps:
+            here = self._coarse_residual(point, coarse)
             if np.all(np.sqrt(np.mean((here - residual) ** 2, axis=0)) <= _ASTRAY * self.noise):
-                return stride, here
-        return 1, residual
+                return coarse, here
+        return self._part, residual
 
     @cached_property
-    def _in_strides(self) -> dict[int, Trial]:
-        return {stride: strides(self._part, stride) for stride in _STRIDES}
+    def _in_long_steps(self) -> tuple[Trial, ...]:
+        found = (in_steps(self._part, longest) for longest in _LONG_STEPS)
+        return tuple(coarse for coarse in found if coarse.step > self._part.step)
 
-    def _strided(self, point: Point, stride: int) -> Floats:
-        """The residual (B, C) simulated in longer steps [samples]."""
-        p = self.parameters(point)
-        # A joint must be able to stick within a step.
-        p[par.FRICTION_STEP] *= stride
-        simulated = predict(self._in_strides[stride], p, self.first, self.start_shift(point))[:, list(self.channels)]
-        return self.residual_of(stride_blocks(simulated, stride, self.fitted // BLOCK))
+    def _coarse_residual(self, point: Point, coarse: Trial) -> Floats:
+        """The residual (B, C) simulated in longer steps."""
+        simulated = predict(coarse, self.parameters(point), self.first, self.start_shift(point))[:, list(self.channels)]
+        stride = round(coarse.dt / self.trial.dt)
+        return self.residual_of(stride_blocks(simulated, stride, self.fitted // self.trial.block, self.trial.block))
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,7 @@ class Start:
 
 def start_of(trial: Trial) -> Start:
     """Means over the first samples of a recording."""
-    first = trial.measured[:_START_SAMPLES]
+    first = trial.measured[: trial.samples(_START_S)]
     pressure = np.nanmean(first[:, PRESSURE_1:], axis=0)
     if trial.joint == "locked":
         return Start(trial.lock_angle, pressure)
@@ -198,26 +200,33 @@ def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> t
 
     Args:
         trial: its voltages are used.
-        p: parameter vector (P,).
+        p: parameter vector (P,); the step of its friction is that of the integration.
         start: what the sensors showed first.
         shift: deviation of the true start from that (3,) [rad, Pa, Pa].
     """
+    p = p.copy()
+    # A joint must be able to stick within a step.
+    p[par.FRICTION_STEP] = trial.step
     moved = np.zeros(3) if shift is None else shift
     pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
     angle = equilibrium.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
     given = trial.voltage if trial.external is None else trial.given
     x0 = equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], p)
-    states, torque = dynamics.course(x0, given, p, trial.dt, 1)
+    states, torque = dynamics.course(x0, given, p, trial.dt, trial.substeps)
     return states, torque
 
 
-def strides(trial: Trial, stride: int) -> Trial:
+def in_steps(trial: Trial, longest: float) -> Trial:
     """A recording as a model in longer steps sees it: every so many-th sample, and the means of the inputs between.
 
     Args:
         trial: the recording.
-        stride: samples a step.
+        longest: step [s]; whole blocks have a whole number of them.
     """
+    most = max(1, round(longest / trial.dt))
+    stride = max(count for count in range(1, most + 1) if trial.block % count == 0)
+    if stride == 1:
+        return replace(trial, longest_step=longest)
     steps = (len(trial) - 1) // stride
 
     def means(values: Floats) -> Floats:
@@ -227,21 +236,27 @@ def strides(trial: Trial, stride: int) -> Trial:
 
     external = None if trial.external is None else means(np.nan_to_num(trial.external))
     measured = trial.measured[: 1 + steps * stride : stride]
-    return replace(trial, dt=stride * trial.dt, voltage=means(trial.voltage), measured=measured, external=external)
+    voltage = means(trial.voltage)
+    return replace(
+        trial, dt=stride * trial.dt, voltage=voltage, measured=measured, external=external, longest_step=longest
+    )
 
 
-def stride_blocks(values: Floats, stride: int, count: int) -> Floats:
-    """What :func:`blocks` gives of the samples between as well, (count, C).
+def stride_blocks(values: Floats, stride: int, count: int, size: int) -> Floats:
+    """What :func:`~pam_antagonist.inference.trial.blocks` gives of the samples between as well, (count, C).
 
     Args:
         values: every stride-th sample (N, C).
         stride: samples from one to the next, a divisor of a block's.
         count: how many blocks.
+        size: samples of a block.
     """
-    steps = BLOCK // stride
+    steps = size // stride
     missing = max(count * steps + 1 - len(values), 0)
     values = np.concatenate([values, np.repeat(values[-1:], missing, axis=0)])
     means = np.add.reduceat(values[: count * steps], np.arange(0, count * steps, steps)) / steps
+    if stride == 1:
+        return np.asarray(means)
     ends = values[: count * steps + 1 : steps]
     # A block's samples lie half a sample before the middle of its ends, the means half a stride.
     return np.asarray(means + (0.5 - 0.5 / stride) / steps * np.diff(ends, axis=0))

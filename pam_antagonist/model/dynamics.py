@@ -6,11 +6,23 @@ State ``x = [ψ, ψ̇, P_1, P_2]`` [rad, rad/s, Pa, Pa], input ``u = [u_1, u_2]`
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model import composition, flow, joint, muscle
-from pam_antagonist.model.parameters import BASE_STATES, INERTIA, LOCKED, PLAIN, STIFFNESS, STOP, SUPPLY, VISCOUS
+from pam_antagonist.model.parameters import (
+    BASE_STATES,
+    INERTIA,
+    LOCKED,
+    LONGEST_STEP,
+    PLAIN,
+    STIFFNESS,
+    STOP,
+    SUPPLY,
+    VISCOUS,
+)
 
 ANGLE, VELOCITY, PRESSURE_1, PRESSURE_2 = 0, 1, 2, 3
 
@@ -343,6 +355,16 @@ def subsystem(x, p):
         )  # fmt: skip
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)
+
+
+def substeps_of(period: float, longest: float = LONGEST_STEP) -> int:
+    """Runge-Kutta steps a sample, so that none is longer than wanted.
+
+    Args:
+        period: sample period [s].
+        longest: step [s]; a tenth more is no reason for another step.
+    """
+    return max(1, math.ceil(period / longest - 0.1))
 
 
 @kernel

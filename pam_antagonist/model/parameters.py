@@ -94,6 +94,8 @@ STATIC_FRICTION = INDEX["friction.static"]
 KINETIC_FRICTION = INDEX["friction.kinetic"]
 FRICTION_VELOCITY = INDEX["friction.velocity"]
 FRICTION_STEP = INDEX["friction.time_step"]
+LONGEST_STEP = 1e-3
+"""[s] Longest step of the integration, whatever the sample period is."""
 
 # Behind the named values: the joint's condition, what is derived, the two valve curves.
 LOCKED = len(_NAMES)

@@ -14,6 +14,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
+_SAME_PERIOD = 0.02
+"""Relative difference of two sample periods that is due to clocks or jitter."""
+_GAP = 1.5
+"""Stamps that lie further apart than so many median periods have lost a sample between them."""
+
 
 class Arrival(NamedTuple):
     """When the messages of a topic were stamped and when the recorder got them, in stamp order.
@@ -211,6 +216,26 @@ class Recording:
     def sample_period_s(self) -> float:
         """Median time between samples [s]; NaN for a single one."""
         return float(np.median(np.diff(self.stamp_ns))) * 1e-9 if len(self) > 1 else float("nan")
+
+    def even_grid(self, nominal_s: float) -> tuple[float, Stamps]:
+        """The grid of this recording's own period, and where its samples lie on it.
+
+        Uneven stamps go to the nearest point of the grid. Only stamps that are further apart than usual leave points
+        without a sample.
+
+        Args:
+            nominal_s: the rig's sample period [s]; it is the period of a recording that has the same but for clocks.
+
+        Returns:
+            Period [s], and the point of each sample (N,), the first at 0.
+        """
+        period = nominal_s
+        if len(self) > 1:
+            apart = np.diff(self.stamp_ns)
+            usual = float(np.mean(apart[apart <= _GAP * np.median(apart)])) / 1e9
+            if abs(usual / nominal_s - 1.0) > _SAME_PERIOD:
+                period = usual
+        return period, np.rint((self.stamp_ns - self.stamp_ns[0]) / (period * 1e9)).astype(np.int64)
 
     def slice(self, start_s: float, stop_s: float) -> Recording:
         """The samples of ``start_s <= time < stop_s``, counted in seconds from the first sample.

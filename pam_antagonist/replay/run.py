@@ -111,7 +111,7 @@ def after(whole: Replay, begin_s: float) -> Replay:
     report = dataclasses.replace(
         _judged(recording, whole.rig, whole.joint, part, track),
         samples=int(kept.sum()),
-        duration_s=float(part.stamp_ns[-1] - part.stamp_ns[0]) * 1e-9 + whole.rig.sample_period,
+        duration_s=float(part.stamp_ns[-1] - part.stamp_ns[0]) * 1e-9 + recording.even_grid(whole.rig.sample_period)[0],
         realtime_factor=whole.report.realtime_factor,
         live_without=whole.report.live_without,
         timing=whole.report.timing,
@@ -153,12 +153,12 @@ def _estimate(
 def _model_alone(recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun) -> ModelTrack:
     """The model without any measurement, begun anew at the first pressures wherever the filter was started."""
     count = len(run.index)
+    period, points = recording.even_grid(rig.sample_period)
     track = ModelTrack(np.empty(count), np.empty(count), np.empty((count, 2)))
     first_of = np.flatnonzero(np.concatenate(([True], np.diff(run.started_ns) != 0)))
     for first, end in zip(first_of, [*first_of[1:], count], strict=True):
-        stamps = run.stamp_ns[first:end]
-        # The model steps at a constant period; samples that are missing are stepped over with the voltages held.
-        step = np.rint((stamps - stamps[0]) / (rig.sample_period * 1e9)).astype(np.int64)
+        # On the recording's grid; samples that are missing are stepped over with the voltages held.
+        step = points[run.index[first:end]] - points[run.index[first]]
         voltage = np.full((int(step[-1]) + 1, 2), np.nan)
         voltage[step] = recording.voltage[run.index[first:end]]
         external = None
@@ -172,6 +172,7 @@ def _model_alone(recording: Recording, rig: Rig, joint: JointCondition, run: Est
             joint=joint.condition,
             lock_angle=joint.lock_angle,
             external_torque=external,
+            period=period,
         )
         track.angle[first:end] = alone.angle[step]
         track.torque[first:end] = alone.torque[step]
@@ -190,7 +191,8 @@ def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: Estimate
     whitened = metrics.normalised_innovation(rows["innovation"], rows["innovation_covariance"])
     return ReplayReport(
         samples=len(recording.stamp_ns),
-        duration_s=float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9 + rig.sample_period,
+        duration_s=float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9
+        + recording.even_grid(rig.sample_period)[0],
         realtime_factor=float("nan"),
         ukf=FilterErrors(
             channel_errors(angle, rows["angle"], "deg", variance[:, 0, 0], reading("angle")),

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from pam_antagonist.diagnosis.result import Diagnosis, HeldOutComparison
-from pam_antagonist.inference.trial import BLOCK
 from pam_antagonist.report.close_loop import Profile
 from pam_antagonist.report.figure import Figure, Points
 from pam_antagonist.report.figures import profile_panel, residual_figure
@@ -27,10 +26,10 @@ def residuals(found: Diagnosis) -> tuple[Figure, ...]:
         models = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
         axes = [(f"{name} [{unit}]", scale) for name, unit, scale in experiment.titles]
         about = (
-            f"Measurement minus model, means over {BLOCK} samples. Dashed: within these lines 95 % of the values lie "
-            f"that the sensor's noise alone gives. {_held(part)}"
+            f"Measurement minus model, means over {1e3 * trial.block_s:.0f} ms. Dashed: within these lines 95 % of the "
+            f"values lie that the sensor's noise alone gives. {_held(part)}"
         )
-        x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * (BLOCK * trial.dt)
+        x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * trial.block_s
         title = f"{trial.name} (joint {trial.joint})"
         out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name))
     return tuple(out)

@@ -10,7 +10,7 @@ import numpy as np
 from pam_antagonist.estimation import metrics
 from pam_antagonist.identification.session import Identified
 from pam_antagonist.identification.stages import Stage
-from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.report import figures
 from pam_antagonist.report.figure import (
     TIME,
@@ -59,7 +59,7 @@ def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, pl
     before, now = judged.whole["as_configured"], judged.whole["identified"]
     recorded = now.measured_angle if name == "angle" else now.measured_torque
     assert recorded is not None
-    measured, period, x = np.asarray(recorded * scale), now.rig.sample_period, time(now)
+    measured, period, x = np.asarray(recorded * scale), now.recording.sample_period_s, time(now)
     half = metrics.interval_half_width(now.run.rows["covariance"][:, place, place] * scale**2, reading.scaled(scale))
     value = now.run.rows[name] * scale
     signal = (Line("measured", x, measured, MEASURED), Line("UKF, identified", x, value, ESTIMATE))
@@ -100,7 +100,9 @@ def _pressures(judged: Judged) -> Figure:
             replay = judged.whole.get(key)
             if replay is not None:
                 error = (replay.model.pressure[:, muscle] - replay.measured_pressure[:, muscle]) * 1e-3
-                parts.append(_mean_error(time(replay), label, error, color, replay.rig.sample_period, muscle > 0))
+                parts.append(
+                    _mean_error(time(replay), label, error, color, replay.recording.sample_period_s, muscle > 0)
+                )
         panels.append(Panel(TIME, Axis(f"P{muscle + 1} error [kPa]"), tuple(parts), 160))
     about = "Predicted minus measured pressure, mean over 0.1 s; the model sees voltages only."
     return Figure("Muscle pressures: before and after", about, tuple(panels), judged.name)
@@ -134,7 +136,7 @@ def _balance_figure(stage: Stage) -> Figure:
         for name, values, color in (("before", balance.before, QUIET), ("after", balance.after, MODEL))
     )
     panel = Panel(Axis("Torque from the measurement [N m]"), Axis("Residual [N m]"), parts, 202)
-    about = "Each point is a mean over 20 samples: the model's torque at measured pressures minus what was measured."
+    about = "Each point is a mean over 20 ms: the model's torque at measured pressures minus what was measured."
     return Figure(f"{stage.name.capitalize()}: residual torque", about, (panel,), stage.name)
 
 
@@ -143,7 +145,7 @@ def _residual_figure(stage: Stage, trials: Sequence[Trial]) -> Figure:
     before, after = (
         np.concatenate([np.vstack([pair[k], np.full((1, 4), np.nan)]) for pair in stage.traces]) for k in (0, 1)
     )
-    x = np.asarray(np.arange(len(before)) * (BLOCK * trials[0].dt), dtype=np.float64)
+    x = np.asarray(np.arange(len(before)) * trials[0].block_s, dtype=np.float64)
     wanted = _CHANNELS if stage.name == "joint refinement" else _CHANNELS[2:]
     shown = [item for item in wanted if np.isfinite(before[:, item[0]]).any()]
     columns = [channel for channel, _, _ in shown]

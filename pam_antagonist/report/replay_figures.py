@@ -28,7 +28,7 @@ SUBSYSTEMS = tuple(
 
 def _tenth(replay: Replay) -> int:
     """Samples in 0.1 s."""
-    return max(1, round(0.1 / replay.rig.sample_period))
+    return max(1, round(0.1 / replay.recording.sample_period_s))
 
 
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
@@ -50,7 +50,7 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
     out += [_disturbance(replay, x, link), _pressures(replay, x, link)]
     if not replay.rig.valves.sealed:
         out.append(_voltages(replay, x, link))
-    window = max(1, round(1.0 / replay.rig.sample_period))
+    window = max(1, round(1.0 / replay.recording.sample_period_s))
     out.append(figures.nis_figure(x, rows["nis"], metrics.chi_square_bounds(2), window, link))
     out += [_correlation(replay, link), _subsystems(replay, x, link)]
     return tuple(figure for figure in out if figure is not None)
@@ -142,7 +142,7 @@ def _correlation(replay: Replay, link: str) -> Figure | None:
         return None
     gamma = metrics.autocorrelation(series, _LAGS)
     own = np.diagonal(gamma, axis1=1, axis2=2) / np.diagonal(gamma[0])
-    lag = np.arange(1.0, _LAGS + 1.0) * (replay.rig.sample_period * 1e3)
+    lag = np.arange(1.0, _LAGS + 1.0) * (replay.recording.sample_period_s * 1e3)
     groups = [(f"P{muscle + 1}", own[1:, muscle], (MEASURED, SECOND)[muscle]) for muscle in (0, 1)]
     about = "Correlation of each innovation with itself at a lag. White innovations stay between the dashed lines."
     panel = figures.autocorrelation(lag, groups, float(1.96 / np.sqrt(present)))

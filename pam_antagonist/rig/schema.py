@@ -279,7 +279,7 @@ class Rig(Strict):
             raise BadInput(f"lock angle {lock_angle:g} rad: expected within ±{bound:g} rad")
         p = np.zeros(par.SIZE)
         for name, index in par.INDEX.items():
-            p[index] = self.sample_period if name == "friction.time_step" else self.value(name)
+            p[index] = min(self.sample_period, par.LONGEST_STEP) if name == "friction.time_step" else self.value(name)
         p[par.LOCKED] = float(joint == "locked")
         p[par.PULLEY] = float(self.geometry.kind == "pulley")
         p[par.FORCE_FORM] = float(par.FORCE_FORMS.index(self.model.force))

@@ -9,7 +9,7 @@ import pytest
 
 from pam_antagonist.diagnosis import disturbance
 from pam_antagonist.inference.gauss_newton import refit
-from pam_antagonist.inference.trial import BLOCK
+from pam_antagonist.inference.trial import BLOCK_S
 from pam_antagonist.validation.battery.forms import SINGLE
 
 SEED = 13
@@ -40,7 +40,7 @@ def test_pushes_are_found_when_they_were(pushed, rig) -> None:
     assert pushed.shares[1] > 0.5
     form = next(form for form in SINGLE if form.name == "smooth pushes")
     push = form.make(SIZE, None, np.random.default_rng([SEED, 1])).push
-    middle = (np.arange(len(pushed.torque)) + 0.5) * BLOCK * rig.sample_period
+    middle = (np.arange(len(pushed.torque)) + 0.5) * BLOCK_S
     true = push(middle)
     strong = np.abs(true) > 0.5 * np.abs(true).max()
     assert np.all(np.sign(pushed.torque[strong]) == np.sign(true[strong]))

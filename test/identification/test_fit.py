@@ -14,7 +14,7 @@ from pam_antagonist.identification.stages import run_stages
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.joint_fit import joint_fit
 from pam_antagonist.inference.joint_problem import JointProblem, step_directions
-from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, blocks, check, make_trial
+from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, check, make_trial
 from pam_antagonist.inference.valve_driven import predict, start_of
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
@@ -199,4 +199,6 @@ def test_missing_samples_are_bridged_and_not_counted() -> None:
     trial = make_trial(gappy, RIG, "free", 0.0, "gappy")
     assert len(trial) == len(whole)
     assert np.isnan(trial.measured[3000:3040]).all() and np.isfinite(trial.voltage).all()
-    assert np.isnan(blocks(trial.measured)[150:152]).all() and np.isfinite(blocks(trial.measured)[152:]).all()
+    assert (
+        np.isnan(trial.blocks(trial.measured)[150:152]).all() and np.isfinite(trial.blocks(trial.measured)[152:]).all()
+    )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis.explained import share_of
-from pam_antagonist.inference.excess import in_decibels, in_mean_squares
+from pam_antagonist.inference.likelihood import in_decibels, in_mean_squares
 
 NOISE = np.array([0.01, 2.0])
 SECOND = 50
@@ -20,7 +20,7 @@ def noise():
 
 
 def level(before: np.ndarray, after: np.ndarray) -> float:
-    return share_of([in_decibels(before * NOISE, after * NOISE, NOISE)])
+    return share_of([in_decibels(before * NOISE, after * NOISE, NOISE, 50)])
 
 
 def square(before: np.ndarray, after: np.ndarray) -> float:
@@ -42,7 +42,7 @@ def test_where_there_is_nothing_to_judge_by_nothing_is_gone(share, noise) -> Non
 
 
 def test_what_was_there_is_told_in_decibels(noise) -> None:
-    gone, there = in_decibels(8.0 * noise * NOISE, 4.0 * noise * NOISE, NOISE)
+    gone, there = in_decibels(8.0 * noise * NOISE, 4.0 * noise * NOISE, NOISE, 50)
     # 18.1 dB, less the 1.8 dB that noise itself may reach in a second, in 120 seconds of two channels.
     assert there / 120.0 == pytest.approx(16.3, abs=0.2)
     assert gone / 120.0 == pytest.approx(6.02, abs=0.02)

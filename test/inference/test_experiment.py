@@ -8,8 +8,7 @@ import pytest
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
 from pam_antagonist.inference.gauss_newton import refit
-from pam_antagonist.inference.noise import block_noise
-from pam_antagonist.inference.trial import BLOCK, blocks
+from pam_antagonist.inference.trial import block_noise, blocks
 from pam_antagonist.inference.valve_driven import stride_blocks
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
@@ -17,13 +16,13 @@ from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 def test_noise_is_told_from_what_changes_between_samples() -> None:
     rng = np.random.default_rng(0)
     slow = 1e5 * np.sin(np.arange(60000) / 3000.0)
-    assert block_noise(slow + 600.0 * rng.standard_normal(60000)) == pytest.approx(600.0 / np.sqrt(BLOCK), rel=0.03)
+    assert block_noise(slow + 600.0 * rng.standard_normal(60000), 20) == pytest.approx(600.0 / np.sqrt(20), rel=0.03)
 
 
 def test_a_coarse_converter_does_not_average_out() -> None:
     slow = 0.2 * np.sin(np.arange(60000) / 9000.0)
     step = 1e-3
-    noise = block_noise(np.rint(slow / step) * step)
+    noise = block_noise(np.rint(slow / step) * step, 20)
     assert noise == pytest.approx(step / np.sqrt(12.0), rel=0.2)
 
 
@@ -31,8 +30,8 @@ def test_blocks_leave_out_what_is_missing() -> None:
     values = np.ones((40, 1))
     values[:5] = np.nan
     values[20:35] = np.nan
-    assert blocks(values)[:, 0].tolist()[0] == 1.0
-    assert np.isnan(blocks(values)[1, 0])
+    assert blocks(values, 20)[:, 0].tolist()[0] == 1.0
+    assert np.isnan(blocks(values, 20)[1, 0])
 
 
 def test_a_slope_turns_the_force_map_about_the_middle(rig) -> None:
@@ -64,9 +63,9 @@ def test_a_model_that_runs_away_is_wrong_and_finite(recorded, experiment_of) -> 
 def test_means_over_blocks_are_told_from_every_few_samples(stride) -> None:
     time = np.arange(401) * 1e-3
     values = np.column_stack([time, np.sin(10.0 * time)])
-    told = stride_blocks(values[::stride], stride, 20)
-    assert told[:, 0] == pytest.approx(blocks(values)[:, 0], abs=1e-12)
-    assert told[:, 1] == pytest.approx(blocks(values)[:, 1], abs=2e-4)
+    told = stride_blocks(values[::stride], stride, 20, 20)
+    assert told[:, 0] == pytest.approx(blocks(values, 20)[:, 0], abs=1e-12)
+    assert told[:, 1] == pytest.approx(blocks(values, 20)[:, 1], abs=2e-4)
 
 
 def _differences(experiment, effects, moves):

@@ -12,9 +12,8 @@ import pytest
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, moved
 from pam_antagonist.inference.gauss_newton import best_of_starts, refit, relinearised
-from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.profile import effect_profile
-from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, blocks
+from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import Rig
 
@@ -44,11 +43,11 @@ class RegulatorDriven(Experiment):
 
     @cached_property
     def measured(self) -> np.ndarray:
-        return blocks(self.trial.measured[:, [TORQUE]])
+        return self.trial.blocks(self.trial.measured[:, [TORQUE]])
 
     @cached_property
     def noise(self) -> np.ndarray:
-        return np.array([block_noise(self.trial.measured[:, TORQUE])])
+        return np.array([self.trial.noise(TORQUE)])
 
     def states(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
         p, pressure = self.parameters(point), self.trial.measured[:, PRESSURE_1:]

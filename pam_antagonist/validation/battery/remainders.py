@@ -21,7 +21,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import best_of_starts, refit
-from pam_antagonist.inference.trial import ANGLE, BLOCK, PRESSURE_1, PRESSURE_2, TORQUE, Trial
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import load_rig
@@ -76,7 +76,7 @@ class _Quiet(ValveDriven):
     def noise(self) -> Floats:
         sensors = load_rig(RIG).sensors
         every = (sensors.angle_std, sensors.torque_std, sensors.pressure_std, sensors.pressure_std)
-        return np.array([every[channel] for channel in self.channels]) / np.sqrt(BLOCK)
+        return np.array([every[channel] for channel in self.channels]) / np.sqrt(self.trial.block)
 
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         return (Candidate(self.effect),)
