@@ -363,7 +363,7 @@ def _recording(item: Judged, state: JointCondition) -> RecordingEntry:
         name=item.name,
         condition=joint.condition,
         lock_angle_rad=joint.lock_angle_rad,
-        told_from=joint.source,
+        told_from=joint.told_from,
         samples=whole.samples,
         duration_s=whole.duration_s,
         fitted_until_s=item.from_s,
