@@ -46,8 +46,8 @@ def recorded() -> Make:
     ) -> Recording:
         name = f"{effect} {take}"
         if effect == "none":
-            return Repeated(name, "none", (), (), seed, (), take).recording(joint, seconds)
-        made = Repeated(name, "single", ((effect, muscle),), (form,), seed, (size,), take)
+            return Repeated(name, "none", (), (), seed, (), take=take).recording(joint, seconds)
+        made = Repeated(name, "single", ((effect, muscle),), (form,), seed, (size,), take=take)
         return made.recording(joint, seconds)
 
     return make
