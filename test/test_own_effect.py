@@ -196,7 +196,7 @@ def test_a_change_of_the_file_is_noticed(tmp_path: Path) -> None:
         ),
         (('source="linear spring behind a gap"', 'source=""'), "source is empty"),
         (("def push(stiffness, gap, joint_angle)", "def push(stiffness, gap, angle)"), "push asks for 'angle'"),
-        (('"joint_torque"', '"joint_tork"'), "unknown hook 'joint_tork', expected one of voltage_shift"),
+        (('"joint_torque"', '"joint_tork"'), "unknown hook 'joint_tork', expected one of spool_voltage, voltage_shift"),
         (("@inlined\n", ""), "expected a function with the decorator @inlined"),
     ],
 )

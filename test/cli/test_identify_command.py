@@ -99,7 +99,9 @@ def test_the_report_judges_only_what_was_held_out(result: Path) -> None:
 @pytest.mark.slow
 def test_the_page_is_whole(result: Path) -> None:
     page = (result / "report.html").read_text()
-    for title in ("On held-out data", "Strongly correlated parameters", "Step by step",
+    correlated = json.loads((result / "report.json").read_text())["correlations"]
+    assert ("Strongly correlated parameters" in page) == bool(correlated)
+    for title in ("On held-out data", "Step by step",
                   "How the recordings differ", "Noise and tuning", "Profile likelihoods", "Plotly"):  # fmt: skip
         assert title in page
     assert "nan" not in page.split("<script>")[0].lower().replace("provenance", "")

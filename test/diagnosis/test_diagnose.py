@@ -36,7 +36,7 @@ def test_every_candidate_is_ranked_on_each_muscle(leaking) -> None:
     assert leak.muscles[0] > 0.9 * leak.score
     assert leak.muscles[1] < 0.2 * leak.score
     assert {name for name, item in first.items() if item.muscles is None} == {
-        "hysteresis", "supply_droop", "load_torque", "friction",
+        "hysteresis", "supply_droop", "load_torque", "friction", "slack",
     }  # fmt: skip
 
 

@@ -25,7 +25,8 @@ from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
 from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
 from pam_antagonist.safety import SafeAction
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "driver.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+DRIVER, PROTOCOL = DOCS / "how-to" / "driver.md", DOCS / "reference" / "protocol.md"
 MS = 1_000_000
 ACTION = SafeAction((5.0, 5.25))
 WANTED = Wanted(MS, 0.0, 10.0, ACTION)
@@ -396,9 +397,9 @@ class Card:
 
 
 def test_daq_card_of_the_documentation_works(tmp_path: Path) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", DRIVER.read_text(encoding="utf-8"), re.DOTALL)
     names: dict[str, Any] = {}
-    exec(compile(code, str(DOCS), "exec"), names)
+    exec(compile(code, str(DRIVER), "exec"), names)
     cards: list[Card] = []
 
     def open_card() -> Card:
@@ -428,7 +429,7 @@ def test_daq_card_of_the_documentation_works(tmp_path: Path) -> None:
 
 def test_tables_of_the_documentation_are_the_bytes() -> None:
     sizes = {"u8": 1, "u16": 2, "u32": 4, "i32": 4, "f32": 4, "f32 ×2": 8, "16 bytes": 16}
-    text = DOCS.read_text(encoding="utf-8")
+    text = PROTOCOL.read_text(encoding="utf-8")
     for name, layout in (
         ("Hello", protocol._HELLO),
         ("Welcome", protocol._WELCOME),

@@ -26,7 +26,7 @@ CASES = {
     ),
     "number for a section": (("gas:\n", "gas: 3\nother:\n"), ["other"]),
     "date for a name": (("name: shin2022\n", "name: 2022-01-01\n"), ["name: ", "str"]),
-    "duplicate key": (("radius: 0.0365", "radius: 0.0365\n  radius: 0.0400"), ["'radius'", "twice", "line 11"]),
+    "duplicate key": (("radius: 0.0365", "radius: 0.0365\n  radius: 0.0400"), ["'radius'", "twice", "line 12"]),
     "duplicate section": (("supply: {", "gas: {}\nsupply: {"), ["'gas'", "twice"]),
     "gauge supply": (("710.0e+3}", "0.0}"), ["supply.pressure", "150000", "P_tank, absolute [Pa]"]),
     "supply in kPa": (("710.0e+3}", "710.0}"), ["supply.pressure", "greater than 150000", "absolute [Pa]"]),
