@@ -17,6 +17,7 @@ from pam_antagonist.model.effects.base import (
     AddedState,
     Effect,
     EffectParameter,
+    Form,
     SealedJoint,
     inlined,
     per_muscle,
@@ -68,6 +69,9 @@ EFFECT = Effect(
         "not",
         "pressure_sensor": "compare the sensor with a gauge at the start and at the end",
     },
+    # Looked for as a loss only: muscles that get stronger would imitate any slow drift. Set with a recording of rig A
+    # in view, in which it was named beside hysteresis.
+    form=Form(low={"share": 0.0}),
     sealed=SealedJoint(part=None, reason="within one recording a slow drift of the force looks like creep"),
     needs_angle=True,
 )
