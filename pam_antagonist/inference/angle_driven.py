@@ -22,6 +22,7 @@ from pam_antagonist._jit import kernel
 from pam_antagonist.inference.excess import in_mean_squares
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
 from pam_antagonist.inference.noise import block_noise
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, blocks
 from pam_antagonist.inference.valve_driven import predict, start_of
@@ -266,6 +267,11 @@ class AngleDriven(Experiment):
         if self.trial.has(TORQUE):
             alone = predict(self.trial, rig.parameters("free"), start_of(self.trial))[:, ANGLE]
         return np.column_stack([alone, needed, pressure])
+
+    @property
+    def noise_memory(self) -> float:
+        """Blocks per independent value of the noise: an encoder's error stays while the joint does."""
+        return BLOCKS_PER_ERROR
 
     @property
     def judged_channels(self) -> tuple[int, ...]:
