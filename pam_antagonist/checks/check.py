@@ -22,9 +22,10 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model import equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording
-from pam_antagonist.recording.corrections import STANDARD_ATMOSPHERE, Corrections
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]

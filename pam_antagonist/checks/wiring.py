@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from pam_antagonist.checks.prediction import Prediction, correlation, range_of, ratio_to
 from pam_antagonist.recording import Recording
-from pam_antagonist.recording.corrections import STANDARD_ATMOSPHERE, Corrections
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 
 Floats = NDArray[np.float64]
 Status = Literal["wrong", "doubtful", "good", "untested"]

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording.recording import Recording
 from pam_antagonist.recording.units import UNITS, canonical
+from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 
 Floats = NDArray[np.float64]
 
-STANDARD_ATMOSPHERE = 101_325.0
-"""[Pa]"""
 LARGEST_DELAY = 1.0
 """[s] Stamps that are further off are not a delay: they are of another clock."""
 
