@@ -8,7 +8,7 @@ from typing import Any
 
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import ambiguity, held_out, warnings
+from pam_antagonist.diagnosis import ambiguity, held_out, splits, warnings
 from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.findings import profile_sizes
@@ -77,6 +77,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         sentence=sentence(
             verdict,
             _in_words(prepared, judged, effects),
+            splits.in_words({name: firm for j in judged for name, firm in j.firmness.items()}),
             ambiguous,
             share,
             totals,
@@ -99,7 +100,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         by_recording=entries,
         reference=reference,
         remaining=remaining,
-        unseen=warnings.unseen(prepared, {j.group.name: j.base for j in judged}, jobs),
+        unseen=warnings.unseen(_as_judged(prepared, judged), {j.group.name: j.base for j in judged}, jobs),
         warnings=(
             *(warning for j in judged for warning in j.warnings),
             *warnings.few_sweeps(prepared),
@@ -120,6 +121,15 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         compared=compared,
         seconds=timings.seconds,
     )
+
+
+def _as_judged(prepared: Prepared, judged: Sequence[Judged]) -> Prepared:
+    """The recordings as they were split in the end, with all effects throughout."""
+    groups = (
+        replace(j.group, experiments=tuple(replace(experiment, onset=None) for experiment in j.group.experiments))
+        for j in judged
+    )
+    return replace(prepared, groups=tuple(groups))
 
 
 def _overall(judged: Sequence[Judged]) -> tuple[Verdict, float]:
@@ -230,12 +240,16 @@ def in_words(effect: FoundEffect, sealed: bool = False) -> str:
         sealed: whether the joint is sealed.
     """
     values = {name: value for name, (value, _, _) in effect.parameters.items()}
-    return CATALOGUE[effect.name].in_words(effect.muscle, values, sealed)
+    words = CATALOGUE[effect.name].in_words(effect.muscle, values, sealed)
+    if effect.onset_s is None:
+        return words
+    return f"{words}, from {effect.onset_s:.1f} ± {max(effect.onset_std_s or 0.0, 0.1):.1f} s on"
 
 
 def sentence(
     verdict: Verdict,
     effects: Sequence[str],
+    firmness: str,
     ambiguous: Sequence[str],
     share: float,
     errors: Mapping[str, Mapping[str, Any]],
@@ -248,6 +262,7 @@ def sentence(
     Args:
         verdict: on the joint.
         effects: what was found, each in words.
+        firmness: what the splits say of them.
         ambiguous: names of the effects that would do as well.
         share: of the held-out excess that the effects remove.
         errors: of the three models.
@@ -267,6 +282,7 @@ def sentence(
             f"{what[0].upper()}{what[1:]}: with it the model's errors on data that no fit has seen fall from "
             f"{recalibrated} to {extended}, and {100 * share:.0f} % of what was beyond the sensors' noise is gone."
         )
+        text += f" {firmness}." if firmness else ""
         if reference is not None:
             text += f" A straight-line map of angle and pressures errs by {reference['angle_and_pressures']:.2g} N m."
         doubts = "; ".join(_instead(name) for name in ambiguous)

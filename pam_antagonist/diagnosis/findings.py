@@ -47,11 +47,13 @@ class Findings(NamedTuple):
         effects: each with its sizes.
         values: of their parameters for one rig, by dotted path.
         contradictions: between the recordings.
+        without: the model without each effect, fitted again, by the effect's name.
     """
 
     effects: tuple[FoundEffect, ...]
     values: dict[str, float]
     contradictions: list[str]
+    without: Mapping[str, Model]
 
 
 def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) -> Fitted:
@@ -141,7 +143,8 @@ def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: in
         gains[effect] = evidence_of(experiments, without, model)
         lost = remaining_residuals(experiments, without.fits) if several else before
         shares[effect] = further_share(experiments, before, lost, whole, fitted=False)
-    return found_effects(experiments, model, gains, shares)
+    missing = dict(zip(model.effects, smaller, strict=True))
+    return found_effects(experiments, model, gains, shares)._replace(without=missing)
 
 
 def found_effects(
@@ -159,7 +162,7 @@ def found_effects(
         shares: share of the held-out excess that goes with each.
     """
     names = [experiment.trial.name for experiment in experiments]
-    found = Findings((), {}, [])
+    found = Findings((), {}, [], {})
     effects: list[FoundEffect] = []
     for effect in model.effects:
         sizes, shapes = _sizes_and_shapes(model, effect)

@@ -113,7 +113,7 @@ def _entry(
         "joint": trial.joint,
         "lock_angle_rad": trial.lock_angle if trial.joint == "locked" else None,
         "role": first.role,
-        "held_out_from_s": experiment.fitted * trial.dt if first.judges else None,
+        "held_out_from_s": experiment.errors_from * trial.dt if first.judges else None,
         "errors": None,
     }
     if not first.judges:
@@ -147,7 +147,7 @@ def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> dict[str, Any
         rig: its own rig with that model.
     """
     experiment = part.experiment
-    held = slice(experiment.fitted, None)
+    held = slice(experiment.errors_from, None)
     measured = experiment.trial.measured[held]
     error = measured - experiment.shown(part.points[model], rig)[held]
     out = error_figures(error, measured, experiment.judged_channels)
@@ -204,7 +204,8 @@ def total_errors(
     Returns:
         Root mean squares over all samples, the largest of the other figures.
     """
-    samples = {part.number: len(part.experiment.trial) - part.experiment.fitted for part in compared if part.judges}
+    held = [(part.number, part.experiment) for part in compared if part.judges]
+    samples = {number: len(experiment.trial) - experiment.errors_from for number, experiment in held}
     numbers = sorted(samples)
     return {
         name: _total([entries[number]["errors"][name] for number in numbers], [samples[number] for number in numbers])
@@ -263,7 +264,7 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
     run = Estimator(rig, joint=joint, lock_angle=trial.lock_angle).run(
         recording.stamp_ns, recording.pressure, recording.voltage
     )
-    late = recording.stamp_ns[run.index] >= recording.stamp_ns[0] + round(experiment.fitted * trial.dt * 1e9)
+    late = recording.stamp_ns[run.index] >= recording.stamp_ns[0] + round(experiment.errors_from * trial.dt * 1e9)
     return run, np.asarray(late)
 
 

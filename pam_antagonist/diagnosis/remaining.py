@@ -184,7 +184,7 @@ def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingR
         around = surroundings(experiment, fitted.point)
         if isinstance(experiment, ValveDriven):
             out += _of_equations(experiment, fitted.point, around)
-        first = -(-experiment.fitted // experiment.trial.block)
+        first = -(-experiment.errors_from // experiment.trial.block)
         whole = experiment.residual(fitted.point, whole=True)[: len(experiment.measured)]
         late = np.arange(len(whole)) >= first
         for k, channel in enumerate(experiment.titles):
@@ -206,7 +206,7 @@ def surroundings(experiment: Experiment, point: Point) -> Surroundings:
 def _of_equations(experiment: Experiment, point: Point, around: Surroundings) -> list[RemainingResidual]:
     errors = equation_errors(experiment, point)
     windows = around.windows(errors.begin)
-    late = errors.begin + SPAN > experiment.fitted // experiment.trial.block
+    late = errors.begin + SPAN > experiment.errors_from // experiment.trial.block
     out = []
     for k in errors.known:
         over = float(np.sqrt(np.mean(errors.values[~late, k] ** 2))) / errors.noise[k]

@@ -90,7 +90,7 @@ def statistics(experiment: Experiment, point: Point) -> list[dict[str, Any]]:
         point: the model.
     """
     given = signals(experiment, point)
-    first = -(-experiment.fitted // experiment.trial.block)
+    first = -(-experiment.errors_from // experiment.trial.block)
     step = experiment.trial.block_s
     residual = experiment.residual(point, whole=True)[: len(experiment.measured)]
     out = []
@@ -126,7 +126,7 @@ def of_innovations(experiment: Experiment, point: Point, time: Floats, innovatio
     given = signals(experiment, point)
     step = experiment.trial.block_s
     block = (time / step).astype(np.int64)
-    first, count = -(-experiment.fitted // experiment.trial.block), len(experiment.measured)
+    first, count = -(-experiment.errors_from // experiment.trial.block), len(experiment.measured)
     behind = {name: values[first:] for name, values in given.items()}
     out = []
     for number in (0, 1):

@@ -10,6 +10,7 @@ from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.selection import Selection
+from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.rig import Rig
 
@@ -29,6 +30,9 @@ class FoundEffect:
         holdout_gain: share of the held-out excess over noise (:mod:`explained`) that goes with it.
         recordings: names of the recordings that show it.
         notes: what is to be known about it.
+        onset_s: since when it acts [s]; None: throughout.
+        onset_std_s: standard deviation of that [s].
+        splits: how many splits support it, and of how many; None where it was not judged so.
     """
 
     name: str
@@ -38,6 +42,9 @@ class FoundEffect:
     holdout_gain: float
     recordings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    onset_s: float | None = None
+    onset_std_s: float | None = None
+    splits: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,7 @@ class Judged:
         effects: that were found, with the experiments' names as recordings.
         values: of their parameters for one rig, by dotted path.
         warnings: what the user should know.
+        firmness: what the splits say of each effect, by its name; empty where they were not asked.
     """
 
     group: Group
@@ -109,6 +117,7 @@ class Judged:
     effects: tuple[FoundEffect, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    firmness: Mapping[str, Firmness] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

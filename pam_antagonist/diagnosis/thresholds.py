@@ -31,10 +31,20 @@ MOST_EFFECTS = 3
 LEAST_PARAMETERS = 2
 """Free parameters that a perfect explanation would need at least; their price decides whether anything is wrong."""
 
+SPLITS_AGREE = 3
+"""Splits of five that support an effect at least: the majority. An effect that is not there loses likelihood where
+nothing was fitted, in each split anew."""
+
 # Excess over noise.
 
 AT_NOISE = gauss_newton.AT_NOISE
 """Multiples of the noise. A residual below it is the noise's: 60 s tell the noise to a few per cent."""
+
+STRETCHES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""[s] Lengths of the stretches that are tested for more than noise, each in steps of half its length, and the whole. A
+stretch keeps the verdict from being `none` if its evidence against noise is strong (:data:`STRONG`) with the price of
+all stretches paid. The noise may be larger than it was estimated by :data:`AT_NOISE`. Set on 16 simulated joints with
+nothing wrong, of 60 s, free and locked: the evidence before its price of about 14 was 7.7 at most."""
 
 FIRST_SHARE = 0.05
 """Share of the held-out excess that the first effect removes at least. It may be small where another effect is there

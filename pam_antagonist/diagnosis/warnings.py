@@ -11,6 +11,8 @@ from joblib import Parallel, delayed
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.preparation import Prepared
+from pam_antagonist.diagnosis.splits import Firmness
+from pam_antagonist.diagnosis.stretches import Stretch
 from pam_antagonist.inference.angle_driven import BALANCE, sweeps
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate
@@ -39,6 +41,23 @@ def explained_in_part(effects: Sequence[str]) -> str:
     return (
         f"beside {which} much is left beyond the sensors' noise: the effect has another form than the catalogue's law, "
         "or something smaller is there as well; see what is left"
+    )
+
+
+def above_noise(stretches: Sequence[Stretch]) -> list[str]:
+    """Where the recalibrated model leaves more than noise, one sentence a recording."""
+    return [
+        f"{s.recording}: the residual of {s.channel.lower()} is {s.times_noise:.2g} times its noise from "
+        f"{s.begin_s:.0f} to {s.end_s:.0f} s, whatever the base parameters (evidence {s.evidence:.0f} against noise)"
+        for s in stretches
+    ]
+
+
+def not_firm(effect: str, firm: Firmness) -> str:
+    """What to say of an effect that was selected and that most splits do not support."""
+    return (
+        f"{effect} was selected, but only {firm.in_words()}: it hangs on which part of the recording is held out and "
+        "is not called found"
     )
 
 

@@ -273,6 +273,11 @@ class AngleDriven(Experiment):
         return np.column_stack([alone, needed, pressure])
 
     @property
+    def noise_memory(self) -> float:
+        """Blocks per independent value of the noise: an encoder's error stays while the joint does."""
+        return self.blocks_per_error
+
+    @property
     def judged_channels(self) -> tuple[int, ...]:
         """All, or the pressures alone where no torque from outside was recorded."""
         return (ANGLE, TORQUE, PRESSURE_1, PRESSURE_2) if self.trial.has(TORQUE) else (PRESSURE_1, PRESSURE_2)

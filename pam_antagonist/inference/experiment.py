@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, values_along
 from pam_antagonist.inference.likelihood import ERROR_S, Scale, in_decibels, solve
+from pam_antagonist.inference.split import Split
 from pam_antagonist.inference.trial import Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -72,6 +73,9 @@ class Experiment(ABC):
             their start, from which nothing but their first state is fitted. Then all of this one is fitted.
         seed: of what is drawn in fits.
         jobs: threads that work out derivatives, beside those that fit several recordings or candidates at once.
+        split: which blocks are fitted and which are held out, where that is not the first part and the rest;
+            `fitted` is then all of the recording.
+        onset: from then on the effects of a point act [s]; None: throughout. Effects of the rig file act throughout.
     """
 
     rig: Rig
@@ -80,6 +84,8 @@ class Experiment(ABC):
     judged: tuple[Experiment, ...] = ()
     seed: int = 0
     jobs: int = 1
+    split: Split | None = None
+    onset: float | None = None
 
     # What each way of driving a joint gives.
 
@@ -178,6 +184,11 @@ class Experiment(ABC):
         return self.simulated(point, whole=True)
 
     @property
+    def noise_memory(self) -> float:
+        """Blocks per independent value of the sensors' noise."""
+        return 1.0
+
+    @property
     def judged_channels(self) -> tuple[int, ...]:
         """Columns of :meth:`shown` that have something to be judged by."""
         return self.channels
@@ -236,7 +247,7 @@ class Experiment(ABC):
         """
         own = self.residual_of(self.trial.blocks(self.simulated(point, whole)[:, list(self.channels)]))
         if not whole:
-            return own
+            return self.fitted_rows(own)
         return np.concatenate([own, *(self.residual_elsewhere(other, point) for other in self.judged)])
 
     def residual_of(self, simulated: Floats) -> Floats:
@@ -263,8 +274,19 @@ class Experiment(ABC):
             return Scale(self.noise, np.ones(len(self.noise)), counted, usual)
         return Scale.of(residual, self.noise, counted, usual)
 
+    def fitted_rows(self, values: Floats) -> Floats:
+        """The blocks that may be fitted of what covers them (B, ...)."""
+        return values if self.split is None else values[self.split.fitted[: len(values)]]
+
+    @property
+    def errors_from(self) -> int:
+        """Sample from which on a report shows errors: what is behind was held out, or is the end of the recording."""
+        return self.fitted if self.split is None else self.split.errors_from
+
     def held(self, residual: Floats) -> Floats:
         """The held-out blocks of a residual of the whole; none where there is nothing to judge by."""
+        if self.split is not None:
+            return residual[: len(self.split.held)][self.split.held]
         return residual[-(-self.fitted // self.trial.block) :]
 
     def times_noise(self, residual: Floats) -> Floats:

@@ -101,11 +101,17 @@ class ValveDriven(Experiment):
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """What the sensors would show (N, 4): in the part that is fitted, or in all of the recording."""
         trial = self.trial if whole else self._part
-        return predict(trial, self.parameters(point), self.first, self.start_shift(point))
+        return predict(trial, self.parameters(point), self.first, self.start_shift(point), self._before(point))
 
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """States (N, n) and torques (N,) [N m] of the model over all of the recording."""
-        return run(self.trial, self.parameters(point), self.first, self.start_shift(point))
+        return run(self.trial, self.parameters(point), self.first, self.start_shift(point), self._before(point))
+
+    def _before(self, point: Point) -> Before | None:
+        """What the model is until its effects begin to act."""
+        if self.onset is None or not point.effects:
+            return None
+        return Before(self.onset, self.parameters(Point(point.theta)))
 
     @cached_property
     def _part(self) -> Trial:
@@ -150,10 +156,25 @@ class ValveDriven(Experiment):
         return tuple(coarse for coarse in found if coarse.step > self._part.step)
 
     def _coarse_residual(self, point: Point, coarse: Trial) -> Floats:
-        """The residual (B, C) simulated in longer steps."""
-        simulated = predict(coarse, self.parameters(point), self.first, self.start_shift(point))[:, list(self.channels)]
+        """The residual (B, C) of the blocks that may be fitted, simulated in longer steps."""
+        shift, before = self.start_shift(point), self._before(point)
+        simulated = predict(coarse, self.parameters(point), self.first, shift, before)[:, list(self.channels)]
         stride = round(coarse.dt / self.trial.dt)
-        return self.residual_of(stride_blocks(simulated, stride, self.fitted // self.trial.block, self.trial.block))
+        means = stride_blocks(simulated, stride, self.fitted // self.trial.block, self.trial.block)
+        return self.fitted_rows(self.residual_of(means))
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """The model before effects begin to act.
+
+    Attributes:
+        until_s: when they begin [s].
+        parameters: vector without them (P,).
+    """
+
+    until_s: float
+    parameters: Floats
 
 
 @dataclass(frozen=True)
@@ -179,7 +200,7 @@ def start_of(trial: Trial) -> Start:
     return Start(float(known.mean()) if known.size else None, pressure)
 
 
-def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> Floats:
+def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None, before: Before | None = None) -> Floats:
     """The model alone, from the start of a recording on.
 
     Args:
@@ -187,15 +208,23 @@ def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) 
         p: parameter vector (P,).
         start: what the sensors showed first; the added states start settled.
         shift: deviation of the true start from that (3,) [rad, Pa, Pa].
+        before: another model until some effects begin to act; None where they act throughout.
 
     Returns:
         What the sensors would show (N, 4), in the order of ``trial.CHANNELS``.
     """
-    states, torque = run(trial, p, start, shift)
-    return np.column_stack([states[:, 0], torque, *(sensor.reading(i, states[:, 2 + i], p) for i in (0, 1))])
+    states, torque = run(trial, p, start, shift, before)
+    first = 0 if before is None else _onset(trial, before)
+    shown = np.empty((len(states), 2))
+    for rows, vector in ((slice(0, first), p if before is None else before.parameters), (slice(first, None), p)):
+        for i in (0, 1):
+            shown[rows, i] = sensor.reading(i, states[rows, 2 + i], vector)
+    return np.column_stack([states[:, 0], torque, shown])
 
 
-def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> tuple[Floats, Floats]:
+def run(
+    trial: Trial, p: Floats, start: Start, shift: Floats | None = None, before: Before | None = None
+) -> tuple[Floats, Floats]:
     """States (N, n) and torques (N,) [N m] of the same.
 
     Args:
@@ -203,17 +232,50 @@ def run(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> t
         p: parameter vector (P,); the step of its friction is that of the integration.
         start: what the sensors showed first.
         shift: deviation of the true start from that (3,) [rad, Pa, Pa].
+        before: another model until some effects begin to act. Their states start settled then.
     """
-    p = p.copy()
+    p, first = p.copy(), (p if before is None else before.parameters).copy()
     # A joint must be able to stick within a step.
-    p[par.FRICTION_STEP] = trial.step
+    p[par.FRICTION_STEP] = first[par.FRICTION_STEP] = trial.step
     moved = np.zeros(3) if shift is None else shift
-    pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
-    angle = equilibrium.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
     given = trial.voltage if trial.external is None else trial.given
-    x0 = equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], p)
-    states, torque = dynamics.course(x0, given, p, trial.dt, trial.substeps)
-    return states, torque
+    pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], first) for i in (0, 1)]
+    angle = equilibrium.rest_angle(pressures[0], pressures[1], first) if start.angle is None else start.angle + moved[0]
+    x0 = equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], first)
+    if before is None:
+        states, torque = dynamics.course(x0, given, p, trial.dt, trial.substeps)
+        return states, torque
+    end = _onset(trial, before)
+    early, early_torque = dynamics.course(x0, given[:end], first, trial.dt, trial.substeps)
+    # The first row of a course is its start, which is the last one of the course before.
+    x1 = _taken_over(early[-1], first, p, given[end - 1])
+    late, late_torque = dynamics.course(x1, given[end - 1 :], p, trial.dt, trial.substeps)
+    settled = np.tile(x1, (len(early), 1))
+    count = min(early.shape[1], len(x1))
+    settled[:, :count] = early[:, :count]
+    return np.concatenate([settled, late[1:]]), np.concatenate([early_torque, late_torque[1:]])
+
+
+def _onset(trial: Trial, before: Before) -> int:
+    """First sample at which the effects act."""
+    return int(np.clip(round(before.until_s / trial.dt), 1, len(trial)))
+
+
+def _taken_over(x: Floats, before: Floats, after: Floats, given: Floats) -> Floats:
+    """A state of one model as a state of another one: what that has besides is settled.
+
+    Args:
+        x: state (n,).
+        before: parameter vector (P,) of the model that it is of.
+        after: of the other model.
+        given: input (2,) or (3,).
+    """
+    out = np.asarray(equilibrium.initial_state(x[0], x[2], x[3], given, after))
+    out[:4] = x[:4]
+    for slot in par.SLOT_OF.values():
+        if before[slot] > 0.0 and after[slot] > 0.0:
+            out[int(after[slot])] = x[int(before[slot])]
+    return out
 
 
 def in_steps(trial: Trial, longest: float) -> Trial:

@@ -29,6 +29,14 @@ class Size:
 
 
 @dataclass(frozen=True)
+class Splits:
+    """How many splits of the recordings support what was found."""
+
+    agree: int
+    of: int
+
+
+@dataclass(frozen=True)
 class Effect:
     """An effect that was found.
 
@@ -39,6 +47,9 @@ class Effect:
         delta_bic: evidence for it.
         holdout_gain: share of the held-out excess over noise that it explains.
         recordings: that show it.
+        onset_s: since when it acts [s]; None: throughout.
+        onset_std_s: standard deviation of that [s]; None likewise.
+        splits: how many of the splits support it; None where it was not judged so.
     """
 
     name: str
@@ -47,12 +58,25 @@ class Effect:
     delta_bic: float
     holdout_gain: float
     recordings: tuple[str, ...]
+    onset_s: float | None
+    onset_std_s: float | None
+    splits: Splits | None
 
     @classmethod
     def of(cls, found: FoundEffect) -> Effect:
         """The entry of an effect."""
         sizes = {name: Size(*size) for name, size in found.parameters.items()}
-        return cls(found.name, found.muscle, sizes, found.delta_bic, found.holdout_gain, tuple(found.recordings))
+        return cls(
+            name=found.name,
+            muscle=found.muscle,
+            parameters=sizes,
+            delta_bic=found.delta_bic,
+            holdout_gain=found.holdout_gain,
+            recordings=tuple(found.recordings),
+            onset_s=found.onset_s,
+            onset_std_s=found.onset_std_s,
+            splits=None if found.splits is None else Splits(*found.splits),
+        )
 
 
 Residuals = Mapping[str, tuple[ResidualRow, ...]]
@@ -214,6 +238,7 @@ class CloseLoopReport:
         verdict: ``effect``, ``none`` or ``unexplained``.
         sentence: the verdict with its evidence.
         effects: that were found.
+        splits: of the effect that the fewest splits support; None where no splits were asked.
         ambiguous_with: effects that the recordings cannot distinguish from these.
         experiments: by effect, what would distinguish it.
         ambiguities: effects that were compared with a found one under equal conditions.
@@ -237,6 +262,7 @@ class CloseLoopReport:
     verdict: Verdict
     sentence: str
     effects: tuple[Effect, ...]
+    splits: Splits | None
     ambiguous_with: tuple[str, ...]
     experiments: Mapping[str, str]
     ambiguities: tuple[Ambiguity, ...]
@@ -262,6 +288,11 @@ class CloseLoopReport:
         return any(part.joint == "driven" for part in self.recordings)
 
 
+def _least(effects: Sequence[FoundEffect]) -> Splits | None:
+    known = [effect.splits for effect in effects if effect.splits is not None]
+    return Splits(*min(known)) if known else None
+
+
 def report(
     found: Diagnosis, rig: Rig, hashes: Sequence[str], seed: int, holdout: float | Sequence[str]
 ) -> CloseLoopReport:
@@ -278,6 +309,7 @@ def report(
         verdict=found.verdict,
         sentence=found.sentence,
         effects=tuple(map(Effect.of, found.effects)),
+        splits=_least(found.effects),
         ambiguous_with=tuple(found.ambiguous_with),
         experiments=dict(found.experiment),
         ambiguities=tuple(found.ambiguities),

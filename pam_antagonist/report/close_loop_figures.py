@@ -31,12 +31,15 @@ def residuals(found: Diagnosis) -> tuple[Figure, ...]:
         )
         x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * trial.block_s
         title = f"{trial.name} (joint {trial.joint})"
-        out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name))
+        onset = experiment.onset if found.extended.effects else None
+        if onset is not None:
+            about += f" The line at {onset:.1f} s: from then on the effect acts."
+        out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name, onset))
     return tuple(out)
 
 
 def _held(part: HeldOutComparison) -> str:
-    from_s = part.experiment.fitted * part.experiment.trial.dt
+    from_s = part.experiment.errors_from * part.experiment.trial.dt
     return {
         "both": f"From {from_s:.0f} s on nothing was fitted.",
         "fitted": "All of it was fitted; other recordings are held out.",

@@ -70,6 +70,7 @@ def residual_figure(
     channels: Sequence[tuple[str, float]],
     noise: FloatArray | None,
     link: str,
+    onset: float | None = None,
 ) -> Figure:
     """Residuals over time, a panel for each channel.
 
@@ -81,12 +82,15 @@ def residual_figure(
         channels: title of the axis and scale of each channel.
         noise: standard deviation of each channel's noise (C,); a dashed line is drawn at twice that. None: no lines.
         link: figures of the same link share their time axis.
+        onset: a time [s] at which something begins; a line is drawn there. None: no line.
     """
     panels = []
     for k, (name, scale) in enumerate(channels):
         parts: list[Series] = [
             Line(model, x, values[:, k] * scale, color, quiet=k > 0) for model, values, color in models
         ]
+        if onset is not None:
+            parts.append(Reference(onset, f"from {onset:.1f} s" if k == 0 else "", vertical=True))
         if noise is not None:
             parts += [Reference(sign * 2.0 * float(noise[k]) * scale) for sign in (-1.0, 1.0)]
         panels.append(Panel(TIME, Axis(name), tuple(parts), 170 if noise is not None else 130))

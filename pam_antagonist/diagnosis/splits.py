@@ -1,0 +1,145 @@
+"""How firm a found effect is: whether it is supported wherever a recording is split.
+
+The recording is held out in five parts in turn. In each split the model with the effect and the model without it are
+fitted again to what is not held out, from where they were. What is held out then decides between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.candidates import Model, held_out_evidence
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.split import Split, in_turn
+
+Floats = NDArray[np.float64]
+
+SPLITS = 5
+_LENGTH = 10.0
+"""[s] About so much of a long recording is held out at once."""
+_MOST_BUFFER = 3.0
+"""[s] Between what is fitted and what is held out, however long the residual's memory is."""
+_ROUNDS = 4
+"""Of fits that start next to their ends; the derivatives by the base parameters are those of all data."""
+
+
+@dataclass(frozen=True)
+class Firmness:
+    """What the splits say of an effect.
+
+    Attributes:
+        evidence: of each split's held-out parts, over all recordings.
+        held_s: begin and end [s] of what each split holds out, the last part of it.
+    """
+
+    evidence: tuple[float, ...]
+    held_s: tuple[tuple[float, float], ...]
+
+    @property
+    def agree(self) -> int:
+        """How many splits support the effect."""
+        return sum(value > 0.0 for value in self.evidence)
+
+    @property
+    def is_firm(self) -> bool:
+        """Whether most splits support the effect."""
+        return self.agree >= thresholds.SPLITS_AGREE
+
+    def in_words(self) -> str:
+        """What a reader should know."""
+        against = [
+            f"{begin:.0f} to {end:.0f} s"
+            for value, (begin, end) in zip(self.evidence, self.held_s, strict=True)
+            if value <= 0.0
+        ]
+        text = f"{self.agree} of {len(self.evidence)} splits agree"
+        return text if not against else f"{text}; not those that hold out {', '.join(against)}"
+
+
+def in_words(firm: Mapping[str, Firmness]) -> str:
+    """What a reader should know of all effects; empty where no splits were asked.
+
+    Args:
+        firm: what the splits say of each, by its name.
+    """
+    if len({one.agree for one in firm.values()}) == 1 and min(one.agree for one in firm.values()) == SPLITS:
+        return next(iter(firm.values())).in_words()
+    several = len(firm) > 1
+    return "; ".join((f"{name}: " if several else "") + one.in_words() for name, one in firm.items())
+
+
+def firmness(
+    experiments: Sequence[Experiment], model: Model, without: Mapping[str, Model], jobs: int
+) -> dict[str, Firmness]:
+    """What the splits say of each effect of a model, by its name.
+
+    Args:
+        experiments: the recordings.
+        model: their models.
+        without: the model without each of the effects, fitted again.
+        jobs: threads.
+    """
+    splits = [_splits(experiment, fitted) for experiment, fitted in zip(experiments, model.fits, strict=True)]
+    wholes = [_whole(experiment) for experiment in experiments]
+    fits = {"": model, **without}
+    shown = [
+        (name, r)
+        for name, one in fits.items()
+        for r in range(len(experiments))
+        if not name or one.fits[r] is not model.fits[r]
+    ]
+
+    def jacobian(name: str, r: int) -> Floats:
+        point = fits[name].fits[r].point
+        return wholes[r].jacobian(point, wholes[r].residual(point))
+
+    def fitted_again(name: str, r: int, k: int) -> Fitted:
+        fitted, split = fits[name].fits[r], splits[r][k]
+        base = columns[name, r][split.fitted]
+        pace = fitted.scale.blocks_per_error
+        return refit(
+            replace(wholes[r], split=split), fitted.point, fitted.free, base, _ROUNDS, 0, pace, careful=2
+        )  # fmt: skip
+
+    in_threads = Parallel(n_jobs=jobs, prefer="threads")
+    columns = dict(zip(shown, in_threads(delayed(jacobian)(*which) for which in shown), strict=True))
+    tasks = [(name, r, k) for name, r in shown for k in range(SPLITS)]
+    again = dict(zip(tasks, in_threads(delayed(fitted_again)(*task) for task in tasks), strict=True))
+
+    def evidence(name: str, k: int) -> float:
+        pairs = [(r, again[name, r, k], again["", r, k]) for r in range(len(experiments)) if (name, r) in columns]
+        return sum(held_out_evidence(replace(wholes[r], split=splits[r][k]), *pair) for r, *pair in pairs)
+
+    judged = [(name, k) for name in without for k in range(SPLITS)]
+    values = dict(zip(judged, in_threads(delayed(evidence)(*one) for one in judged), strict=True))
+    held = tuple(_held(experiments[0], split) for split in splits[0])
+    return {name: Firmness(tuple(values[name, k] for k in range(SPLITS)), held) for name in without}
+
+
+def _whole(experiment: Experiment) -> Experiment:
+    """The recording with nothing held out."""
+    return replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), split=None, judged=())
+
+
+def _splits(experiment: Experiment, fitted: Fitted) -> tuple[Split, ...]:
+    """The splits of a recording, with buffers as long as the memory of its model's residual."""
+    block = experiment.trial.block_s
+    buffer = round(min(float(fitted.scale.length.max()), _MOST_BUFFER / block))
+    edges = () if experiment.onset is None else (round(experiment.onset / block),)
+    return in_turn(
+        len(experiment.trial) // experiment.trial.block, SPLITS, _LENGTH / block, buffer, experiment.errors_from, edges
+    )  # fmt: skip
+
+
+def _held(experiment: Experiment, split: Split) -> tuple[float, float]:
+    """Begin and end [s] of the last part that a split holds out."""
+    edges = np.flatnonzero(np.diff(split.held, prepend=False, append=False))[-2:]
+    begin, end = edges * experiment.trial.block_s
+    return float(begin), float(end)

@@ -1,0 +1,110 @@
+"""Stretches of a recording in which a model without effects leaves more than noise.
+
+The verdict `none` is said of all data: of the fitted and the held-out part, of every channel, of every stretch of
+seconds. The base parameters are therefore fitted to the whole recording before it is tested. What they cannot explain
+together is not a matter of where the recording was split.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import refit
+
+Floats = NDArray[np.float64]
+
+_ROUNDS = 6
+"""Of a fit that starts next to its end."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of one channel that is above noise.
+
+    Attributes:
+        recording: its name.
+        channel: what was measured, as a figure calls it.
+        begin_s: [s].
+        end_s: [s].
+        times_noise: root mean square of the residual there, over its noise.
+        evidence: against noise, with the price of all stretches that were looked at.
+    """
+
+    recording: str
+    channel: str
+    begin_s: float
+    end_s: float
+    times_noise: float
+    evidence: float
+
+
+def above_noise(experiments: Sequence[Experiment], points: Sequence[Point], jobs: int) -> tuple[Stretch, ...]:
+    """The clearest stretch above noise of every recording that has one even with the base fitted to all of it.
+
+    The stretch is that of the model as it is, whose base has not bent to what is wrong.
+
+    Args:
+        experiments: the recordings.
+        points: their recalibrated models.
+        jobs: threads.
+    """
+
+    def one(experiment: Experiment, point: Point) -> Stretch | None:
+        alone = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), judged=())
+        found = clearest(alone, alone.residual(point, whole=True))
+        if found is None:
+            return None
+        fitted = refit(alone, point, rounds=_ROUNDS, renewals=2, blocks_per_error=1.0, careful=2)
+        return found if clearest(alone, fitted.residual) is not None else None
+
+    found = Parallel(n_jobs=jobs, prefer="threads")(
+        delayed(one)(*pair) for pair in zip(experiments, points, strict=True)
+    )
+    return tuple(stretch for stretch in found if stretch is not None)
+
+
+def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:
+    """The stretch with the strongest evidence against noise; None where there is none with strong evidence.
+
+    Twice the log likelihood ratio of a stretch with n independent values of noise is n (m − 1 − log m). m is its mean
+    square over that of the noise, the latter taken as large as it may be. Begin, length and channel are chosen, so
+    twice the logarithm of the number of choices is the price (Bonferroni).
+
+    Args:
+        experiment: the recording.
+        residual: of all of it (B, C).
+    """
+    seconds = 1.0 / experiment.trial.block_s
+    lengths = [round(length * seconds) for length in thresholds.STRETCHES if round(length * seconds) < len(residual)]
+    lengths.append(len(residual))
+    squares = np.vstack([np.zeros(residual.shape[1]), np.cumsum((residual / experiment.noise) ** 2, axis=0)])
+    best: tuple[float, int, int, int, float] = (0.0, 0, 0, 0, 0.0)
+    looks = 0
+    for length in lengths:
+        begin = np.unique(np.append(np.arange(0, len(residual) - length, max(length // 2, 1)), len(residual) - length))
+        mean = (squares[begin + length] - squares[begin]) / length
+        ratio = np.maximum(mean / thresholds.AT_NOISE**2, 1.0)
+        gain = length / experiment.noise_memory * (ratio - 1.0 - np.log(ratio))
+        looks += gain.size
+        row, channel = divmod(int(np.argmax(gain)), gain.shape[1])
+        if gain[row, channel] > best[0]:
+            best = float(gain[row, channel]), int(begin[row]), length, int(channel), float(mean[row, channel])
+    most, begin_block, length, channel, mean_square = best
+    evidence = most - 2.0 * float(np.log(looks))
+    if evidence < thresholds.STRONG:
+        return None
+    return Stretch(
+        experiment.trial.name,
+        experiment.titles[channel].title,
+        begin_block / seconds,
+        (begin_block + length) / seconds,
+        float(np.sqrt(mean_square)),
+        evidence,
+    )

@@ -1,0 +1,94 @@
+"""Effects that begin during a recording, and whether other splits agree on an effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pam_antagonist.diagnosis import onset, splits
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.preparation import Group
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import Fitted, refit
+
+OFFSET = {"effects.pressure_sensor.offset_1": 5e3}
+AREA = "effects.leak.area_1"
+LEAK = {AREA: 3e-9, "effects.leak.exponent": 1.0}
+
+
+@pytest.fixture(scope="module")
+def quiet(recorded, experiment_of) -> Experiment:
+    return experiment_of(recorded(seconds=20.0), "locked")
+
+
+def with_effect(quiet: Experiment, effect: dict[str, float], begins: float | None) -> Experiment:
+    """The recording with what an effect from then on adds to it."""
+    points = (Point(quiet.origin.theta, effect), quiet.origin)
+    with_it, without = (replace(quiet, onset=begins).simulated(point, whole=True) for point in points)
+    return replace(quiet, trial=replace(quiet.trial, measured=quiet.trial.measured + with_it - without))
+
+
+@pytest.fixture(scope="module")
+def late(quiet) -> tuple[Experiment, Fitted]:
+    experiment = with_effect(quiet, OFFSET, 15.0)
+    return experiment, refit(experiment, experiment.origin, rounds=4, renewals=1)
+
+
+def test_a_change_of_the_residual_is_found_where_it_is() -> None:
+    rng = np.random.default_rng(3)
+    residual = rng.standard_normal((1000, 3))
+    residual[700:, 1] += 3.0
+    assert onset.change_point(residual, np.ones(3)) == pytest.approx(700, abs=3)
+
+
+def test_an_effect_that_begins_late_is_found_with_its_onset(late) -> None:
+    experiment, fitted = late
+    found = onset.search(
+        Group("joint", (experiment,), (0,)), Model((), (fitted,)), Model((), (fitted,)), 1, lambda text: None,
+        Checkpoint(),
+    )  # fmt: skip
+    assert found is not None
+    assert found.selection.model.effects == ("pressure_sensor",)
+    (when,) = found.onsets
+    assert when is not None
+    assert when.time_s == pytest.approx(15.0, abs=max(3.0 * when.std_s, 0.1))
+    assert when.std_s < 0.5
+    point = found.selection.model.fits[0].point
+    shown = point.effects["effects.pressure_sensor.offset_1"] + 450e3 * point.effects["effects.pressure_sensor.gain_1"]
+    assert shown == pytest.approx(5e3, rel=0.2)
+
+
+def test_a_recording_at_its_noise_has_no_onset(quiet) -> None:
+    fitted = refit(quiet, quiet.origin, rounds=4, renewals=1)
+    model = Model((), (fitted,))
+    group = Group("joint", (quiet,), (0,))
+    assert onset.search(group, model, model, 1, lambda text: None, Checkpoint()) is None
+
+
+def test_what_is_there_throughout_has_no_onset(quiet) -> None:
+    experiment = with_effect(quiet, LEAK, None)
+    fitted = refit(experiment, experiment.origin, rounds=4, renewals=1)
+    assert onset.first_change(experiment, fitted) is None
+
+
+def test_splits_agree_on_an_effect_that_is_there(quiet) -> None:
+    experiment = with_effect(quiet, LEAK, None)
+    free = tuple(
+        u for c in experiment.candidates({}) if c.effect == "leak" for u in c.free if u.path.endswith("area_1")
+    )
+    base = refit(experiment, experiment.origin, rounds=4, renewals=1)
+    right = refit(experiment, Point(base.point.theta, LEAK), free, rounds=4, renewals=2)
+    firm = splits.firmness([experiment], Model(("leak",), (right,)), {"leak": Model((), (base,))}, 1)["leak"]
+    assert (firm.agree, len(firm.evidence)) == (5, 5)
+    assert firm.is_firm and firm.in_words() == "5 of 5 splits agree"
+
+
+def test_a_split_that_does_not_agree_is_named() -> None:
+    firm = splits.Firmness((3.0, -1.0, 2.0, 4.0, -2.0), ((0, 12), (12, 24), (24, 36), (36, 48), (48, 60)))
+    assert firm.is_firm
+    assert firm.in_words() == "3 of 5 splits agree; not those that hold out 12 to 24 s, 48 to 60 s"
+    assert not replace(firm, evidence=(3.0, -1.0, 2.0, -4.0, -2.0)).is_firm
+    assert splits.in_words({"leak": firm, "creep": firm}).startswith("leak: 3 of 5")

@@ -1,0 +1,62 @@
+"""Blocks that are held out in turn, and effects that begin during a recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.split import in_turn
+
+LEAK = {"effects.leak.area_1": 3e-8}
+
+
+@pytest.fixture(scope="module")
+def joint(recorded, experiment_of) -> Experiment:
+    return experiment_of(recorded(seconds=12.0), "locked")
+
+
+@pytest.mark.parametrize("edges", [(), (430,)])
+def test_every_block_is_held_out_once_and_none_next_to_a_fitted_one(edges: tuple[int, ...]) -> None:
+    splits = in_turn(600, 5, 60.0, 20, 0, edges)
+    assert np.array_equal(sum(split.held.astype(int) for split in splits), np.ones(600))
+    for split in splits:
+        assert not np.any(split.fitted & split.held)
+        gap = np.abs(np.flatnonzero(split.fitted)[:, None] - np.flatnonzero(split.held))
+        assert gap.min() == 21
+        assert 0.1 <= split.held[430:].mean() <= 0.3 or not edges
+
+
+def test_what_is_fitted_and_held_out_are_the_blocks_of_the_split(joint) -> None:
+    count = len(joint.trial) // joint.trial.block
+    split = in_turn(count, 5, 100.0, 5, 0)[1]
+    parted = replace(joint, fitted=count * joint.trial.block, split=split)
+    whole = parted.residual(parted.origin, whole=True)
+    assert np.array_equal(parted.residual(parted.origin), whole[split.fitted])
+    assert np.array_equal(parted.held(whole), whole[split.held])
+    fitted = refit(parted, parted.origin, rounds=2, renewals=1)
+    assert fitted.residual.shape == (split.fitted.sum(), len(joint.channels))
+
+
+def test_an_effect_acts_from_its_onset_on(joint) -> None:
+    def shown(onset: float | None, effects: dict[str, float]) -> np.ndarray:
+        return replace(joint, onset=onset).simulated(Point(joint.origin.theta, effects), whole=True)
+
+    without, late, throughout = shown(None, {}), shown(5.0, LEAK), shown(None, LEAK)
+    assert np.array_equal(late[:5000], without[:5000])
+    assert np.max(np.abs(late[5000:, 2] - without[5000:, 2])) > 1e3
+    assert np.max(np.abs(late[:, 2] - throughout[:, 2])) > 1e3
+    states, _ = replace(joint, onset=5.0).states(Point(joint.origin.theta, LEAK))
+    assert np.max(np.abs(np.diff(states[:, 2]))) < 3e3
+
+
+def test_an_added_state_starts_settled_at_the_onset(joint) -> None:
+    creep = {"effects.creep.share_1": 0.1, "effects.creep.time": 3.0}
+    late = replace(joint, onset=5.0)
+    point = Point(joint.origin.theta, creep)
+    shown, states = late.simulated(point, whole=True), late.states(point)[0]
+    assert np.isfinite(shown[:, 2:]).all() and np.isfinite(states).all()
+    assert np.allclose(states[5000, 4:], states[4999, 4:], rtol=0.05)
