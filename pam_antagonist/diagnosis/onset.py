@@ -130,7 +130,9 @@ def first_change(experiment: Experiment, fitted: Fitted) -> tuple[float, Point] 
     count = len(experiment.trial) // experiment.trial.block
     part = round(_FIRST_PART * count)
     point = fitted.point
-    if not _is_noise(experiment, experiment.residual(point, whole=True)[: -(-experiment.fitted // experiment.trial.block)]):
+    if not _is_noise(
+        experiment, experiment.residual(point, whole=True)[: -(-experiment.fitted // experiment.trial.block)]
+    ):
         point = refit(replace(experiment, fitted=part * experiment.trial.block), point).point
     found = None
     for _ in range(2):
@@ -140,7 +142,9 @@ def first_change(experiment: Experiment, fitted: Fitted) -> tuple[float, Point] 
         change = change_point(residual, experiment.noise)
         found = change * experiment.trial.block_s, point
         # All that is before the change may be fitted, which shows the change more clearly.
-        before = replace(experiment, fitted=max(change - round(_BUFFER / experiment.trial.block_s), part) * experiment.trial.block)
+        before = replace(
+            experiment, fitted=max(change - round(_BUFFER / experiment.trial.block_s), part) * experiment.trial.block
+        )
         part = before.fitted // experiment.trial.block
         point = refit(before, point, rounds=_ROUNDS, renewals=2, blocks_per_error=1.0).point
     return found

@@ -58,9 +58,9 @@ class Effect:
     delta_bic: float
     holdout_gain: float
     recordings: tuple[str, ...]
-    onset_s: float | None
-    onset_std_s: float | None
-    splits: Splits | None
+    onset_s: float | None = None
+    onset_std_s: float | None = None
+    splits: Splits | None = None
 
     @classmethod
     def of(cls, found: FoundEffect) -> Effect:
@@ -238,7 +238,6 @@ class CloseLoopReport:
         verdict: ``effect``, ``none`` or ``unexplained``.
         sentence: the verdict with its evidence.
         effects: that were found.
-        splits: of the effect that the fewest splits support; None where no splits were asked.
         ambiguous_with: effects that the recordings cannot distinguish from these.
         experiments: by effect, what would distinguish it.
         ambiguities: effects that were compared with a found one under equal conditions.
@@ -257,12 +256,12 @@ class CloseLoopReport:
         settings: what was asked.
         timing: what took how long [s].
         software: versions.
+        splits: of the effect that the fewest splits support; None where no splits were asked.
     """
 
     verdict: Verdict
     sentence: str
     effects: tuple[Effect, ...]
-    splits: Splits | None
     ambiguous_with: tuple[str, ...]
     experiments: Mapping[str, str]
     ambiguities: tuple[Ambiguity, ...]
@@ -281,6 +280,7 @@ class CloseLoopReport:
     settings: Settings
     timing: Mapping[str, float]
     software: Mapping[str, str]
+    splits: Splits | None = None
 
     @property
     def driven(self) -> bool:
@@ -309,7 +309,6 @@ def report(
         verdict=found.verdict,
         sentence=found.sentence,
         effects=tuple(map(Effect.of, found.effects)),
-        splits=_least(found.effects),
         ambiguous_with=tuple(found.ambiguous_with),
         experiments=dict(found.experiment),
         ambiguities=tuple(found.ambiguities),
@@ -348,4 +347,5 @@ def report(
         ),
         timing=dict(found.seconds),
         software=versions(),
+        splits=_least(found.effects),
     )
