@@ -127,13 +127,11 @@ def first_change(experiment: Experiment, fitted: Fitted) -> tuple[float, Point] 
         experiment: the recording.
         fitted: its recalibrated model.
     """
-    count = len(experiment.trial) // experiment.trial.block
-    part = round(_FIRST_PART * count)
+    block = experiment.trial.block
+    part = round(_FIRST_PART * (len(experiment.trial) // block))
     point = fitted.point
-    if not _is_noise(
-        experiment, experiment.residual(point, whole=True)[: -(-experiment.fitted // experiment.trial.block)]
-    ):
-        point = refit(replace(experiment, fitted=part * experiment.trial.block), point).point
+    if not _is_noise(experiment, experiment.residual(point, whole=True)[: -(-experiment.fitted // block)]):
+        point = refit(replace(experiment, fitted=part * block), point).point
     found = None
     for _ in range(2):
         residual = experiment.residual(point, whole=True)
@@ -142,10 +140,8 @@ def first_change(experiment: Experiment, fitted: Fitted) -> tuple[float, Point] 
         change = change_point(residual, experiment.noise)
         found = change * experiment.trial.block_s, point
         # All that is before the change may be fitted, which shows the change more clearly.
-        before = replace(
-            experiment, fitted=max(change - round(_BUFFER / experiment.trial.block_s), part) * experiment.trial.block
-        )
-        part = before.fitted // experiment.trial.block
+        part = max(change - round(_BUFFER / experiment.trial.block_s), part)
+        before = replace(experiment, fitted=part * block)
         point = refit(before, point, rounds=_ROUNDS, renewals=2, blocks_per_error=1.0).point
     return found
 
