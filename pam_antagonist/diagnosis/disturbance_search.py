@@ -150,7 +150,7 @@ def _explanation(disturbed: _Disturbed, quiet: Model, model: Model, jobs: int) -
     warnings: list[str] = []
     if model.effects:
         model = findings.backward_elimination(disturbed.experiments, quiet, model, jobs)
-        effects, values, warnings, _ = findings.found(disturbed.experiments, quiet, model, jobs)
+        (effects, values, warnings), _ = findings.found(disturbed.experiments, quiet, model, jobs)
     fits = tuple(
         _with_noise(fitted, noise) if noise else fitted
         for fitted, noise in zip(model.fits, disturbed.noises, strict=True)

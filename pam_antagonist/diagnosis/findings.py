@@ -47,13 +47,11 @@ class Findings(NamedTuple):
         effects: each with its sizes.
         values: of their parameters for one rig, by dotted path.
         contradictions: between the recordings.
-        without: the model without each effect, fitted again, by the effect's name.
     """
 
     effects: tuple[FoundEffect, ...]
     values: dict[str, float]
     contradictions: list[str]
-    without: Mapping[str, Model]
 
 
 def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) -> Fitted:
@@ -126,7 +124,7 @@ def backward_elimination(experiments: Sequence[Experiment], base: Model, model: 
     return Model(model.effects, tuple(fits))
 
 
-def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Findings:
+def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> tuple[Findings, dict[str, Model]]:
     """The effects of a model, each with what would be lost without it; see :func:`found_effects`.
 
     Args:
@@ -134,6 +132,9 @@ def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: in
         base: the model without effects.
         model: the one with effects.
         jobs: threads.
+
+    Returns:
+        The effects, and the model without each of them, fitted again, by its name.
     """
     gains, shares = {}, {}
     whole, before = (remaining_residuals(experiments, m.fits) for m in (model, base))
@@ -143,8 +144,7 @@ def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: in
         gains[effect] = evidence_of(experiments, without, model)
         lost = remaining_residuals(experiments, without.fits) if several else before
         shares[effect] = further_share(experiments, before, lost, whole, fitted=False)
-    missing = dict(zip(model.effects, smaller, strict=True))
-    return found_effects(experiments, model, gains, shares)._replace(without=missing)
+    return found_effects(experiments, model, gains, shares), dict(zip(model.effects, smaller, strict=True))
 
 
 def found_effects(
@@ -162,7 +162,7 @@ def found_effects(
         shares: share of the held-out excess that goes with each.
     """
     names = [experiment.trial.name for experiment in experiments]
-    found = Findings((), {}, [], {})
+    found = Findings((), {}, [])
     effects: list[FoundEffect] = []
     for effect in model.effects:
         sizes, shapes = _sizes_and_shapes(model, effect)

@@ -212,15 +212,15 @@ def _firm(
     """
     experiments, jobs, notes = group.experiments, settings.jobs, []
     while True:
-        found = findings.found(experiments, base, model, jobs)
+        found, without = findings.found(experiments, base, model, jobs)
         settings.progress("whether other splits agree")
-        firm = splits.firmness(experiments, model, found.without, jobs)
+        firm = splits.firmness(experiments, model, without, jobs)
         weakest = min(firm, key=lambda name: (firm[name].agree, sum(firm[name].evidence)))
         if firm[weakest].is_firm:
             break
         notes.append(warnings.not_firm(weakest, firm[weakest]))
-        model = found.without[weakest]
+        model = without[weakest]
         if not model.effects:
-            return base, findings.Findings((), {}, [], {}), {}, notes
+            return base, findings.Findings((), {}, []), {}, notes
     effects = tuple(replace(effect, splits=(firm[effect.name].agree, splits.SPLITS)) for effect in found.effects)
     return model, found._replace(effects=effects), firm, notes
