@@ -37,6 +37,8 @@ from pam_antagonist.rig import Rig
 
 START = 5.0
 """[s] At the beginning of a recording that is held out, to which its first state is fitted; its errors count later."""
+WHOLE = "joint"
+"""Name of a group that shows all of the joint."""
 DRIVEN = "driven"
 """Condition of a joint that something moves: its angle is an input."""
 _PARTS = ((AIR, "pressures"), (BALANCE, "torque"))
@@ -70,9 +72,14 @@ class Settings:
     estimator: bool
     checkpoint: Checkpoint
 
+    def about(self, group: Group) -> Callable[[str], None]:
+        """What is being done to a group, with its name where there are several."""
+        prefix = "" if group.name == WHOLE else f"{group.name}: "
+        return lambda text: self.progress(prefix + text)
+
 
 class Timings:
-    """A stopwatch; ``seconds`` holds what took how long, by name."""
+    """A stopwatch; ``seconds`` holds what took how long, all groups together, by name."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -81,7 +88,7 @@ class Timings:
     def end(self, name: str) -> None:
         """The step of that name is over, the next one begins."""
         now = time.perf_counter()
-        self.seconds[name] = now - self._begin
+        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._begin
         self._begin = now
 
 
@@ -179,7 +186,7 @@ def _valve_driven(
         _check_duration(trial, thresholds.SHORTEST, "with both valves moving all the time")
     check_distinct(recordings, held_out, [trial.name for trial in others])
     experiments, held = valve_driven_experiments(trials, others, rig, settings.holdout, settings.seed, settings.jobs)
-    group = Group("joint", experiments, tuple(range(len(trials))), held)
+    group = Group(WHOLE, experiments, tuple(range(len(trials))), held)
     return Prepared(rig, rig, (*recordings, *held_out), (*trials, *others), (group,), len(trials))
 
 

@@ -1,0 +1,142 @@
+"""The verdict on a group of recordings: effects, a disturbance torque, nothing, or something unexplained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pam_antagonist.diagnosis import (
+    agreement,
+    disturbance_search,
+    explained,
+    findings,
+    held_out,
+    onset,
+    splits,
+    thresholds,
+    warnings,
+)
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
+from pam_antagonist.diagnosis.result import Judged, Verdict
+from pam_antagonist.diagnosis.selection import Selection
+from pam_antagonist.diagnosis.stretches import Stretch, above_noise
+
+
+def judge(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
+    """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained.
+
+    Args:
+        prepared: all recordings.
+        group: the experiments that are judged.
+        selection: what was tried on them.
+        settings: of the diagnosis.
+    """
+    jobs, progress = settings.jobs, settings.progress
+    verdict, share = _verdict(group, selection)
+    late = onset.search(group, selection.recalibrated, selection.model, jobs, progress, settings.checkpoint)
+    if late is not None and _verdict(late.group, late.selection)[0] == "effect":
+        group, selection = late.group, late.selection
+        verdict, share = _verdict(group, selection)
+    else:
+        late = None
+    experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
+    stretches = _above_noise(group, base, settings) if verdict == "none" else ()
+    if stretches:
+        verdict = "unexplained"
+    about_base = (
+        *warnings.above_noise(stretches),
+        *warnings.implausible(experiments, base),
+        *agreement.base_contradictions(experiments, base),
+    )
+    found = None
+    if late is None:
+        found = disturbance_search.search(experiments, base, chosen, verdict, jobs, progress)
+    if found is not None:
+        share = share if verdict == "effect" else found.share
+        notes = (*about_base, *found.warnings)
+        return Judged(group, base, selection, "effect", share, found.model, found.effects, found.values, notes)
+    if verdict == "effect":
+        judged = _by_effects(prepared, group, selection, share, about_base, settings)
+        return judged if late is None else onset.dated(judged, late)
+    return Judged(group, base, selection, verdict, share, base, warnings=about_base)
+
+
+def _verdict(group: Group, selection: Selection) -> tuple[Verdict, float]:
+    """The verdict by effects alone, and the share of the held-out excess that they remove."""
+    experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
+    before, after = (explained.remaining_residuals(experiments, m.fits) for m in (base, chosen))
+    share = explained.held_share(experiments, before, after) if chosen.effects else 0.0
+    if explained.explains(experiments, base, chosen):
+        return "effect", share
+    return ("unexplained" if explained.has_significant_excess(experiments, base.fits) else "none"), share
+
+
+def _above_noise(group: Group, base: Model, settings: Settings) -> tuple[Stretch, ...]:
+    """Where in any recording, in which part soever, the model without effects leaves more than noise."""
+    settings.progress("whether all data are at their noise")
+    points = [fitted.point for fitted in base.fits]
+    found = above_noise(group.experiments, points, settings.jobs)
+    return (*found, *above_noise(group.held_out, [other.origin for other in group.held_out], settings.jobs))
+
+
+def _by_effects(
+    prepared: Prepared,
+    group: Group,
+    selection: Selection,
+    share: float,
+    about_base: Sequence[str],
+    settings: Settings,
+) -> Judged:
+    """The effects that are needed, unless the estimator's innovations are against them where they have to decide."""
+    experiments, base, jobs = group.experiments, selection.recalibrated, settings.jobs
+    settings.progress("which effects are needed")
+    needed = findings.backward_elimination(experiments, base, selection.model, jobs)
+    model, found, firm, notes = _firm(group, base, needed, settings)
+    dropped = len(model.effects) < len(needed.effects)
+    if dropped:
+        before, after = (explained.remaining_residuals(experiments, m.fits) for m in (base, model))
+        share = explained.held_share(experiments, before, after)
+    if not found.effects or (dropped and not explained.explains(experiments, base, model)):
+        return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *about_base))
+    notes += found.contradictions
+    gained = held_out.deciding_evidence(prepared, group, base, model, found.values, jobs)
+    if gained is not None:
+        taken = gained >= thresholds.STRONG
+        notes.append(warnings.decided_by_innovations(selection.model.effects, gained, taken))
+        if not taken:
+            return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *about_base))
+    if explained.explains_in_part(experiments, base, model):
+        notes.insert(0, warnings.explained_in_part([effect.name for effect in found.effects]))
+    contradictions = agreement.effect_contradictions(experiments, model, found.effects, found.values, jobs)
+    return Judged(
+        group, base, selection, "effect", share, model, found.effects, found.values,
+        (*notes, *about_base, *contradictions), firm,
+    )  # fmt: skip
+
+
+def _firm(
+    group: Group, base: Model, model: Model, settings: Settings
+) -> tuple[Model, findings.Findings, dict[str, splits.Firmness], list[str]]:
+    """The effects that most splits support: their model, what they are, what the splits say, and what was dropped.
+
+    Args:
+        group: the recordings.
+        base: the model without effects.
+        model: the model with those that are needed.
+        settings: of the diagnosis.
+    """
+    experiments, jobs, notes = group.experiments, settings.jobs, []
+    while True:
+        found, without = findings.found(experiments, base, model, jobs)
+        settings.progress("whether other splits agree")
+        firm = splits.firmness(experiments, model, without, jobs)
+        weakest = min(firm, key=lambda name: (firm[name].agree, sum(firm[name].evidence)))
+        if firm[weakest].is_firm:
+            break
+        notes.append(warnings.not_firm(weakest, firm[weakest]))
+        model = without[weakest]
+        if not model.effects:
+            return base, findings.Findings((), {}, []), {}, notes
+    effects = tuple(replace(effect, splits=(firm[effect.name].agree, splits.SPLITS)) for effect in found.effects)
+    return model, found._replace(effects=effects), firm, notes
