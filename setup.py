@@ -1,6 +1,7 @@
 """Installation by pip and by colcon (ament_python); files go where ROS 2 looks for them."""
 
 import runpy
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -11,6 +12,10 @@ ROOT = Path(__file__).resolve().parent
 about = runpy.run_path(str(ROOT / NAME / "__init__.py"))
 # One table says what can be run; it needs the standard library only.
 commands = runpy.run_path(str(ROOT / NAME / "__main__.py"))["COMMANDS"]
+# colcon calls this file with "install" or "develop" and puts scripts into lib/pam_antagonist (setup.cfg), where
+# ros2 run looks: one for each name. pip builds a wheel, whose scripts land on PATH: pam alone, which takes the names.
+by_colcon = {"install", "develop"} & set(sys.argv)
+scripts = {name: command.target for name, command in commands.items()} if by_colcon else {}
 
 
 def tree(folder: str, suffixes: tuple[str, ...]) -> list[tuple[str, list[str]]]:
@@ -46,13 +51,9 @@ setup(
         "jinja2>=3.0",
         "joblib>=1.3",
         "lz4>=4",
-        "matplotlib>=3.6",
         "numba>=0.58",
         "numpy>=1.26,<3",
-        "Pillow>=9.4",
-        "plotly>=5.15",
         "pydantic>=1.10,<3",
-        "pyserial>=3.5",
         "PyYAML>=6",
         "rosbags>=0.11.9,<0.12",
         "scipy>=1.11",
@@ -60,10 +61,18 @@ setup(
         "typing_extensions>=4.5",
     ],
     extras_require={
+        # Scripts for the shell: pam --completion bash.
+        "completion": ["shtab>=1.6"],
         # Fits of close_loop on the workers of a scheduler.
         "dask": ["dask>=2023.5", "distributed>=2023.5"],
         # The documentation site, ./run docs.
         "docs": ["furo>=2024.8", "latex2mathml>=3.77", "myst-parser>=4", "sphinx>=8"],
+        # A microcontroller on a serial port: bridge.
+        "hardware": ["pyserial>=3.5"],
+        # What import_csv reads beside text: MATLAB 7.3, Parquet. pandas is for results as data frames.
+        "import": ["h5py>=3.8", "pandas>=2.0", "pyarrow>=14"],
+        # Figures of report.html by plotly, pictures by matplotlib.
+        "reports": ["matplotlib>=3.6", "Pillow>=9.4", "plotly>=5.15"],
         # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`.
         "test": [
             "filterpy>=1.4.5,<3",
@@ -75,6 +84,10 @@ setup(
             "types-PyYAML",
         ],
     },
-    entry_points={"console_scripts": [f"{name} = {command.target}" for name, command in commands.items()]},
+    entry_points={
+        "console_scripts": [
+            f"{name} = {target}" for name, target in {"pam": f"{NAME}.__main__:main", **scripts}.items()
+        ]
+    },
     zip_safe=False,
 )

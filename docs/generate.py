@@ -18,6 +18,7 @@ from typing import Any
 from pam_antagonist.__main__ import COMMANDS
 from pam_antagonist.nodes import bridge, controller, estimator, plant
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter
+from pam_antagonist.program import VARIABLE
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig.json_schema import rig_json_schema
 
@@ -32,6 +33,7 @@ def help_text(name: str) -> str:
     """What ``./run NAME --help`` prints."""
     module, function = COMMANDS[name].target.split(":")
     os.environ["COLUMNS"] = "100"
+    os.environ[VARIABLE] = "./run"
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
         getattr(importlib.import_module(module), function)(["--help"])

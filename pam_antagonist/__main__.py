@@ -1,4 +1,4 @@
-"""``python -m pam_antagonist NAME ...``: the one table of everything that can be run."""
+"""``pam NAME ...`` and ``python -m pam_antagonist NAME ...``: the one table of everything that can be run."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ COMMANDS: dict[str, Command] = {
     "controller": Command("pam_antagonist.nodes.controller:main", "angle or torque control on the estimate"),
     "record": Command("pam_antagonist.nodes.recorder:main", "write all topics into a rosbag2 (MCAP) bag"),
 }
-"""Name of an executable -> what it is. ``setup.py`` installs one script for each."""
+"""Name of an executable -> what it is. In a ROS workspace, ``setup.py`` installs one script for each."""
 
 _PLACES = {
     "Commands": "pam_antagonist.cli.",
@@ -70,14 +70,23 @@ _PLACES = {
 
 def usage() -> str:
     """One line for each executable, commands and nodes apart."""
+    from pam_antagonist.program import program
+
     width = max(len(name) for name in COMMANDS)
-    lines = ["usage: python -m pam_antagonist NAME [arguments]"]
+    lines = [f"usage: {program()} NAME [arguments]"]
     for title, package in _PLACES.items():
         lines += ["", title]
         for name, command in COMMANDS.items():
             if command.target.startswith(package):
                 lines.append(f"  {name.ljust(width)}  {command.summary}")
-    return "\n".join([*lines, "", "NAME --help tells the arguments of each."])
+    return "\n".join(
+        [
+            *lines,
+            "",
+            "NAME --help tells the arguments of each, --version the version.",
+            "--completion SHELL prints a script that lets a shell (bash, zsh, fish, ...) complete names and options.",
+        ]
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -94,6 +103,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(usage())
         return 0 if arguments else 2
     name, rest = arguments[0], arguments[1:]
+    if name == "--version":
+        print(f"pam_antagonist {importlib.import_module('pam_antagonist').__version__}")
+        return 0
+    if name == "--completion":
+        return int(importlib.import_module("pam_antagonist.cli.completion").main(rest, COMMANDS))
     if name not in COMMANDS:
         close = difflib.get_close_matches(name, COMMANDS, 1)
         hint = f"; did you mean {close[0]}?" if close else ""

@@ -14,9 +14,18 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "pam_antagonist"
 
-BASE = "base"  # errors, _jit: what every module may use
+BASE = "base"  # errors, optional, program, _jit: what every module may use
 FILES = "files"  # paths, strict_yaml, strict_json, software: reading and writing files
-PLACES = {"errors": BASE, "_jit": BASE, "paths": FILES, "strict_yaml": FILES, "strict_json": FILES, "software": FILES}
+PLACES = {
+    "errors": BASE,
+    "optional": BASE,
+    "program": BASE,
+    "_jit": BASE,
+    "paths": FILES,
+    "strict_yaml": FILES,
+    "strict_json": FILES,
+    "software": FILES,
+}
 """Layer of a module that lies in no folder. A folder is a layer of its own name."""
 
 _PHYSICS = (BASE, "model", FILES, "rig")
@@ -43,7 +52,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "report": (*_RESULTS, "control"),
     "nodes": (*_OFFLINE, "simulation", "control", "safety", "hardware"),
     "cli": (*_RESULTS, *_ONLINE, "checks", "report"),
-    "__main__": (),  # it names the executables and imports the one that is asked for
+    "__main__": (BASE,),  # it names the executables and imports the one that is asked for
     "validation": (*_RESULTS, *_ONLINE, "checks", "report", "cli", "__main__"),
 }
 """Layer -> the layers that it may import. A layer imports only layers that stand before it."""

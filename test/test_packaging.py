@@ -45,6 +45,12 @@ ROSDEP = {
     "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
     "filterpy": "python3-filterpy-pip",
+    # Extras that no node needs.
+    "distributed": None,
+    "h5py": None,
+    "pandas": None,
+    "pyarrow": None,
+    "shtab": None,
     # These come with rosbags.
     "backports": "python3-rosbags-pip",
     "lz4": "python3-rosbags-pip",
@@ -257,7 +263,7 @@ def workspace(clone: Path) -> Path:
 def test_colcon_puts_files_where_ros_looks(workspace: Path) -> None:
     install = workspace / "install"
     scripts = sorted(path.name for path in (install / "pam_antagonist/lib/pam_antagonist").iterdir())
-    assert scripts == sorted(COMMANDS)
+    assert scripts == sorted([*COMMANDS, "pam"])
     share = install / "pam_antagonist/share"
     assert (share / "ament_index/resource_index/packages/pam_antagonist").is_file()
     assert (share / "pam_antagonist/package.xml").is_file()
@@ -293,7 +299,7 @@ def test_built_executables_run_and_find_their_rigs(workspace: Path, tmp_path: Pa
 
 @pytest.fixture(scope="module")
 def plain_python(clone: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The Python of an environment that holds the package's wheel and what it requires: no ROS, no test tools."""
+    """The Python of an environment that holds the package's wheel and what it requires: no ROS, no extras."""
     folder = tmp_path_factory.mktemp("plain")
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
     succeeds(*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, clone)
@@ -303,20 +309,26 @@ def plain_python(clone: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     # With nothing on the path that could pass for the package.
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     succeeds(*pip, "--python", python, "install", "--no-deps", "--no-index", wheel, env=clean)
-    site = Path(succeeds(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
-    for path in _files_of_requirements("pam_antagonist"):
-        (site / path.name).symlink_to(path)
+    _give(python, "")
     return python
 
 
-def _files_of_requirements(name: str) -> set[Path]:
-    """Top-level files and folders of everything that a distribution requires, without extras."""
+def _give(python: Path, extra: str) -> None:
+    """Have an environment find what the package requires with an extra; "" for none."""
+    site = Path(succeeds(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+    for path in _files_of_requirements("pam_antagonist", extra):
+        if not (site / path.name).exists():
+            (site / path.name).symlink_to(path)
+
+
+def _files_of_requirements(name: str, extra: str) -> set[Path]:
+    """Top-level files and folders of everything that a distribution requires with an extra."""
     requirements = pytest.importorskip("packaging.requirements")
     todo, seen, paths = [name], {name}, set()
     while todo:
         for text in metadata.requires(todo.pop()) or []:
             requirement = requirements.Requirement(text)
-            if requirement.name in seen or (requirement.marker and not requirement.marker.evaluate({"extra": ""})):
+            if requirement.name in seen or (requirement.marker and not requirement.marker.evaluate({"extra": extra})):
                 continue
             seen.add(requirement.name)
             todo.append(requirement.name)
@@ -330,16 +342,31 @@ def _files_of_requirements(name: str) -> set[Path]:
 @pytest.mark.slow
 def test_pip_installation_replays_without_ros(plain_python: Path, tmp_path: Path) -> None:
     environment = {"PATH": os.defpath, "HOME": str(tmp_path)}
-    package = [plain_python, "-m", "pam_antagonist"]
-    for absent in ("rclpy", "pam_antagonist_msgs", "sensor_msgs", "pytest"):
-        assert run(plain_python, "-c", f"import {absent}", cwd=tmp_path, env=environment).returncode == 1
+    pam = plain_python.parent / "pam"
+    for absent in ("rclpy", "pam_antagonist_msgs", "sensor_msgs", "pytest", "matplotlib", "plotly", "serial", "pandas"):
+        assert run(plain_python, "-c", f"import {absent}", cwd=tmp_path, env=environment).returncode == 1, absent
     code = "from pam_antagonist.paths import config_dir; print(config_dir())"
     where = succeeds(plain_python, "-c", code, cwd=tmp_path, env=environment)
     assert Path(where.strip()) == plain_python.parents[1] / "share/pam_antagonist/config"
     simulated = ["simulate", "--rig", "shin2022", "--out", "bag", "--profile", "steps", "--duration", "2"]
-    succeeds(*package, *simulated, cwd=tmp_path, env=environment)
-    succeeds(*package, "replay", "bag", "--rig", "shin2022", "--out", "result", cwd=tmp_path, env=environment)
+    assert "\npam replay bag" in succeeds(pam, *simulated, cwd=tmp_path, env=environment)
+
+    done = run(pam, "replay", "bag", "--rig", "shin2022", "--out", "core", cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "pip install 'pam_antagonist[reports]'" in done.stderr and done.stderr.count("\n") == 1
+    assert "Plotly" not in (tmp_path / "core/report.html").read_text(encoding="utf-8")
+
+    _give(plain_python, "reports")
+    succeeds(pam, "replay", "bag", "--rig", "shin2022", "--out", "result", cwd=tmp_path, env=environment)
     report = json.loads((tmp_path / "result/report.json").read_text(encoding="utf-8"))
     assert report["samples"] == pytest.approx(2000, abs=2)
     assert report["software"]["pam_antagonist"] != "not installed"
     assert "Plotly" in (tmp_path / "result/report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_pip_puts_one_command_on_the_path(plain_python: Path, tmp_path: Path) -> None:
+    there = {path.name for path in plain_python.parent.iterdir()}
+    assert "pam" in there and not there & set(COMMANDS)
+    said = succeeds(plain_python.parent / "pam", "--version", cwd=tmp_path, env={"HOME": str(tmp_path)})
+    assert said == f"pam_antagonist {pam_antagonist.__version__}\n"

@@ -29,9 +29,9 @@ Status: 0 nothing is certainly wrong, 2 something is, or bad input.
 """
 _EXAMPLES = """\
 examples:
-  check my_bag --rig my_rig.yaml
-  check free_bag locked_bag --rig my_rig.yaml --json -
-  replay my_bag --rig my_rig.yaml --out result --gauge --swap-pressures
+  {run} check my_bag --rig my_rig.yaml
+  {run} check free_bag locked_bag --rig my_rig.yaml --json -
+  {run} replay my_bag --rig my_rig.yaml --out result --gauge --swap-pressures
 """
 _MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
 

@@ -19,6 +19,7 @@ from pam_antagonist.cli import recordings as given
 from pam_antagonist.diagnosis import Diagnosis, diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
+from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import terminal
@@ -41,10 +42,10 @@ Status: 0 done (whatever the verdict), 2 bad input (one line says what and where
 """
 _EXAMPLES = """\
 examples:
-  close_loop free_bag locked_bag --rig shin2022 --out found
-  close_loop free_bag locked_bag --rig my_rig.yaml --out found --resume
-  close_loop free_bag locked_bag --holdout another_bag --rig my_rig.yaml --out found
-  replay another_bag --rig found/rig_extended.yaml --out check
+  {run} close_loop free_bag locked_bag --rig shin2022 --out found
+  {run} close_loop free_bag locked_bag --rig my_rig.yaml --out found --resume
+  {run} close_loop free_bag locked_bag --holdout another_bag --rig my_rig.yaml --out found
+  {run} replay another_bag --rig found/rig_extended.yaml --out check
 """
 _STEPS = 14
 _SHARE = 1.0 / 3.0
@@ -84,6 +85,7 @@ def main(argv: list[str] | None = None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
+    common.only_available_figures(arguments)
     rig = load_rig(arguments.rig)
     common.lock_angle(arguments)
     kept = arguments.out.parent / f"{arguments.out.name}.part"
@@ -144,7 +146,7 @@ def _tell_how_to_go_on(store: Checkpoint, argv: Sequence[str]) -> None:
     again = [*argv, *([] if "--resume" in argv else ["--resume"])]
     print(
         f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"
-        f"  close_loop {shlex.join(again)}",
+        f"  {typed('close_loop')} {shlex.join(again)}",
         file=sys.stderr,
     )
 

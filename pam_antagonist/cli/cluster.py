@@ -11,6 +11,7 @@ from joblib import parallel_config
 
 from pam_antagonist import __version__
 from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs
 
 _TIMEOUT = 10.0
 
@@ -36,10 +37,8 @@ def connected(address: str | None) -> Iterator[None]:
     if address is None:
         yield
         return
-    try:
-        distributed = importlib.import_module("distributed")
-    except ImportError:
-        raise BadInput("--dask: Dask is not installed; install it with: pip install 'pam_antagonist[dask]'") from None
+    with needs("dask", "--dask"):
+        import distributed
     try:
         client = distributed.Client(address, timeout=_TIMEOUT, set_as_default=True)
     except (OSError, TimeoutError, ValueError) as error:

@@ -21,6 +21,8 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import available, install
+from pam_antagonist.program import program, typed
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -34,12 +36,12 @@ class Parser(argparse.ArgumentParser):
         Args:
             name: of the command.
             description: what it does; the first line is its summary.
-            epilog: examples.
+            epilog: examples; ``{run}`` stands for the words that start a command where this runs.
         """
         super().__init__(
-            prog=name,
+            prog=typed(name),
             description=description,
-            epilog=epilog,
+            epilog=epilog.replace("{run}", program()),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -244,6 +246,13 @@ def topics(arguments: argparse.Namespace) -> dict[str, str]:
             raise BadInput(f"--topic {name}: given twice, as {chosen[name]} and {other}")
         chosen[name] = other
     return chosen
+
+
+def only_available_figures(arguments: argparse.Namespace) -> None:
+    """Where the library of a page's figures is missing, say so and go on as with ``--no-figures``."""
+    if not (arguments.no_figures or available("plotly")):
+        print(f"report.html gets no figures: plotly is not installed; to get it: {install('reports')}", file=sys.stderr)
+        arguments.no_figures = True
 
 
 def progress(total: int, what: str, unit: str = "samples") -> Any:

@@ -16,6 +16,7 @@ from pam_antagonist.cli import common
 from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain, ros_arguments
+from pam_antagonist.optional import needs_ros
 from pam_antagonist.rig import Rig, load_rig
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the
 """
 _EXAMPLES = """\
 examples:
-  pam_antagonist demo
-  pam_antagonist demo --mode torque --duration 20 --out torque_demo
+  {run} demo
+  {run} demo --mode torque --duration 20 --out torque_demo
 """
 
 _ANGLES = (20.0, -20.0, 0.0, 10.0, -10.0, 0.0)
@@ -113,6 +114,8 @@ def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> 
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
+    needs_ros("demo")
+    common.only_available_figures(arguments)
     rig = load_rig(arguments.rig)
     rig.tuning(arguments.tuning)
     out: Path = arguments.out or Path(datetime.now().strftime("demo-%Y%m%d-%H%M%S"))

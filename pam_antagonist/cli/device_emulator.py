@@ -26,10 +26,10 @@ Ctrl-C or SIGTERM stops it. The bridge node, or your own host program, opens tha
 """
 _EXAMPLES = """\
 examples:
-  device_emulator --rig shin2022 --link /tmp/pam_device
-  device_emulator --rig shin2022 --link /tmp/pam_device --fault flip=0.01 --fault unplug@5-7 --log voltages.csv
+  {run} device_emulator --rig shin2022 --link /tmp/pam_device
+  {run} device_emulator --rig shin2022 --link /tmp/pam_device --fault flip=0.01 --fault unplug@5-7 --log voltages.csv
 then, in another terminal:
-  bridge --ros-args -p port:=/tmp/pam_device
+  {run} bridge --ros-args -p port:=/tmp/pam_device
 
 faults, KIND[=VALUE][@BEGIN[-END]] with times in s after the first command:
 """

@@ -37,11 +37,11 @@ Status: 0 done, 2 bad input (one line says what and where).
 """
 _EXAMPLES = """\
 examples:
-  identify free_bag locked_bag --rig shin2022 --out identified
-  identify my_bag --rig my_rig.yaml --out identified --freeze muscle_1.force --freeze muscle_2.force
-  identify my_bag --rig my_rig.yaml --out identified --free joint.stiffness --starts 4 --seed 7
-  identify sealed_bag --rig sealed_joint --out identified     (valves.sealed: true in the rig file)
-  replay another_bag --rig identified/rig.yaml --out check
+  {run} identify free_bag locked_bag --rig shin2022 --out identified
+  {run} identify my_bag --rig my_rig.yaml --out identified --freeze muscle_1.force --freeze muscle_2.force
+  {run} identify my_bag --rig my_rig.yaml --out identified --free joint.stiffness --starts 4 --seed 7
+  {run} identify sealed_bag --rig sealed_joint --out identified     (valves.sealed: true in the rig file)
+  {run} replay another_bag --rig identified/rig.yaml --out check
 """
 _Given = tuple[Recording, JointCondition, str]
 
@@ -77,6 +77,7 @@ def main(argv: list[str] | None = None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
+    common.only_available_figures(arguments)
     rig = load_rig(arguments.rig)
     common.lock_angle(arguments)
     recordings = _read(arguments, rig)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
+from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map_names
@@ -27,9 +28,9 @@ their unit are refused with the unit that they look like. Missing cells stay mis
 """
 _EXAMPLES = """\
 examples:
-  import_csv --example > my_map.yaml          then change it to fit your file
-  import_csv trial_7.csv --map my_map.yaml --out trial_7
-  import_csv sealed_joint.csv --map sealed_joint --out sealed
+  {run} import_csv --example > my_map.yaml          then change it to fit your file
+  {run} import_csv trial_7.csv --map my_map.yaml --out trial_7
+  {run} import_csv sealed_joint.csv --map sealed_joint --out sealed
 """
 _LONG = 100_000  # samples that take long enough to write to be worth a word
 
@@ -73,7 +74,9 @@ def _check_given(arguments: argparse.Namespace) -> None:
     given = {"FILE": arguments.file, "--map": arguments.map, "--out": arguments.out}
     missing = [name for name, value in given.items() if value is None]
     if missing:
-        raise BadInput(f"{', '.join(missing)} missing (see import_csv --help; --example prints a map to begin with)")
+        raise BadInput(
+            f"{', '.join(missing)} missing (see {typed('import_csv --help')}; --example prints a map to begin with)"
+        )
 
 
 def _read(path: Path, mapping: CsvMap) -> Recording:
@@ -106,7 +109,7 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
         lines.append(
             "the rig file for this bag has to say that the chambers are sealed: valve voltages mean nothing in it"
         )
-    lines.append(f"replay {arguments.out} --rig RIG --out DIR   tells what the estimator makes of it")
+    lines.append(f"{typed('replay')} {arguments.out} --rig RIG --out DIR   tells what the estimator makes of it")
     return "\n".join(lines)
 
 

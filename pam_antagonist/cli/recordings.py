@@ -10,6 +10,7 @@ from pathlib import Path
 from pam_antagonist.checks import SHORTEST, check_recording
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
+from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, bag_hash, corrections, read_bag
 from pam_antagonist.rig import Rig
 
@@ -92,7 +93,9 @@ def refuse_wrong(recording: Recording, rig: Rig, arguments: argparse.Namespace) 
     if checked.wrong:
         first = checked.wrong[0]
         todo = f"type {' '.join(first.options)}" if first.options else "correct that"
-        raise BadInput(f"{recording.path}: {first.text}; {todo}, or --no-check to go on as it is (see check --help)")
+        raise BadInput(
+            f"{recording.path}: {first.text}; {todo}, or --no-check to go on as it is (see {typed('check --help')})"
+        )
 
 
 def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) -> list[Recording]:

@@ -28,9 +28,9 @@ Writes DIR/report.json and DIR/report.html. Status: 0 done, 2 bad input (one lin
 """
 _EXAMPLES = """\
 examples:
-  replay my_bag --rig shin2022 --out result
-  replay free_bag locked_bag --rig my_rig.yaml --out result --tuning published
-  replay my_bag --rig shin2022 --out result --topic pressure_1=/arm/p1 --topic pressure_2=/arm/p2
+  {run} replay my_bag --rig shin2022 --out result
+  {run} replay free_bag locked_bag --rig my_rig.yaml --out result --tuning published
+  {run} replay my_bag --rig shin2022 --out result --topic pressure_1=/arm/p1 --topic pressure_2=/arm/p2
 """
 
 
@@ -66,6 +66,7 @@ def main(argv: list[str] | None = None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
+    common.only_available_figures(arguments)
     rig = load_rig(arguments.rig)
     rig.tuning(arguments.tuning)
     common.lock_angle(arguments)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
+from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation import excitation
@@ -26,9 +27,9 @@ The same arguments give the same recording.
 """
 _EXAMPLES = """\
 examples:
-  simulate --rig shin2022 --out my_bag --duration 30
-  simulate --rig shin2022 --out my_bag --profile steps --seed 7 --mismatch 0.01 --joint locked
-  simulate --rig my_rig.yaml --out my_bag --profile voltages.csv
+  {run} simulate --rig shin2022 --out my_bag --duration 30
+  {run} simulate --rig shin2022 --out my_bag --profile steps --seed 7 --mismatch 0.01 --joint locked
+  {run} simulate --rig my_rig.yaml --out my_bag --profile voltages.csv
 """
 FIRST_STAMP_NS = 1_000_000_000_000_000_000
 """Stamps begin here (in 2001), whatever the time is: the same arguments give the same bag."""
@@ -133,7 +134,7 @@ def _summary(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> s
         f"{arguments.out}: {len(recording.stamp_ns)} samples of rig {rig.name}, joint {arguments.joint}\n"
         f"  pressures {span(recording.pressure[:, 0], 1e-3, 'kPa')} and {span(recording.pressure[:, 1], 1e-3, 'kPa')}\n"
         f"  angle {span(recording.angle, np.degrees(1.0), 'deg')}, torque {span(recording.torque, 1.0, 'N m')}\n"
-        f"replay {arguments.out} --rig {arguments.rig} --out DIR   tells what the estimator makes of it"
+        f"{typed('replay')} {arguments.out} --rig {arguments.rig} --out DIR   tells what the estimator makes of it"
     )
 
 

@@ -13,6 +13,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_rig import StaticResult, with_length, work_out
 from pam_antagonist.identification.static_table import QUANTITIES, Choice, read_force_map, read_volumes
 from pam_antagonist.model import parameters as par
+from pam_antagonist.program import typed
 from pam_antagonist.report import terminal
 from pam_antagonist.report.static import summary, write_report
 from pam_antagonist.rig import load_rig
@@ -30,10 +31,10 @@ DIR/report.html and DIR/report.json. Status: 0 done, 2 bad input (one line says 
 """
 _EXAMPLES = """\
 examples:
-  static --volume cylinder.csv --force-map map.csv --rig my_rig.yaml --out result
-  static --force-map left.csv --muscle 1 --form sarosi --rig my_rig.yaml --out result
-  static --force-map map.csv --column length=L:mm --column pressure=p:bar:gauge --rig my_rig.yaml --out result
-  static --force-map other_muscle.csv --rig my_rig.yaml --out result --report-only
+  {run} static --volume cylinder.csv --force-map map.csv --rig my_rig.yaml --out result
+  {run} static --force-map left.csv --muscle 1 --form sarosi --rig my_rig.yaml --out result
+  {run} static --force-map map.csv --column length=L:mm --column pressure=p:bar:gauge --rig my_rig.yaml --out result
+  {run} static --force-map other_muscle.csv --rig my_rig.yaml --out result --report-only
 """
 
 
@@ -105,6 +106,7 @@ def main(argv: list[str] | None = None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
+    common.only_available_figures(arguments)
     result = _worked_out(arguments)
     with common.output_folder(arguments.out) as folder:
         if result.fitted is not None:
@@ -119,7 +121,9 @@ def _main(argv: Sequence[str] | None) -> int:
 
 def _worked_out(arguments: argparse.Namespace) -> StaticResult:
     if arguments.volume is None and arguments.force_map is None:
-        raise BadInput("nothing to fit: expected --volume FILE, --force-map FILE or both (see static --help)")
+        raise BadInput(
+            f"nothing to fit: expected --volume FILE, --force-map FILE or both (see {typed('static --help')})"
+        )
     if arguments.form and arguments.force_map is None:
         raise BadInput("--form: the form of a force map, but there is no --force-map")
     columns = _columns(arguments)

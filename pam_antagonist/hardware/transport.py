@@ -7,6 +7,7 @@ import select
 from typing import Protocol
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs
 
 
 class DeviceLost(Exception):
@@ -46,11 +47,12 @@ class SerialTransport:
 
     Raises:
         DeviceLost: not there, in use by another program, or no serial port.
-        BadInput: a rate that the port does not have.
+        BadInput: a rate that the port does not have, or pyserial is not installed.
     """
 
     def __init__(self, port: str, baud: int = 921_600) -> None:
-        import serial
+        with needs("hardware", port):
+            import serial
 
         try:
             self._serial = serial.Serial(port, baud, timeout=0, write_timeout=0, exclusive=True)

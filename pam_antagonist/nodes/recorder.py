@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NoReturn
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
+from pam_antagonist.program import typed
 from pam_antagonist.recording.limits import Limits
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class Options:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise BadInput(f"{message} (see record --help)")
+        raise BadInput(f"{message} (see {typed('record --help')})")
 
 
 def read_options(arguments: list[str]) -> Options:

@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Any
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.network import RANGE, local_only, secured, stay_on_this_machine
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
+from pam_antagonist.optional import needs_ros
 from pam_antagonist.paths import config_dir
+from pam_antagonist.program import typed
 
 if TYPE_CHECKING:
     from pam_antagonist.nodes.node import PamNode
@@ -76,7 +78,7 @@ def run_node(
         options: reads the arguments that are not ROS's.
 
     Returns:
-        Exit status: 0, or 2 after bad input, or 1 where ROS itself is missing; both are said in one line.
+        Exit status: 0, or 2 after bad input or where ROS is missing, which is said in one line.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if "--help" in arguments or "-h" in arguments:
@@ -99,8 +101,8 @@ def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
     """
     parameters = help_text((*table, AUTOSTART, DIAGNOSTICS_PERIOD))
     return (
-        f"usage: {name} [OPTIONS] [--ros-args [-p PARAMETER:=VALUE]... [--params-file FILE] [-r __ns:=/NAMESPACE]"
-        f" [-r TOPIC:=OTHER]...]\n\n{description.strip()}\n\nparameters:\n{parameters}\n\n"
+        f"usage: {typed(name)} [OPTIONS] [--ros-args [-p PARAMETER:=VALUE]... [--params-file FILE] "
+        f"[-r __ns:=/NAMESPACE] [-r TOPIC:=OTHER]...]\n\n{description.strip()}\n\nparameters:\n{parameters}\n\n"
         "The namespace is /pam unless it is remapped. SIGINT (Ctrl-C) or SIGTERM ends the node with status 0."
     )
 
@@ -108,12 +110,9 @@ def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
 def _run(create: Callable[[Any], PamNode], arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> int:
     stop = _Stop()
     handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        import rclpy
-    except ImportError as error:
-        needs = f"error: {name} needs ROS 2 ({one_line(error)}): start it with ./run, or source ROS 2 Jazzy"
-        print(needs, file=sys.stderr)
-        return 1
+    needs_ros(name)
+    import rclpy
+
     try:
         given = _initialise(arguments, name, options)
         try:

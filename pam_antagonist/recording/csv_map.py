@@ -12,6 +12,7 @@ from pydantic import Field, StrictFloat, StrictInt, StrictStr
 
 from ..errors import BadInput
 from ..paths import config_dir
+from ..program import typed
 from ..strict_yaml import Strict, read_mapping, validated
 from .units import UNITS, canonical
 
@@ -156,7 +157,7 @@ def load_map(name_or_path: str | Path) -> CsvMap:
         BadInput: not there, not readable, an unknown key or unit, entries that contradict each other.
     """
     path = _locate(str(name_or_path))
-    content = read_mapping(path, "map", "import_csv --example")
+    content = read_mapping(path, "map", typed("import_csv --example"))
     found = validated(CsvMap, content, str(path), _SWITCHES)
     for complaint in _contradictions(found):
         raise BadInput(f"{path}: {complaint}")

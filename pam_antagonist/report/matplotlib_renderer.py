@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs
 from pam_antagonist.report import decimate
 from pam_antagonist.report.figure import Axis, Band, Bars, Figure, Heatmap, Line, Panel, Points, Reference, Region
 from pam_antagonist.report.style import GRID, INK, QUIET, VEIL, ZERO
@@ -59,12 +60,10 @@ def picture(figure: Figure) -> bytes:
     Raises:
         BadInput: a colour or a letter that matplotlib does not know, or matplotlib is not installed.
     """
-    try:
+    with needs("reports", "pictures"):
         import matplotlib
         from PIL import Image
         from PIL.PngImagePlugin import PngInfo
-    except ImportError:
-        raise BadInput("matplotlib is not installed: install python3-matplotlib (or matplotlib by pip)") from None
     out = io.BytesIO()
     with matplotlib.rc_context(), warnings.catch_warnings():
         matplotlib.rcdefaults()

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs
 from pam_antagonist.report import decimate
 from pam_antagonist.report.figure import Axis, Band, Bars, Figure, Heatmap, Line, Panel, Points, Reference, Region
 from pam_antagonist.report.style import GRID, INK, QUIET, VEIL, ZERO
@@ -37,12 +37,8 @@ def library() -> str:
     Raises:
         BadInput: plotly is not installed.
     """
-    try:
+    with needs("reports", "figures of report.html"):
         from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise BadInput(
-            "plotly is not installed: install python3-plotly (or plotly by pip), or give --no-figures"
-        ) from None
     return str(get_plotlyjs())
 
 

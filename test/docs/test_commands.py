@@ -12,7 +12,7 @@ from pathlib import Path
 import pages
 import pytest
 
-from pam_antagonist.__main__ import COMMANDS
+from pam_antagonist.__main__ import COMMANDS, usage
 from pam_antagonist.nodes import bridge, controller, estimator, plant
 from pam_antagonist.recording.topics import TOPICS
 
@@ -43,7 +43,7 @@ def test_commands_and_their_options_exist(page: Path) -> None:
 
 @pytest.mark.parametrize("page", pages.PAGES, ids=pages.name)
 def test_options_in_the_text_exist(page: Path) -> None:
-    every = frozenset().union(*(options(command) for command in COMMANDS)) | FOREIGN
+    every = frozenset().union(*(options(command) for command in COMMANDS), re.findall(r"--[a-z]+", usage())) | FOREIGN
     others = {"--no-daemon", "--spin-time", "--build"}  # of ros2 and of ./run docs
     for named in re.findall(r"`(--[a-z][a-z-]*)[^`]*`", pages.prose(page)):
         assert named in every | others, f"{pages.name(page)}: {named}"

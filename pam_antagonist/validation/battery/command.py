@@ -34,11 +34,11 @@ Status: 0 whether or not the diagnosis was right, 2 bad input.
 """
 _EXAMPLES = """\
 examples:
-  battery --out result --count 8
-  battery --out result --shard 1/2 &   battery --out result --shard 2/2
-  battery --out result --count 80 --nothing 100 --docs docs/battery.md
-  battery --out result --count 0 --nothing 100
-  battery --out result --remainders
+  {run} battery --out result --count 8
+  {run} battery --out result --shard 1/2 &   {run} battery --out result --shard 2/2
+  {run} battery --out result --count 80 --nothing 100 --docs docs/battery.md
+  {run} battery --out result --count 0 --nothing 100
+  {run} battery --out result --remainders
 """
 
 

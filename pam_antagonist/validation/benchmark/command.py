@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs_ros
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import load_rig
@@ -68,6 +69,8 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.soak is not None:
         return _soak(arguments)
     parts = [part for part in PARTS if part in (arguments.only or PARTS)]
+    if "pipeline" in parts:
+        needs_ros("benchmark --only pipeline")
     figures: list[Figure] = []
     with common.progress(len(parts), "benchmark", "parts") as bar:
         for part in parts:
@@ -96,6 +99,7 @@ def _soak(arguments: argparse.Namespace) -> int:
     html = None if arguments.json is None else arguments.json.with_suffix(".html")
     if html is not None and (html.exists() or html == arguments.json):
         raise BadInput(f"--json {arguments.json}: {html} is the page that stands beside it; expected another name")
+    needs_ros("benchmark --soak")
     from pam_antagonist.validation.benchmark import soak
 
     with common.progress(round(arguments.soak), "soak", "s") as bar:

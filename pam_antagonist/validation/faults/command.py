@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs_ros
 
 if TYPE_CHECKING:
     from pam_antagonist.validation.faults.fault import Fault
@@ -24,9 +24,9 @@ Status: 0 if everything came out as expected, 1 if something did not, 2 bad inpu
 """
 _EXAMPLES = """\
 examples:
-  faults
-  faults --only "bridge killed" --only "pressure stuck"
-  faults --json faults.json --docs faults.md
+  {run} faults
+  {run} faults --only "bridge killed" --only "pressure stuck"
+  {run} faults --json faults.json --docs faults.md
 """
 
 
@@ -52,8 +52,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
-    if importlib.util.find_spec("rclpy") is None:
-        raise BadInput("faults needs ROS 2: start it with ./run, or source ROS 2 Jazzy")
+    needs_ros("faults")
     from pam_antagonist.rig import load_rig
     from pam_antagonist.strict_json import write_json
     from pam_antagonist.validation.faults import table

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import sys
 import tempfile
@@ -14,6 +13,7 @@ from pam_antagonist import strict_json
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import ProcessFailed
+from pam_antagonist.optional import available, install
 from pam_antagonist.paths import config_dir
 from pam_antagonist.report import terminal
 from pam_antagonist.report.html import render
@@ -32,9 +32,9 @@ experiments:
 """
 _EXAMPLES = """\
 examples:
-  paper --out result
-  paper --out offline --only offline compare_angle --seeds 5
-  paper --out live --only online control --short
+  {run} paper --out result
+  {run} paper --out offline --only offline compare_angle --seeds 5
+  {run} paper --out live --only online control --short
 """
 
 
@@ -81,10 +81,8 @@ def _main(argv: Sequence[str] | None) -> int:
         docs.check(arguments.docs, options.names)
     # What draws is looked for before minutes are spent.
     for needed in ("plotly", "matplotlib") if arguments.docs else ("plotly",):
-        if options.with_figures and importlib.util.find_spec(needed) is None:
-            raise BadInput(
-                f"{needed} is not installed: install python3-{needed} (or {needed} by pip), or give --no-figures"
-            )
+        if options.with_figures and not available(needed):
+            raise BadInput(f"figures: {needed} is not installed; to get it: {install('reports')}, or give --no-figures")
     with common.output_folder(arguments.out) as folder:
         with tempfile.TemporaryDirectory(prefix="live.", dir=folder) as recordings:
             try:
@@ -114,7 +112,7 @@ def _options(arguments: argparse.Namespace) -> Options:
             raise BadInput(f"--{name} {getattr(arguments, name)}: expected an integer from {least} to {most}")
     names = tuple(arguments.only or EXPERIMENTS)
     live = [name for name in names if EXPERIMENTS[name].live]
-    if live and importlib.util.find_spec("rclpy") is None:
+    if live and not available("rclpy"):
         others = " ".join(name for name, item in EXPERIMENTS.items() if not item.live)
         raise BadInput(
             f"{', '.join(live)}: start ROS 2 nodes, and rclpy is not installed; for the rest: --only {others}"

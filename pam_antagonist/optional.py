@@ -1,0 +1,59 @@
+"""Libraries that not everybody installs: what a missing one is told as, in one line that says what to type."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from pam_antagonist.errors import BadInput
+
+_ROS = ("rclpy", "pam_antagonist_msgs")
+
+
+def install(extra: str) -> str:
+    """What to type to get an extra of ``setup.py``."""
+    return f"pip install 'pam_antagonist[{extra}]'"
+
+
+def available(module: str) -> bool:
+    """Whether a module can be imported; nothing is loaded."""
+    try:
+        return importlib.util.find_spec(module) is not None
+    except (ImportError, ValueError):
+        return False
+
+
+@contextmanager
+def needs(extra: str, what: str) -> Iterator[None]:
+    """Around the imports of libraries that an extra brings.
+
+    Args:
+        extra: of ``setup.py``, such as ``reports``.
+        what: needs them, such as "figures".
+
+    Raises:
+        BadInput: one of them cannot be imported.
+    """
+    try:
+        yield
+    except ImportError as error:
+        missing = (error.name or str(error)).split(".")[0]
+        raise BadInput(f"{what}: {missing} is not installed; to get it: {install(extra)}") from None
+
+
+def needs_ros(what: str) -> None:
+    """Refuse to start what cannot run without ROS 2.
+
+    Args:
+        what: the command or node.
+
+    Raises:
+        BadInput: ROS 2 or this package's messages cannot be imported.
+    """
+    for module in _ROS:
+        if not available(module):
+            raise BadInput(
+                f"{what} needs ROS 2 ({module} is not installed): start it with ./run in a clone, or source ROS 2 "
+                "Jazzy and a workspace with this package"
+            )

@@ -1,0 +1,58 @@
+"""What is not installed is told in one line, with what to type."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.__main__ import main
+from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.transport import SerialTransport
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["demo"], ["plant"], ["record", "--out", "bag"], ["faults"], ["benchmark", "--only", "pipeline"]],
+    ids=lambda words: words[0],
+)
+@pytest.mark.parametrize("absent", ["rclpy", "pam_antagonist_msgs"])
+def test_without_ros_what_needs_it_says_so(
+    arguments: list[str],
+    absent: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, absent, None)
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert f"needs ROS 2 ({absent} is not installed)" in said and said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_plotly_a_report_has_no_figures(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    assert main(["replay", str(bag), "--rig", "shin2022", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().err
+    assert "pip install 'pam_antagonist[reports]'" in said and said.count("\n") == 1
+    assert "figures.js" not in (page := (tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert "<table" in page
+
+
+def test_without_pyserial_a_port_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(BadInput, match=r"/dev/ttyACM0: serial is not installed.*'pam_antagonist\[hardware\]'"):
+        SerialTransport("/dev/ttyACM0")
+
+
+def test_without_shtab_completion_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["--completion", "bash"]) == 2
+    assert "'pam_antagonist[completion]'" in capsys.readouterr().err
