@@ -30,7 +30,7 @@ PLACES = {
 
 _PHYSICS = (BASE, "model", FILES, "rig")
 _OFFLINE = (*_PHYSICS, "estimation", "recording")
-_RESULTS = (*_OFFLINE, "replay", "inference", "identification", "diagnosis")
+_RESULTS = (*_OFFLINE, "replays", "inference", "identification", "diagnosis")
 _ONLINE = ("simulation", "control", "safety", "hardware", "nodes")
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
@@ -44,7 +44,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "safety": (BASE, "control", "estimation"),
     "hardware": (BASE, FILES, "simulation", "safety"),
     "recording": (BASE, FILES),
-    "replay": _OFFLINE,
+    "replays": _OFFLINE,
     "checks": _OFFLINE,
     "inference": _OFFLINE,
     "identification": (*_OFFLINE, "inference"),

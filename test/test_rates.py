@@ -18,7 +18,7 @@ from pam_antagonist.inference.joint_fit import joint_fit
 from pam_antagonist.inference.joint_problem import JointProblem
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.recording import Recording, read_bag, write_bag
-from pam_antagonist.replay import ReplayReport, replay
+from pam_antagonist.replays import ReplayReport, replay
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
 

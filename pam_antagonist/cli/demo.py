@@ -148,7 +148,7 @@ def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> No
         BadInput: the recording cannot be used.
     """
     from pam_antagonist.recording import read_bag
-    from pam_antagonist.replay import replay
+    from pam_antagonist.replays import replay
     from pam_antagonist.report import demo, terminal
 
     begin = time.perf_counter()

@@ -12,7 +12,7 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.recording import corrections, read_bag
-from pam_antagonist.replay import Replay, replay
+from pam_antagonist.replays import Replay, replay
 from pam_antagonist.report import terminal
 from pam_antagonist.report.replay import summary, write_report
 from pam_antagonist.rig import Rig, load_rig

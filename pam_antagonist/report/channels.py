@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from pam_antagonist.estimation.errors import ChannelErrors, ModelErrors
-from pam_antagonist.replay.result import JointFacts, ReplayReport
+from pam_antagonist.replays.result import JointFacts, ReplayReport
 from pam_antagonist.report.table import number
 
 

@@ -13,8 +13,8 @@ from pam_antagonist.control import Mode
 from pam_antagonist.control.tracking import SHORTEST_STEP, STEADY_PART, Tracking, held, tracking
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
-from pam_antagonist.replay import Replay
-from pam_antagonist.replay.accounting import Accounting, account
+from pam_antagonist.replays import Replay
+from pam_antagonist.replays.accounting import Accounting, account
 from pam_antagonist.report import html
 from pam_antagonist.report.channels import judged
 from pam_antagonist.report.document import Block, Document, Section, Text

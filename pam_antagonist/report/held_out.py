@@ -10,8 +10,8 @@ from typing import Literal
 from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.replay import Replay, after, replay
-from pam_antagonist.replay.result import Innovation, JointFacts
+from pam_antagonist.replays import Replay, after, replay
+from pam_antagonist.replays.result import Innovation, JointFacts
 from pam_antagonist.report.channels import ANGLE, CHANNELS, Channel
 from pam_antagonist.report.channels import judged as judged_channels
 from pam_antagonist.report.table import Comparison, Table, percent

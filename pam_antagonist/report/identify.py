@@ -14,7 +14,7 @@ from pam_antagonist.identification.stages import Stage
 from pam_antagonist.identification.tuning import ConsideredDirection
 from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.replay.result import JointFacts
+from pam_antagonist.replays.result import JointFacts
 from pam_antagonist.report.held_out import Given, HeldOut, Judged, pooled_coverage
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions

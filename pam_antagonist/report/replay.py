@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pam_antagonist.replay.result import Replay, ReplayReport
+from pam_antagonist.replays.result import Replay, ReplayReport
 from pam_antagonist.report import html
 from pam_antagonist.report.channels import CHANNELS, joint_text, judged
 from pam_antagonist.report.document import (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pam_antagonist.estimation import metrics
-from pam_antagonist.replay import Replay
+from pam_antagonist.replays import Replay
 from pam_antagonist.report import figures
 from pam_antagonist.report.figure import TIME, Axis, Band, Figure, FloatArray, Line, Panel, Series
 from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, SECOND

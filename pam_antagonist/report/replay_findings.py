@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from pam_antagonist.replay.live import LiveComparison
-from pam_antagonist.replay.result import ReplayReport
+from pam_antagonist.replays.live import LiveComparison
+from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.report.channels import CHANNELS, Judged, joined, joint_text, judged
 from pam_antagonist.report.document import Finding
 from pam_antagonist.report.table import number, percent

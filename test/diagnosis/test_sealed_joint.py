@@ -23,7 +23,7 @@ from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.notes import write_notes
-from pam_antagonist.replay import replay
+from pam_antagonist.replays import replay
 from pam_antagonist.rig import Rig, load_rig
 
 FILE = Path(__file__).parents[3] / "shared" / "data" / "measured" / "sealed_joint" / "sealed_joint.csv"

@@ -15,7 +15,7 @@ import pytest
 
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
-from pam_antagonist.replay.accounting import account
+from pam_antagonist.replays.accounting import account
 
 pytestmark = pytest.mark.ros
 

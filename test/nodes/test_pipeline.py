@@ -15,7 +15,7 @@ import pytest
 from pam_antagonist.estimation import ESTIMATE_DTYPE, Estimator
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
-from pam_antagonist.replay.accounting import Accounting, account
+from pam_antagonist.replays.accounting import Accounting, account
 from pam_antagonist.rig import RigIdentity, fingerprint, load_rig
 
 pytestmark = pytest.mark.ros

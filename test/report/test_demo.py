@@ -12,7 +12,7 @@ import pytest
 from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import RecordedReference, Recording
-from pam_antagonist.replay import replay
+from pam_antagonist.replays import replay
 from pam_antagonist.report import terminal
 from pam_antagonist.report.demo import Demo, Simulated, summary, write_report
 from pam_antagonist.rig import Rig

@@ -19,8 +19,8 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import EstimateRun, Estimator, simulate_model
 from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, write_bag
 from pam_antagonist.recording.notes import SEALED, write_notes
-from pam_antagonist.replay import ReplayReport, replay
-from pam_antagonist.replay.result import JointFacts, RecordedRig
+from pam_antagonist.replays import ReplayReport, replay
+from pam_antagonist.replays.result import JointFacts, RecordedRig
 from pam_antagonist.report.document import Text
 from pam_antagonist.report.html import render
 from pam_antagonist.report.replay import document, numbers, write_report

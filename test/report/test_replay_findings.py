@@ -9,8 +9,8 @@ import pytest
 
 from pam_antagonist.estimation import Counts
 from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors, PressureErrors
-from pam_antagonist.replay.live import LiveComparison
-from pam_antagonist.replay.result import FilterFacts, Innovation, JointFacts, RecordingFacts, ReplayReport, Timing
+from pam_antagonist.replays.live import LiveComparison
+from pam_antagonist.replays.result import FilterFacts, Innovation, JointFacts, RecordingFacts, ReplayReport, Timing
 from pam_antagonist.report.replay import errors_table, overview, tiles
 from pam_antagonist.report.replay_findings import findings, overall_verdict, verdict
 

@@ -14,7 +14,7 @@ import numpy as np
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import Process, Processes, ProcessFailed, free_domain, ros_arguments
 from pam_antagonist.recording import read_bag
-from pam_antagonist.replay.accounting import STAGES, Accounting, account
+from pam_antagonist.replays.accounting import STAGES, Accounting, account
 from pam_antagonist.rig import load_rig
 from pam_antagonist.validation.benchmark.figure import Figure, at_most
 

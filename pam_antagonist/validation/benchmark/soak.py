@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain
 from pam_antagonist.recording import Recording, read_bag
-from pam_antagonist.replay.accounting import STAGES, Accounting, OverTime, account, over_time
+from pam_antagonist.replays.accounting import STAGES, Accounting, OverTime, account, over_time
 from pam_antagonist.rig import load_rig
 from pam_antagonist.validation.benchmark.figure import Figure, at_most
 from pam_antagonist.validation.benchmark.pipeline import NODES, cpu_seconds, resident_mb, start_real

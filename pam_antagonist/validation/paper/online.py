@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.recording import Recording
-from pam_antagonist.replay.accounting import STAGES
-from pam_antagonist.replay.live import compare_with_live
+from pam_antagonist.replays.accounting import STAGES
+from pam_antagonist.replays.live import compare_with_live
 from pam_antagonist.report import figures
 from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel, Reference
 from pam_antagonist.report.style import ESTIMATE, MODEL

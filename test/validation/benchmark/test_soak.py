@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.recording import Arrival, Recording
-from pam_antagonist.replay.accounting import STAGES, OverTime
+from pam_antagonist.replays.accounting import STAGES, OverTime
 from pam_antagonist.report.html import render
 from pam_antagonist.validation.benchmark import command as benchmark
 from pam_antagonist.validation.benchmark.figure import at_most

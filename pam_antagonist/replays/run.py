@@ -22,8 +22,8 @@ from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_hash, bag_name
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
-from pam_antagonist.replay.live import LiveInput, as_live, compare_with_live
-from pam_antagonist.replay.result import (
+from pam_antagonist.replays.live import LiveInput, as_live, compare_with_live
+from pam_antagonist.replays.result import (
     FilterFacts,
     Innovation,
     JointFacts,

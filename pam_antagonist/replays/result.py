@@ -17,7 +17,7 @@ from pam_antagonist.estimation import Counts, EstimateRun
 from pam_antagonist.estimation.errors import FilterErrors, ModelErrors
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.replay.live import LiveComparison
+from pam_antagonist.replays.live import LiveComparison
 from pam_antagonist.rig import Rig
 
 FloatArray = NDArray[np.float64]

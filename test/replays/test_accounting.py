@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.recording import Arrival, Recording
-from pam_antagonist.replay.accounting import STAGES, account, over_time
+from pam_antagonist.replays.accounting import STAGES, account, over_time
 
 MS = 1_000_000
 START = 10**18
