@@ -29,7 +29,7 @@ Status = Literal["wrong", "doubtful", "good", "untested"]
 # those of the other muscle by 0.65 or less, and their ratio is 0.91 to 1.02; all of these are far from the bounds.
 GOES_WITH = 0.9
 """A channel goes with the model from this correlation on."""
-_TOLD_APART = 0.15
+_LEAST_CONTRAST = 0.15
 """By so much the correlation must be higher for one arrangement than for the other, to tell which it is."""
 _SAME_UNIT = 1.6
 """A channel has the right unit if its ratio to the model lies within this factor of 1."""
@@ -71,7 +71,7 @@ def arrangement(recording: Recording, model: Prediction) -> tuple[list[Finding],
             f"{better:.2f}, expected {GOES_WITH:g} or more): another rig's recording, or voltages of another time"
         )
         return [Finding("doubtful", text)], None
-    if better - worse < _TOLD_APART:
+    if better - worse < _LEAST_CONTRAST:
         text = "both valves were driven alike: whether valves or pressure lines are exchanged cannot be told"
         return [Finding("untested", text)], False
     if straight >= crossed:

@@ -79,10 +79,10 @@ def _main(argv: Sequence[str] | None) -> int:
 def _text(bag: Path, recording: Recording, rig: Rig, checked: Checked) -> str:
     lines = [f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}"]
     for finding in checked.findings:
-        said = finding.text
+        text = finding.text
         if finding.options:
-            said += f". Type {' '.join(finding.options)}"
-        lines.append(terminal.marked(f"{said}.", _MARKS[finding.status]))
+            text += f". Type {' '.join(finding.options)}"
+        lines.append(terminal.marked(f"{text}.", _MARKS[finding.status]))
     options = checked.corrections.options()
     if options:
         lines.append(f"With these options every command reads it corrected: {' '.join(options)}")

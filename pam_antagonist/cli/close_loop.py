@@ -102,7 +102,7 @@ def _main(argv: Sequence[str] | None) -> int:
         with cluster.connected(arguments.dask):
             found = _diagnosed(arguments, rig, fitted, held_out, share, store)
     except KeyboardInterrupt:
-        _tell_how_to_go_on(store, sys.argv[1:] if argv is None else argv)
+        _print_resume_command(store, sys.argv[1:] if argv is None else argv)
         return common.INTERRUPTED
     except BadInput:
         if not store.finished():
@@ -115,7 +115,7 @@ def _main(argv: Sequence[str] | None) -> int:
         write_report(folder, report, found, with_figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
     print(terminal.render(summary(report)))
-    given.tell_where(arguments, "rig_extended.yaml")
+    given.announce_output(arguments, "rig_extended.yaml")
     return common.DONE
 
 
@@ -142,7 +142,7 @@ def _settings(
     }
 
 
-def _tell_how_to_go_on(store: Checkpoint, argv: Sequence[str]) -> None:
+def _print_resume_command(store: Checkpoint, argv: Sequence[str]) -> None:
     again = [*argv, *([] if "--resume" in argv else ["--resume"])]
     print(
         f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"

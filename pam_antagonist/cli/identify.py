@@ -110,7 +110,7 @@ def _main(argv: Sequence[str] | None) -> int:
         _write_rigs(folder, found, recordings)
         write_report(folder, report, found, judged, with_figures=not arguments.no_figures)
     print(terminal.render(summary(report)))
-    given.tell_where(arguments)
+    given.announce_output(arguments)
     return common.DONE
 
 
@@ -141,7 +141,7 @@ def _sealed(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[_Given
         write_rig(_named(found.rig, rig.name, source), folder / "rig.yaml", about)
         sealed.write_report(folder, report, judged, with_figures=not arguments.no_figures)
     print(terminal.render(sealed.summary(report)))
-    given.tell_where(arguments)
+    given.announce_output(arguments)
     return common.DONE
 
 

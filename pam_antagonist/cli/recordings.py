@@ -136,7 +136,7 @@ def damage(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> li
     return [issue for recording in recordings for issue in recording.issues] if arguments.recover else []
 
 
-def tell_where(arguments: argparse.Namespace, rig: str = "rig.yaml") -> None:
+def announce_output(arguments: argparse.Namespace, rig: str = "rig.yaml") -> None:
     """Say where rig and report are, and show the report if that was asked for."""
     print(f"\nrig: {arguments.out / rig}\nreport: {arguments.out / 'report.html'} and report.json")
     if arguments.open:

@@ -72,7 +72,7 @@ def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) ->
     return (replace(compared, ambiguous=compared.evidence < thresholds.STRONG),)
 
 
-def experiments_that_tell(
+def distinguishing_experiments(
     found: Sequence[str], ambiguous: Sequence[str], conditions: Collection[str]
 ) -> dict[str, str]:
     """For each effect that is as likely as a found one, what to record.

@@ -87,7 +87,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         ),
         effects=effects,
         ambiguous_with=ambiguous,
-        experiment=ambiguity.experiments_that_tell(
+        experiment=ambiguity.distinguishing_experiments(
             [name for j in judged for name in j.model.effects],
             ambiguous,
             {trial.joint for trial in prepared.trials[: prepared.fitted]},

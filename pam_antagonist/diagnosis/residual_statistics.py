@@ -158,7 +158,7 @@ def row_of(values: Floats, noise: float, given: Mapping[str, Floats], step: floa
     return {
         "rms": rms,
         "noise": noise,
-        "beyond_noise": max(1.0 - (noise / rms) ** 2, 0.0) if rms > 0.0 else 0.0,
+        "above_noise": max(1.0 - (noise / rms) ** 2, 0.0) if rms > 0.0 else 0.0,
         "memory_s": length * step,
         "independent": len(values) / length,
         "whiteness_p": metrics.whiteness_p(values[:, None], lags) if enough else float("nan"),
@@ -186,11 +186,11 @@ def cross_correlations(residual: Floats, given: Mapping[str, Floats], step: floa
     limit = float(-ndtri(CHANCE / (2.0 * tried)))
     out = {}
     for name, signal in given.items():
-        alike = lfilter(filtered, [1.0], signal - signal.mean())[len(filtered) :]
-        scale = float(np.sqrt(np.sum(white**2) * np.sum(alike**2)))
+        driving = lfilter(filtered, [1.0], signal - signal.mean())[len(filtered) :]
+        scale = float(np.sqrt(np.sum(white**2) * np.sum(driving**2)))
         if scale <= 1e-9 * float(np.sqrt(np.sum(white**2))) * float(np.max(np.abs(signal)) or 1.0):
             continue
-        rho = np.array([white[k:] @ alike[: len(alike) - k] for k in range(1, most + 1)]) / scale
+        rho = np.array([white[k:] @ driving[: len(driving) - k] for k in range(1, most + 1)]) / scale
         k = int(np.argmax(np.abs(rho)))
         z = float(rho[k] * np.sqrt(len(white)))
         out[name] = {

@@ -245,10 +245,10 @@ def _with_fits(
     chosen, total, held_out = [], 0.0, 0.0
     for (experiment, old), new in zip(_pairs(experiments, model), fits, strict=True):
         gain = evidence(experiment, old, new) if new is not None else 0.0
-        pays = new is not None and gain > 0.0
-        chosen.append(new if new is not None and pays else old)
+        gains = new is not None and gain > 0.0
+        chosen.append(new if new is not None and gains else old)
         total += max(gain, 0.0)
-        held_out += held_out_evidence(experiment, old, new) if new is not None and pays else 0.0
+        held_out += held_out_evidence(experiment, old, new) if new is not None and gains else 0.0
     extended = Model((*model.effects, candidate.effect), tuple(chosen))
     after = explained.remaining_residuals(experiments, extended.fits)
     held = explained.held_share(experiments, before, after)

@@ -26,7 +26,7 @@ KINDS = {
 }
 """Name -> what happens."""
 
-_SHARES = ("flip", "drop")
+_PROBABILITIES = ("flip", "drop")
 _CHANNELS = ("freeze", "nan", "broken")
 
 
@@ -58,9 +58,9 @@ def parse_fault(text: str) -> LineFault:
     if kind not in KINDS:
         raise BadInput(f"fault {text!r}: expected one of {', '.join(KINDS)}")
     value = _number(text, number) if equals else 0.0
-    if (kind in _SHARES or kind in _CHANNELS) != bool(equals):
+    if (kind in _PROBABILITIES or kind in _CHANNELS) != bool(equals):
         raise BadInput(f"fault {text!r}: expected {kind}{'' if equals else '=VALUE'}: {KINDS[kind]}")
-    if kind in _SHARES and not 0.0 <= value <= 1.0:
+    if kind in _PROBABILITIES and not 0.0 <= value <= 1.0:
         raise BadInput(f"fault {text!r}: expected a share from 0 to 1")
     if kind in _CHANNELS and value not in (1.0, 2.0):
         raise BadInput(f"fault {text!r}: expected muscle 1 or 2")

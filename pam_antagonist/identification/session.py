@@ -26,7 +26,7 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _SHORTEST_HOLDOUT = 1.0
-_PRESSURES_TELL = ("valve_1", "valve_2", "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure")
+_SEEN_IN_PRESSURES = ("valve_1", "valve_2", "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure")
 _START_STD = 0.5
 """Standard deviations of the prior by which further starts lie about the first."""
 _MOST_PROFILES = 6
@@ -211,7 +211,7 @@ def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[
     kept = [
         item
         for item in free
-        if item.name.startswith(_PRESSURES_TELL) or any(item.name.startswith(word) for word in options.free)
+        if item.name.startswith(_SEEN_IN_PRESSURES) or any(item.name.startswith(word) for word in options.free)
     ]
     if not kept:
         raise BadInput(

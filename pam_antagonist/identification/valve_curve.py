@@ -21,7 +21,7 @@ from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
-_SETTLED_S = 1.0
+_STEADY_S = 1.0
 """[s] A pressure counts as steady when it and the voltage have kept still for so long."""
 _DRIFT = 300.0
 """[Pa/s] A pressure that moves less is steady."""
@@ -75,7 +75,7 @@ def steady_points(voltage: Floats, pressure: Floats, dt: float) -> SteadyPoints:
     Returns:
         One point for each voltage that was held until the pressure stood still.
     """
-    length = round(_SETTLED_S / dt)
+    length = round(_STEADY_S / dt)
     found: dict[int, list[float]] = {}
     for first in range(0, len(voltage) - length + 1, length):
         part, held = pressure[first : first + length], voltage[first : first + length]
@@ -117,7 +117,7 @@ def valve_curve(points: SteadyPoints, p: Floats) -> tuple[Floats, Floats]:
 
 _STEADY_STD = 1.5e3
 """[Pa] How far a pressure that counts as steady may still be from where it ends: drift over its time constant."""
-_TELLING = 2.0
+_DEVIATING = 2.0
 """RMS of the deviations, in standard deviations, from which on the declared curve is replaced."""
 
 
@@ -201,7 +201,7 @@ def _one(rig: Rig, trials: Sequence[Trial], valve: int) -> CurveFinding:
     off = float(np.sqrt(np.mean(((rates - declared) / std) ** 2)))
     far = float(np.max(np.abs(rates - declared)))
     text = f"valve {valve + 1}: {len(voltage)} steady pressures, largest difference from the declared curve {far:.3f}"
-    if off > _TELLING:
+    if off > _DEVIATING:
         return CurveFinding(valve, voltage, rates, declared, std, True, f"{text}: curve replaced between them")
     return CurveFinding(valve, voltage, rates, declared, std, False, f"{text}, within their uncertainty: curve kept")
 

@@ -21,7 +21,7 @@ _ENOUGH_OF_ALL = 2e-3
 """A step is the last one that gains less than these: in −2 log posterior, and of what was gained before."""
 AT_NOISE = 1.1
 """A channel is at its noise whose residual is at most so many times as large: a minute shows it to a few per cent."""
-_SHARES = (1.0, 0.4, 0.1)
+_STEP_LENGTHS = (1.0, 0.4, 0.1)
 """Shares of a Gauss-Newton step that are tried."""
 _CAREFUL = (0.01, 0.1, 1.0)
 """Damping of the steps that are tried after those."""
@@ -143,7 +143,7 @@ def refit(
         cost = cost_of(experiment, point, residual, scale)
         found = None
         damped = len(_CAREFUL) if careful > 0 and (fresh or renewals <= 0) else 0
-        for number in range(first, len(_SHARES) + damped):
+        for number in range(first, len(_STEP_LENGTHS) + damped):
             step = _step(experiment, point, free, (residual, base, effect), scale, number)
             trial = _moved(point, free, step.theta, step.effect)
             moved = experiment.residual(trial)
@@ -152,7 +152,7 @@ def refit(
                 found = trial, moved, cost - new
                 # Where bold steps led nowhere they hardly will from the next point.
                 first = max(number - 1, 0)
-                careful -= number >= len(_SHARES)
+                careful -= number >= len(_STEP_LENGTHS)
                 break
         else:
             first = 0
@@ -200,10 +200,10 @@ def _step(
         number: from 0.
     """
     held = _held(point, free)
-    if number < len(_SHARES):
-        bold, share = solve(*linear, scale, experiment.prior, point.theta, held=held), _SHARES[number]
+    if number < len(_STEP_LENGTHS):
+        bold, share = solve(*linear, scale, experiment.prior, point.theta, held=held), _STEP_LENGTHS[number]
         return replace(bold, theta=share * bold.theta, effect=share * bold.effect)
-    damping = _CAREFUL[number - len(_SHARES)]
+    damping = _CAREFUL[number - len(_STEP_LENGTHS)]
     return solve(*linear, scale, experiment.prior, point.theta, rounds=1, held=held, damping=damping)
 
 

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 _POSITIONS = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0])
 """Of a shared parameter, in standard errors."""
 _STEPS = 2
-_SHARES = (0.0, 0.5)
+_FRACTIONS = (0.0, 0.5)
 """Of an effect's size: what it takes to be called found."""
 _NEAR = (-3.0, -1.5, 1.5, 3.0)
 """In standard errors from an effect's size: whether the likelihood is the parabola that these stand for."""
@@ -138,14 +138,14 @@ def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffect
     best = fitted.point.effects[parameter.path]
     k = len(fitted.covariance) - len(fitted.free) + fitted.free.index(parameter)
     std = float(np.sqrt(fitted.covariance[k, k])) * parameter.slope(best)
-    far = [best * share for share in _SHARES]
+    far = [best * share for share in _FRACTIONS]
     near = [parameter.bounded(best + position * std) for position in _NEAR]
     starts = [fitted.point] * len(far) + [_along(fitted, k, parameter, value) for value in near]
     rises = Parallel(n_jobs=jobs, prefer="threads")(
         delayed(_rise)(experiment, fitted, start, parameter, value)
         for start, value in zip(starts, [*far, *near], strict=True)
     )
-    _, half = rises[_SHARES.index(0.5)]
+    _, half = rises[_FRACTIONS.index(0.5)]
     points = sorted([*zip([*far, *near], (rise for rise, _ in rises), strict=True), (best, 0.0)])
     value, rise = np.array(points).T
     return Profile(parameter.path, best, std, value, 0.5 * rise, half < _CHI_SQUARE)

@@ -33,7 +33,7 @@ USUAL_SPREAD = 0.01
 """A relative deviation that does not surprise."""
 _LEAST, _LARGEST = 1e-4, 0.5
 """Spreads that are considered, relative."""
-_ALIKE = 1.0
+_GROUP_STD = 1.0
 """Standard deviation of the logarithm of a group's spread about the common one."""
 _USUAL = 0.02
 """A spread that would not surprise; larger ones have to be shown by the data (half Cauchy)."""
@@ -174,7 +174,7 @@ def most_likely_spread(trials: Sequence[Local], deviations: Deviations) -> tuple
     low, high = np.log(_LEAST), np.log(_LARGEST)
 
     def spread(logarithms: Floats) -> Floats:
-        return np.asarray(np.exp(np.clip(logarithms[0] + _ALIKE * logarithms[1:], low, high))[deviations.group])
+        return np.asarray(np.exp(np.clip(logarithms[0] + _GROUP_STD * logarithms[1:], low, high))[deviations.group])
 
     def against(logarithms: Floats) -> float:
         common = float(np.exp(np.clip(logarithms[0], low, high)))

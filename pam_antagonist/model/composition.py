@@ -41,9 +41,9 @@ from pam_antagonist.model.effects.hooks import (
     EVERYWHERE,
     HOOKS,
     JOINT_RATE,
-    JOINT_SETTLED,
+    JOINT_STEADY,
     MUSCLE_RATE,
-    MUSCLE_SETTLED,
+    MUSCLE_STEADY,
     Hook,
 )
 
@@ -181,7 +181,7 @@ class _Writer:
         self, title: str, into: str, which: str, of_muscle: bool, quantities: Sequence[str],
         expressions: Mapping[str, str],
     ) -> None:  # fmt: skip
-        """Write a function that fills in what each state has: its derivative (``rate``), or its ``settled`` value."""
+        """Write a function that fills in what each state has: its derivative (``rate``), or its ``steady_value``."""
         arguments = [name for name in quantities if name not in _EXPRESSIONS and name not in expressions]
         index = ["i"] if of_muscle else []
         given = dict.fromkeys(["x", into])
@@ -248,12 +248,12 @@ def source_text(effects: Mapping[str, Effect]) -> str:
     writer.state_values("muscle_rates", "dx", "rate", True, MUSCLE_RATE, static)
     writer.state_values("joint_rates", "dx", "rate", False, JOINT_RATE, {})
     behind = "chamber_pressure(valve_pressure, i, x, p)"
-    settled = {
+    steady_value = {
         "chamber_pressure": behind,
         "static_force": f"static_map(i, muscle_length, {behind}, p)",
     }
-    writer.state_values("muscle_settled", "x", "settled", True, MUSCLE_SETTLED, settled)
-    writer.state_values("joint_settled", "x", "settled", False, JOINT_SETTLED, {})
+    writer.state_values("muscle_steady", "x", "steady_value", True, MUSCLE_STEADY, steady_value)
+    writer.state_values("joint_steady", "x", "steady_value", False, JOINT_STEADY, {})
     writer.lags()
     constants = "\n".join(f"{name} = {index}" for name, index in sorted(writer.constants.items()))
     imports = "\n".join(sorted(writer.imports))
@@ -308,8 +308,8 @@ sensor_reading: Any = _composed.sensor_reading
 sensor_inverse: Any = _composed.sensor_inverse
 muscle_rates: Any = _composed.muscle_rates
 joint_rates: Any = _composed.joint_rates
-muscle_settled: Any = _composed.muscle_settled
-joint_settled: Any = _composed.joint_settled
+muscle_steady: Any = _composed.muscle_steady
+joint_steady: Any = _composed.joint_steady
 small_signal_lags: Any = _composed.small_signal_lags
 
 if __name__ == "__main__":

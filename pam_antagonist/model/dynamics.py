@@ -192,7 +192,7 @@ def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external,
 
 
 @inlined
-def _outside(u):
+def _external_torque(u):
     """External torque [N m] of an input that has one."""
     return u[2] if u.shape[0] > 2 else 0.0
 
@@ -240,7 +240,7 @@ def _rows(x, u, wanted_1, wanted_2, p, dx):
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
         angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(0, x, p), chamber_pressure(1, x, p),
-        _with_disturbance(_outside(u), x, p), x, p, False,
+        _with_disturbance(_external_torque(u), x, p), x, p, False,
     )  # fmt: skip
 
 
@@ -294,7 +294,7 @@ def _scalar_step(x, u, p, dt, result, plain):
     """:func:`rk4_step` without added states."""
     alpha_1 = _open_rate(0, u[0], p)
     alpha_2 = _open_rate(1, u[1], p)
-    e = _outside(u)
+    e = _external_torque(u)
     half = 0.5 * dt
     a, b, c, d = x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2]
     a1, b1, c1, d1 = _slopes(a, b, c, d, alpha_1, alpha_2, e, p, plain)

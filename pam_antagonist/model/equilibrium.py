@@ -14,8 +14,8 @@ from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, S
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
 _open_rate, _valve_flow, _torque = flow.open_rate, flow.valve_flow, dynamics.torque
-_joint_torque, _muscle_settled = composition.joint_torque, composition.muscle_settled
-_joint_settled = composition.joint_settled
+_joint_torque, _muscle_steady = composition.joint_torque, composition.muscle_steady
+_joint_steady = composition.joint_steady
 
 
 @inlined
@@ -82,7 +82,7 @@ def start_angle(pressure_1, pressure_2, p):
 
 @kernel
 def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
-    """State of a joint that has stood for long: at rest, valves open as they are asked to, everything slow settled.
+    """State of a joint that has stood for long: at rest, valves open as they are asked to, slow states steady.
 
     What a line loses is that of the flow which the valves let through at these pressures; of a joint that has stood
     for long, nothing. With a velocity, the joint has moved this way for long instead.
@@ -107,9 +107,9 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
         pressure = x[PRESSURE_1 + i]
         passed, drawn = _valve_flow(i, wanted, pressure, p[SUPPLY], p)
         consumption += drawn
-        _muscle_settled(
+        _muscle_steady(
             i, angle, velocity, sine, _length(i, sine, p), _length_rate(i, cosine, velocity, p), u[i], wanted, pressure,
             passed, x, p,
         )  # fmt: skip
-    _joint_settled(consumption, x, p)
+    _joint_steady(consumption, x, p)
     return x

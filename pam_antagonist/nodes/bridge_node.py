@@ -101,7 +101,7 @@ class BridgeNode(PamNode):
         self._period_ns = wanted.period_ns
         self._sent_ns = self._commands_sent = 0
         self._session = 0
-        self._told = ""
+        self._logged = ""
         self._rest = ZeroPressureMeasurement(self._converter)
         self._pressures = tuple(
             wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
@@ -180,16 +180,16 @@ class BridgeNode(PamNode):
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the device and of its clock."""
         self._link.check()
-        self._tell(self._link.trouble)
+        self._log_trouble(self._link.trouble)
         with self._lock:
             port = self.port.health(steady_ns)
         return {**self._health.parts(steady_ns), **port}
 
-    def _tell(self, trouble: str) -> None:
+    def _log_trouble(self, trouble: str) -> None:
         """Into the log, once for each trouble."""
-        if trouble == self._told or not self.active:
+        if trouble == self._logged or not self.active:
             return
-        self._told = trouble
+        self._logged = trouble
         if trouble:
             self.get_logger().error(f"no device: {trouble}")
         else:

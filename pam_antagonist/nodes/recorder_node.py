@@ -54,7 +54,7 @@ class RecorderNode(PamNode):
         self._counts: dict[str, int] = {}
         self._gaps: dict[str, Gaps] = {}
         self._reason: str | None = None  # why nothing more can be written
-        self._told = False
+        self._finished = False
         self._rate, self._bytes_rate = Rate(), Rate()
         self._lost_before = 0
         self._since = time.monotonic()
@@ -66,7 +66,7 @@ class RecorderNode(PamNode):
     def configure(self) -> None:
         """Make the bag."""
         self._bag = BagWriter(self._path, limits=self._options.limits, durable=True, backlog=_BACKLOG)
-        self._told = False
+        self._finished = False
         for topic in TOPICS.values():
             name = self.resolve_topic_name(topic.relative)
             self._bag.add_topic(name, topic.type)
@@ -142,9 +142,9 @@ class RecorderNode(PamNode):
         self._finish()
 
     def _finish(self) -> None:
-        if self._told or not self._counts:
+        if self._finished or not self._counts:
             return
-        self._told = True
+        self._finished = True
         try:
             self._bag.close()
         except OSError as error:

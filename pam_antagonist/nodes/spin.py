@@ -119,7 +119,7 @@ def _run(create: Callable[[Any], PamNode], arguments: list[str], name: str, opti
             node = create(given)
         except Exception as error:
             if secured() and "secur" in str(error).lower():
-                raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_said(error)}") from None
+                raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
             raise
         try:
             spin(node, stop)
@@ -147,11 +147,11 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
         left = remove_ros_args(args=arguments)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
-        raise BadInput(f"{name}: {_said(error)}") from None
+        raise BadInput(f"{name}: {_first_sentence(error)}") from None
     return options(left)
 
 
-def _said(error: BaseException) -> str:
+def _first_sentence(error: BaseException) -> str:
     """What ROS says; rcl adds the places in its own source code, which help nobody here."""
     return re.sub(r",? at /\S+:\d+", "", one_line(error))
 

@@ -53,7 +53,7 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
     if rate is not None:
         grid = even_grid(stamp_ns, rate)
         columns = {name: _resampled(name, grid, stamp_ns, values) for name, values in columns.items()}
-        issues.append(_said_of_resampling(stamp_ns, rate))
+        issues.append(_resampling_issue(stamp_ns, rate))
         stamp_ns = grid
     voltage = [
         columns[f"valve_{n}"] if f"valve_{n}" in columns else _constant(mapping, n, len(stamp_ns)) for n in (1, 2)
@@ -158,7 +158,7 @@ def _resampled(name: str, grid: Stamps, stamp_ns: Stamps, values: Floats) -> Flo
     return interpolate(grid, stamp_ns, values)
 
 
-def _said_of_resampling(stamp_ns: Stamps, rate: float) -> str:
+def _resampling_issue(stamp_ns: Stamps, rate: float) -> str:
     before = 1e9 / float(np.median(np.diff(stamp_ns)))
     text = f"resampled from about {before:.4g} to {rate:g} Hz by interpolation; gaps of over five rows stay empty"
     return text + ("; no filter before, faster motion is folded in" if rate < 0.8 * before else "")

@@ -13,7 +13,7 @@ from pam_antagonist.recording import Recording
 
 _STILL = math.radians(0.5)
 """[rad] A joint is held whose angle stays within this range; encoder noise alone reaches half of it."""
-_TELLING = 50e3
+_MOVING = 50e3
 """[Pa] Change of the pressure difference that would certainly have moved a free joint, by degrees."""
 _ROUNDING = 1e-9
 """[rad] Most that rounding moves the angle of a filter whose joint is locked."""
@@ -72,7 +72,7 @@ def _detected(recording: Recording) -> tuple[str, str]:
     if angle.size:
         if _range(angle) >= _STILL:
             return "free", "measured angle"
-        if _range(_finite(recording.pressure[:, 0] - recording.pressure[:, 1])) >= _TELLING:
+        if _range(_finite(recording.pressure[:, 0] - recording.pressure[:, 1])) >= _MOVING:
             return "locked", "measured angle"
     if recording.estimate is not None and len(recording.estimate.angle):
         return ("free" if _live_lock(recording) is None else "locked"), "recorded estimate"

@@ -41,7 +41,7 @@ def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Flo
     return np.where(bad, np.nan, values)
 
 
-def _beyond(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, issues: list[str]) -> bool:
+def _implausible(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, issues: list[str]) -> bool:
     """Whether so many values are odd that they mean something; fewer are only mentioned."""
     count = int(np.count_nonzero(odd))
     if count > max(5, 0.001 * values.size) or 2 * count > values.size:
@@ -66,7 +66,7 @@ def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) 
     values = _some(where, topic, "pressure", pressure)
     expected = "expected absolute pressure in Pa"
     low = values < MIN_PRESSURE
-    if _beyond(topic, values, low, f"lie below {MIN_PRESSURE / 1e3:g} kPa absolute", issues):
+    if _implausible(topic, values, low, f"lie below {MIN_PRESSURE / 1e3:g} kPa absolute", issues):
         top = float(np.quantile(np.abs(values), 0.99))
         if top == 0.0:
             raise BadInput(f"{where}: {topic} is 0 throughout, {expected}; is the sensor connected?")
@@ -78,7 +78,7 @@ def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) 
             f"{MIN_PRESSURE / 1e3:g} kPa, the lowest at {values.min() / 1e3:.4g} kPa), {expected}; "
             "a vented muscle holds about 101 kPa absolute"
         )
-    if _beyond(topic, values, values > MAX_PRESSURE, f"lie above {MAX_PRESSURE / 1e6:g} MPa", issues):
+    if _implausible(topic, values, values > MAX_PRESSURE, f"lie above {MAX_PRESSURE / 1e6:g} MPa", issues):
         raise BadInput(f"{where}: {topic} has values up to {values.max():.4g}, {expected}, {MAX_PRESSURE:g} at most")
 
 
@@ -96,7 +96,7 @@ def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) ->
     """
     values = _some(where, topic, "voltage", voltage)
     odd = (values < MIN_VOLTAGE) | (values > MAX_VOLTAGE)
-    if _beyond(topic, values, odd, "lie outside 0 to 10 V", issues):
+    if _implausible(topic, values, odd, "lie outside 0 to 10 V", issues):
         top = float(np.quantile(np.abs(values), 0.99))
         unit = "" if top <= 24.0 else ", which looks like percent" if top <= 100.0 else ", which looks like mV"
         raise BadInput(
@@ -117,7 +117,7 @@ def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> Non
         BadInput: Too many values beyond half a turn in rad.
     """
     values = angle[np.isfinite(angle)]
-    if _beyond(topic, values, np.abs(values) > MAX_ANGLE, f"lie beyond {MAX_ANGLE:g} rad", issues):
+    if _implausible(topic, values, np.abs(values) > MAX_ANGLE, f"lie beyond {MAX_ANGLE:g} rad", issues):
         raise BadInput(
             f"{where}: the position on {topic} goes from {values.min():.4g} to {values.max():.4g}, which looks like "
             "degrees, expected rad"
@@ -137,7 +137,7 @@ def check_torque(where: str, topic: str, torque: Floats, issues: list[str]) -> N
         BadInput: Too many values beyond what a joint bears in N m.
     """
     values = torque[np.isfinite(torque)]
-    if _beyond(topic, values, np.abs(values) > MAX_TORQUE, f"lie beyond {MAX_TORQUE:g} N m", issues):
+    if _implausible(topic, values, np.abs(values) > MAX_TORQUE, f"lie beyond {MAX_TORQUE:g} N m", issues):
         raise BadInput(
             f"{where}: the torque on {topic} goes from {values.min():.4g} to {values.max():.4g}, which looks like "
             "N mm, expected N m"

@@ -85,12 +85,12 @@ class JointFacts:
     Attributes:
         condition: ``free`` or ``locked``.
         lock_angle_rad: where a locked joint was held [rad].
-        told_from: what says so.
+        source: where that is from: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
     """
 
     condition: str
     lock_angle_rad: float | None
-    told_from: str
+    source: str
 
     @classmethod
     def of(cls, joint: JointCondition) -> JointFacts:

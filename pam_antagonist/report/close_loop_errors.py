@@ -117,7 +117,7 @@ class ResidualRow:
         unit: of the residual.
         rms: root mean square.
         noise: that of the sensors' noise.
-        beyond_noise: share of the mean square that the sensors' noise does not explain.
+        above_noise: share of the mean square that the sensors' noise does not explain.
         memory_s: time between independent values [s].
         independent: number of independent values.
         whiteness_p: probability of such an autocorrelation in white noise; None where there are too few values.
@@ -129,7 +129,7 @@ class ResidualRow:
     unit: str
     rms: float
     noise: float
-    beyond_noise: float
+    above_noise: float
     memory_s: float
     independent: float
     whiteness_p: float | None

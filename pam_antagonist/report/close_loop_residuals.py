@@ -17,7 +17,7 @@ from pam_antagonist.report.style import ESTIMATE, MODEL, PAPER, QUIET, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
 
 _SIGNED = (MODEL, PAPER, ESTIMATE)
-_SHARES = (PAPER, MODEL)
+_BLUES = (PAPER, MODEL)
 _CERTAIN = 0.05
 _SHOWN = 5.0
 """Colours end at so many times the value that chance alone exceeds once in twenty times."""
@@ -72,7 +72,7 @@ def _table(recording: str, shown: Residuals, models: Sequence[str]) -> Table:
             (
                 f"  {row.title}, RMS {number(row.rms, 2)} {row.unit}",
                 *(number(value, 2) for value in times),
-                percent(row.beyond_noise),
+                percent(row.above_noise),
                 number(row.memory_s, 2),
                 _chance(row.whiteness_p),
                 _strongest(row.relations),
@@ -125,13 +125,13 @@ def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block,
         shares = np.array([[100.0 * item.depends_on[kind] for kind in kinds] for item in mine])
         about = "Share of each residual's variance that one kind of dependence explains alone, minus what chance gives."
         rows = [item.channel for item in mine]
-        grid = matrix([("", shares)], rows, kinds, _SHARES, (0.0, 100.0), "{value:.1f} %")
+        grid = matrix([("", shares)], rows, kinds, _BLUES, (0.0, 100.0), "{value:.1f} %")
         out.append(Figure(f"What the remaining residual depends on, {name}", about, grid))
         widest = max(mine, key=lambda item: len(item.bands))
         power = np.array([[100.0 * item.bands.get(band, float("nan")) for band in widest.bands] for item in mine])
         about = "Share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz."
         bands = [_short(band) for band in widest.bands]
-        grid = matrix([("", power)], rows, bands, _SHARES, (0.0, 100.0), "{value:.1f} %")
+        grid = matrix([("", power)], rows, bands, _BLUES, (0.0, 100.0), "{value:.1f} %")
         out.append(Figure(f"Frequencies of the remaining residual, {name}", about, grid))
         clear = sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN]
         out += [_drawn(item) for item in clear]

@@ -190,7 +190,7 @@ class RecordingEntry:
     name: str
     condition: str
     lock_angle_rad: float | None
-    told_from: str
+    source: str
     samples: int
     duration_s: float
     fitted_until_s: float
@@ -363,7 +363,7 @@ def _recording(item: Judged, state: JointCondition) -> RecordingEntry:
         name=item.name,
         condition=joint.condition,
         lock_angle_rad=joint.lock_angle_rad,
-        told_from=joint.told_from,
+        source=joint.source,
         samples=whole.samples,
         duration_s=whole.duration_s,
         fitted_until_s=item.from_s,

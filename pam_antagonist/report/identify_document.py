@@ -201,7 +201,7 @@ def _provenance(report: IdentifyReport) -> list[tuple[str, str]]:
     ]
     for item in report.recordings:
         rows.append((f"Recording {item.name}", f"SHA-256 {item.sha256}"))
-        rows.append(("Its joint", f"{item.condition}; source: {item.told_from}"))
+        rows.append(("Its joint", f"{item.condition}; source: {item.source}"))
         rows.append(("Its length", f"{item.duration_s:.1f} s, of which {item.fitted_until_s:.1f} s were fitted"))
         rows += [("Remark", issue) for issue in item.issues[:3]]
     return rows

@@ -122,7 +122,7 @@ def summary(replay: Replay) -> tuple[Block, ...]:
     report = replay.report
     head = (
         f"{replay.name}: {report.duration_s:.1f} s, {report.samples} samples, joint {report.joint.condition} "
-        f"(source: {report.joint.told_from})"
+        f"(source: {report.joint.source})"
     )
     how = f"rig {replay.rig.name}, tuning {replay.tuning}, {report.realtime_factor:.1f} × real time"
     return Text(head), Text(how), errors_table(report), Findings(findings(report))
@@ -164,7 +164,7 @@ def _provenance(replays: Sequence[Replay]) -> list[tuple[str, str]]:
     for report in (replay.report for replay in replays):
         rows += [
             (f"Recording {report.recording.name}", f"SHA-256 {report.recording.sha256}"),
-            ("Its joint", f"{joint_text(report.joint)}; source: {report.joint.told_from}"),
+            ("Its joint", f"{joint_text(report.joint)}; source: {report.joint.source}"),
             ("Its length", f"{report.samples} samples, {report.duration_s:.3f} s"),
         ]
     return rows

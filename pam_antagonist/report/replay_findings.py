@@ -199,6 +199,6 @@ def _quality(report: ReplayReport) -> list[Finding]:
     seen = [f"{count} {text}" for count, text in events if count]
     if seen:
         out.append(Finding("note", f"The filter met {joined(seen)}."))
-    if report.joint.told_from == "nothing":
+    if report.joint.source == "nothing":
         out.append(Finding("note", "The recording does not say whether the joint could move. It was taken as free."))
     return out

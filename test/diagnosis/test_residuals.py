@@ -94,7 +94,7 @@ def test_a_right_model_leaves_white_noise_of_the_sensors_size(sound) -> None:
     assert set(rows) == {"mass flow 1", "mass flow 2", "contraction torque", "torque", "pressure_1", "pressure_2"}
     for name, row in rows.items():
         assert row["rms"] < 1.35 * row["noise"], name
-        assert row["beyond_noise"] < 0.45, name
+        assert row["above_noise"] < 0.45, name
         assert row["whiteness_p"] > 1e-4, name
     assert "angle" not in rows["torque"]["relations"]
 

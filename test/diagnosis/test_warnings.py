@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pam_antagonist.diagnosis import warnings
-from pam_antagonist.diagnosis.ambiguity import experiments_that_tell
+from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
 
 
 def test_an_experiment_that_tells_is_named() -> None:
-    said = experiments_that_tell(("leak",), ("valve_offset",), {"free"})
+    said = distinguishing_experiments(("leak",), ("valve_offset",), {"free"})
     assert "close the valves" in said["valve_offset"]
     assert "locked" in said["valve_offset"]
 

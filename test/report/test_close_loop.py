@@ -27,7 +27,7 @@ def errors(angle: float | None, torque: float, **more: float) -> dict[str, Any]:
 
 MODELS = {"as_configured": errors(0.4, 0.3), "recalibrated": errors(0.2, 0.2), "extended": errors(0.1, 0.1)}
 ROW = {
-    "channel": "mass_flow_1", "kind": "equation", "unit": "mg/s", "rms": 2.0, "noise": 1.0, "beyond_noise": 0.75,
+    "channel": "mass_flow_1", "kind": "equation", "unit": "mg/s", "rms": 2.0, "noise": 1.0, "above_noise": 0.75,
     "memory_s": 0.1, "independent": 100.0, "whiteness_p": 0.5,
     "relations": {"angle": {"lag_s": 0.2, "correlation": 0.4, "z": 4.0, "limit": 2.0, "p": 0.01}},
 }  # fmt: skip

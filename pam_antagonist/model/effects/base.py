@@ -83,7 +83,7 @@ class AddedState:
         further: other parameters (of this effect) that bring the state likewise.
         symbol: as in the documentation's equation, in LaTeX.
         rate: its derivative by time; None for a state that stays (a random walk).
-        settled: its value after a long rest; None for 0.
+        steady_value: its value in a joint that has stood for long; None for 0.
         lag: time constant [s] with which it follows small changes, where that may be a few milliseconds. It may ask
             for parameters only.
     """
@@ -96,7 +96,7 @@ class AddedState:
     further: tuple[str, ...] = ()
     symbol: str = ""
     rate: Kernel | None = None
-    settled: Kernel | None = None
+    steady_value: Kernel | None = None
     lag: Kernel | None = None
 
     @property
@@ -164,7 +164,7 @@ class Effect:
         sentence: what a report says where it was found. ``{muscle}`` and ``{valve}`` become "muscle 1" or "both
             muscles", ``{s}`` the ending of a verb, the name of a parameter its value.
         experiment: which recording shows it best.
-        told_from: which recording tells it from another effect, by that one's name.
+        distinguished_by: which recording distinguishes it from another effect, by the name of the other.
         sealed: what a sealed joint can show of it.
         states: the states that it adds.
         hooks: what it does to the model: functions by the names of :data:`~pam_antagonist.model.effects.hooks.HOOKS`.
@@ -187,7 +187,7 @@ class Effect:
     sentence: str
     experiment: str
     sealed: SealedJoint
-    told_from: Mapping[str, str] = field(default_factory=dict)
+    distinguished_by: Mapping[str, str] = field(default_factory=dict)
     states: tuple[AddedState, ...] = ()
     hooks: Mapping[str, Kernel] = field(default_factory=dict)
     form: Form = Form()
@@ -240,13 +240,22 @@ def state_per_muscle(
     *further: str,
     symbol: str = "",
     rate: Kernel | None = None,
-    settled: Kernel | None = None,
+    steady_value: Kernel | None = None,
     lag: Kernel | None = None,
 ) -> tuple[AddedState, ...]:
     """A state that each muscle has; arguments as of :class:`AddedState`, ``switch`` without the muscle's number."""
     return tuple(
         AddedState(
-            f"{name}_{i}", unit, f"{switch}_{i}", initial_std, noise, further, _numbered(symbol, i), rate, settled, lag
+            f"{name}_{i}",
+            unit,
+            f"{switch}_{i}",
+            initial_std,
+            noise,
+            further,
+            _numbered(symbol, i),
+            rate,
+            steady_value,
+            lag,
         )
         for i in (1, 2)
     )

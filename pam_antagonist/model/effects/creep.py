@@ -64,12 +64,12 @@ EFFECT = Effect(
         EffectParameter("time", "s", 4.0, 0.2, 60.0, 4.0, "time constant", "T"),
     ),
     states=state_per_muscle(
-        "creep", "N", "share", 3.0, 1e-2, "stiffness", symbol="c", rate=late_rate, settled=relaxing_force
+        "creep", "N", "share", 3.0, 1e-2, "stiffness", symbol="c", rate=late_rate, steady_value=relaxing_force
     ),
     hooks={"contraction_force": late_force},
     sentence="the muscles give way slowly (creep)",
     experiment="step the angle and hold for 60 s",
-    told_from={
+    distinguished_by={
         "thermal": "lock the joint, step the pressure and wait: warmth moves the pressures, creep only the torque",
     },
     sealed=SealedJoint(

@@ -31,7 +31,7 @@ EFFECT = Effect(
     hooks={"disturbance_torque": disturbance},
     sentence="something pushes the joint now and then (external_torque)",
     experiment="repeat the recording with nobody near the joint",
-    told_from={
+    distinguished_by={
         "friction": "repeat the same command: friction repeats, a push does not",
         "load_torque": "repeat the same command: a load repeats, a push does not",
     },

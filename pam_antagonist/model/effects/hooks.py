@@ -104,10 +104,10 @@ MUSCLE_RATE = (
 """What the derivative of a muscle's state may ask for."""
 JOINT_RATE = (*_JOINT, "drawn_flow")
 """What the derivative of a state of the whole joint may ask for."""
-MUSCLE_SETTLED = (
+MUSCLE_STEADY = (
     *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "wanted_open_rate", "valve_pressure",
     "chamber_pressure", "valve_flow",
 )  # fmt: skip
 """What the value of a muscle's state after a long rest may ask for."""
-JOINT_SETTLED = ("drawn_flow",)
+JOINT_STEADY = ("drawn_flow",)
 """What the value of a state of the whole joint after a long rest may ask for."""

@@ -65,12 +65,12 @@ EFFECT = Effect(
         EffectParameter("width", "m", 2e-3, 2e-4, 2e-2, 2e-3, "length over which the force turns round", "s"),
     ),
     states=state_per_muscle(
-        "hysteresis", "-", "amplitude", 0.5, 1e-4, symbol="z", rate=loop_rate, settled=turned_round
+        "hysteresis", "-", "amplitude", 0.5, 1e-4, symbol="z", rate=loop_rate, steady_value=turned_round
     ),
     hooks={"contraction_force": loop_force},
     sentence="the force of the muscles depends on which way their length came (hysteresis)",
     experiment="turn the joint slowly to and fro at constant pressures and plot torque over angle",
-    told_from={
+    distinguished_by={
         "friction": "turn the joint by hand with both muscles vented: friction of the shaft stays, hysteresis of the "
         "muscles goes with the pressure",
         "creep": "turn the joint by the same way slowly and fast: hysteresis gives the same loop, creep does not",

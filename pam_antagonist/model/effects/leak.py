@@ -51,7 +51,7 @@ EFFECT = Effect(
     hooks={"mass_loss": outflow},
     sentence="air leaks from {muscle}",
     experiment="close the valves under pressure and watch the pressures for a minute",
-    told_from={
+    distinguished_by={
         "valve_offset": "close the valves (or plug the muscle) under pressure: only a leak goes on",
         "pressure_sensor": "close the valves under pressure: a leak falls to the atmosphere, a wrong sensor stands "
         "still",

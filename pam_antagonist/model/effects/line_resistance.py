@@ -62,7 +62,7 @@ def before_rate(resistance, exponent, time, valve_pressure, chamber_pressure, va
 
 
 @inlined
-def settled_behind(resistance, exponent, valve_pressure, valve_flow, atmosphere, supply_pressure):
+def steady_chamber(resistance, exponent, valve_pressure, valve_flow, atmosphere, supply_pressure):
     """Pressure behind the line [Pa] while it carries what the valve lets through.
 
     A line settles within milliseconds: a recording that begins while a muscle fills does not begin with the pressures
@@ -85,7 +85,7 @@ EFFECT = Effect(
         EffectParameter("exponent", "-", 1.0, 1.0, 2.0, 1.5, "power of the flow in the fall of pressure", "n"),
     ),
     states=state_per_muscle(
-        "chamber", "Pa", "resistance", 1e3, 50.0, symbol="P_{c,#}", rate=behind_rate, settled=settled_behind
+        "chamber", "Pa", "resistance", 1e3, 50.0, symbol="P_{c,#}", rate=behind_rate, steady_value=steady_chamber
     ),
     hooks={"chamber_pressure": behind, "valve_pressure_rate": before_rate},
     sentence="the line to {muscle} throttles the flow (line_resistance)",

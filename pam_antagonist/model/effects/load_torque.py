@@ -38,7 +38,7 @@ EFFECT = Effect(
     hooks={"joint_torque": load},
     sentence="something beside the muscles pulls at the joint (load_torque)",
     experiment="move the joint slowly through its range with the load taken off",
-    told_from={
+    distinguished_by={
         "friction": "approach the same pressures from both sides: a load shifts both rest angles alike, friction apart",
     },
     sealed=SealedJoint(

@@ -158,4 +158,4 @@ DISTURBANCE = next(effect.name for effect in CATALOGUE.values() if not effect.de
 
 def experiment_between(effect: str, other: str) -> str | None:
     """Which recording tells two effects apart, by their names; None where neither entry knows one."""
-    return CATALOGUE[effect].told_from.get(other) or CATALOGUE[other].told_from.get(effect)
+    return CATALOGUE[effect].distinguished_by.get(other) or CATALOGUE[other].distinguished_by.get(effect)

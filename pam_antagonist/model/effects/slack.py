@@ -39,7 +39,7 @@ EFFECT = Effect(
     hooks={"muscle_force": pull},
     sentence="a muscle goes slack where it would have to push (slack)",
     experiment="vent one muscle and turn the joint slowly to the side on which that muscle is short",
-    told_from={
+    distinguished_by={
         "load_torque": "raise both pressures: a load stays, a slack muscle pulls again",
     },
     sealed=SealedJoint(part=None, reason="both muscles are charged, and pull at every angle"),

@@ -49,7 +49,7 @@ EFFECT = Effect(
     hooks={"supply_change": deviation},
     sentence="the supply's pressure droops while air is drawn (supply_droop)",
     experiment="record the pressure of the tank as well",
-    told_from={
+    distinguished_by={
         "line_resistance": "fill one muscle while the other is held: a drooping supply shows in both pressures, a line "
         "in one",
     },

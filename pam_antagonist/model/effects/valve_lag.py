@@ -79,13 +79,13 @@ EFFECT = Effect(
         1e-4,
         symbol=r"\alpha",
         rate=position_rate,
-        settled=asked_for,
+        steady_value=asked_for,
         lag=small_signal_lag,
     ),
     hooks={"open_rate": position},
     sentence="{valve} follows its voltage late (valve_lag)",
     experiment="step one valve by 1 V every 0.2 s",
-    told_from={
+    distinguished_by={
         "line_resistance": "step the valve at different pressures: a lag is the same, what a line adds grows with the "
         "flow",
     },

@@ -42,7 +42,7 @@ EFFECT = Effect(
     hooks={"voltage_shift": voltage_shift, "open_rate_shift": open_rate_shift},
     sentence="the curve of {valve} is shifted (valve_offset)",
     experiment="hold each of six voltages for 10 s: the steady pressures tell it",
-    told_from={
+    distinguished_by={
         "pressure_sensor": "vent the muscle and read the sensor at the atmosphere's pressure",
     },
     sealed=SealedJoint(part=None, reason="no valve moves"),

@@ -54,12 +54,12 @@ EFFECT = Effect(
     "steady pressures depend on the way the voltage came.",
     parameters=per_muscle("play", "V", 0.0, 1.0, 0.05, "play of the valve", symbol="b"),
     states=state_per_muscle(
-        "spool_voltage", "V", "play", 0.02, 1e-4, symbol="v", rate=following, settled=in_the_middle
+        "spool_voltage", "V", "play", 0.02, 1e-4, symbol="v", rate=following, steady_value=in_the_middle
     ),
     hooks={"spool_voltage": position},
     sentence="the spool of {valve} has play (valve_play)",
     experiment="raise one voltage in steps of 0.2 V, hold each for 10 s, and lower it again by the same steps",
-    told_from={
+    distinguished_by={
         "valve_offset": "approach the same voltage from below and from above: a shifted curve gives one pressure, play "
         "two",
         "valve_lag": "hold the voltage after a step: a lag dies out, play stays",

@@ -64,7 +64,7 @@ EFFECT = Effect(
     hooks={"contraction_force": lost_force},
     sentence="the force of the muscles drifts with running time (warm_up)",
     experiment="record for ten minutes, and once more at once: a muscle that is warm drifts no more",
-    told_from={
+    distinguished_by={
         "creep": "hold voltages and angle for ten minutes, then step: creep begins anew with each step, warming does "
         "not",
         "pressure_sensor": "compare the sensor with a gauge at the start and at the end",

@@ -101,7 +101,9 @@ def _main(argv: Sequence[str] | None) -> int:
     done = [outcomes.load(folder, k, case, arguments.duration) for k, case in every]
     known = {**remainders.known(), **remainders.load(folder / remainders.FILE)}
     finished = [outcome for outcome in done if outcome is not None]
-    _tell(page.Run(arguments.seed, arguments.count, arguments.nothing, arguments.duration, finished, known), arguments)
+    _report(
+        page.Run(arguments.seed, arguments.count, arguments.nothing, arguments.duration, finished, known), arguments
+    )
     return common.DONE
 
 
@@ -153,7 +155,7 @@ def _diagnosis(case: Case, jobs: int) -> outcomes.Diagnose:
     return run
 
 
-def _tell(run: page.Run, arguments: argparse.Namespace) -> None:
+def _report(run: page.Run, arguments: argparse.Namespace) -> None:
     if not run.done:
         print(f"{arguments.out}: no case is finished yet")
         return

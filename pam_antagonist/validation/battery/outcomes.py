@@ -139,16 +139,16 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
     recordings = case.recordings(duration)
     begin = time.monotonic()
     try:
-        said = diagnose(recordings)
+        diagnosis = diagnose(recordings)
     except BadInput:
         # Recordings like a laboratory's that are refused are an answer too, and a wrong one.
-        said = _REFUSAL
+        diagnosis = _REFUSAL
     seconds = time.monotonic() - begin
     moved = _by_channel(case.moved(duration)) if case.effects else {}
     channel = max(moved, key=lambda name: moved[name]) if moved else None
     errors: dict[str, float | None] = {}
     if channel is not None:
-        errors = {key: _error(said.errors.get(key), channel) for key in ("recalibrated", "extended")}
+        errors = {key: _error(diagnosis.errors.get(key), channel) for key in ("recalibrated", "extended")}
         errors["true"] = true_error(case, recordings, channel)
     return Outcome(
         name=case.name,
@@ -158,10 +158,10 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
         seed=case.seed,
         sizes=case.sizes,
         duration=duration,
-        verdict=str(said.verdict),
-        found=tuple((str(effect.name), effect.muscle) for effect in said.effects),
-        ambiguous_with=tuple(str(name) for name in said.ambiguous_with),
-        leading=_leading(said.ranking),
+        verdict=str(diagnosis.verdict),
+        found=tuple((str(effect.name), effect.muscle) for effect in diagnosis.effects),
+        ambiguous_with=tuple(str(name) for name in diagnosis.ambiguous_with),
+        leading=_leading(diagnosis.ranking),
         channel=channel,
         errors=errors,
         seconds=seconds,

@@ -287,7 +287,7 @@ def _page(run: Run, image: str) -> list[str]:
         "",
         "## Confusion matrix",
         "",
-        "Rows: what was there, of any size. Columns: what was said first. In brackets: what is in no catalogue.",
+        "Rows: what was there, of any size. Columns: what was found first. In brackets: what is in no catalogue.",
         "",
         *_rows(Table(header, rows)),
         "",

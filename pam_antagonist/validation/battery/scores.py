@@ -200,7 +200,7 @@ def detections(outcomes: Sequence[Outcome]) -> list[Detection]:
 
 
 def confusion(outcomes: Sequence[Outcome]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """What was there against what was said first.
+    """What was there against what was found first.
 
     Returns:
         Header and rows of text; a row is an effect that was alone, ``none``, or what is in no catalogue; a column the
@@ -211,11 +211,11 @@ def confusion(outcomes: Sequence[Outcome]) -> tuple[tuple[str, ...], tuple[tuple
         if item.kind != "pair":
             row = "none" if item.kind == "none" else item.effects[0][0]
             row = f"({item.form[0]})" if item.kind == "foreign" else row
-            said = item.names[0] if item.names else item.verdict
+            first = item.names[0] if item.names else item.verdict
             counts.setdefault(row, {})
-            counts[row][said] = counts[row].get(said, 0) + 1
+            counts[row][first] = counts[row].get(first, 0) + 1
     order = [*CATALOGUE, "none", *sorted(row for row in counts if row.startswith("("))]
     rows = [row for row in order if row in counts]
     columns = [c for c in (*CATALOGUE, "none", "unexplained", "refused") if any(c in counts[row] for row in rows)]
     body = tuple((row, *(str(counts[row][c]) if c in counts[row] else "·" for c in columns)) for row in rows)
-    return ("there \\ said first", *columns), body
+    return ("there \\ found first", *columns), body

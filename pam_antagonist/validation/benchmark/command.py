@@ -87,7 +87,7 @@ def _main(argv: Sequence[str] | None) -> int:
 
                 figures += pipeline.measure(arguments.rig, arguments.duration)
             bar.update(1)
-    _tell(figures, arguments.json)
+    _report(figures, arguments.json)
     return common.DONE
 
 
@@ -115,7 +115,7 @@ def _soak(arguments: argparse.Namespace) -> int:
             name: getattr(result.samples, name).round(3).tolist() for name in ("median", "p99", "largest")
         },
     }
-    _tell(result.figures, arguments.json, {"duration_s": arguments.soak, "series": series})
+    _report(result.figures, arguments.json, {"duration_s": arguments.soak, "series": series})
     if html is not None:
         from pam_antagonist.report.html import render
         from pam_antagonist.validation.benchmark.soak_page import page
@@ -125,7 +125,7 @@ def _soak(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-def _tell(figures: Sequence[Figure], json: Path | None, more: Mapping[str, object] = {}) -> None:
+def _report(figures: Sequence[Figure], json: Path | None, more: Mapping[str, object] = {}) -> None:
     """Print the figures, and write them where that was asked for."""
     print(terminal.table(_table(figures), indent=""))
     print("\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures))

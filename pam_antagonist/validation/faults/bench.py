@@ -318,7 +318,7 @@ class SimulatedClock:
 
     def _run(self) -> None:
         while self._running:
-            self._watcher.tell_time(time.monotonic_ns() + self.ns)
+            self._watcher.set_time(time.monotonic_ns() + self.ns)
             time.sleep(1e-3)
 
 

@@ -279,8 +279,8 @@ class Beside:
         assert second is not None
         now = time.time_ns()
         since = valve_log.safe_since(second.rows(), self._killed, now)
-        said = second.watcher.latest("bridge: commands")
-        if since is None or said is None or said.level == 0:
+        status = second.watcher.latest("bridge: commands")
+        if since is None or status is None or status.level == 0:
             raise ProcessFailed(
                 "the pipeline beside it lost its controller, and its valves or diagnostics do not show it"
             )

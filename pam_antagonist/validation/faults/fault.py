@@ -57,7 +57,7 @@ class Recovery(Enum):
     NOT_LOST = "nothing to recover"
 
 
-class Said(NamedTuple):
+class Wanted(NamedTuple):
     """Something expected on ``/diagnostics``.
 
     Attributes:
@@ -100,7 +100,7 @@ class Fault:
         what: how it is made, in words.
         cause: makes it.
         valves: what they are expected to do.
-        says: what is expected on ``/diagnostics``.
+        expected: what is expected on ``/diagnostics``.
         recovery: how control is expected to come back.
         lasts: [s].
         clear: nodes whose stop has to be cleared, in this order.
@@ -111,7 +111,7 @@ class Fault:
     what: str
     cause: Cause
     valves: Valves
-    says: tuple[Said, ...]
+    expected: tuple[Wanted, ...]
     recovery: Recovery = Recovery.ITSELF
     lasts: float = 0.4
     clear: tuple[str, ...] = ()
@@ -190,9 +190,11 @@ def judge(fault: Fault, seen: Observed) -> Outcome:
         failures.append(f"safe voltages for {100.0 * share:.0f} % of the time, expected control")
     if wrong:
         failures.append(f"{wrong} wrong voltages")
-    found = [heard(item, seen) for item in fault.says]
+    found = [heard(item, seen) for item in fault.expected]
     failures += [
-        f"nobody said {item.part}: {item.words!r}" for item, text in zip(fault.says, found, strict=True) if not text
+        f"no status of {item.part}: {item.words!r}"
+        for item, text in zip(fault.expected, found, strict=True)
+        if not text
     ]
     regained = valve_log.first_obeyed(rows, held_until)
     if regained is None:
@@ -210,8 +212,8 @@ def judge(fault: Fault, seen: Observed) -> Outcome:
     )
 
 
-def heard(wanted: Said, seen: Observed) -> str:
-    """The status that was wanted, in words; empty if nobody said it."""
+def heard(wanted: Wanted, seen: Observed) -> str:
+    """The status that was wanted, in words; empty if it did not come."""
     before: dict[str, float] = {}
     for status in seen.statuses:
         if status.part != wanted.part:

@@ -13,7 +13,7 @@ from typing import Any
 from pam_antagonist.software import versions
 from pam_antagonist.validation.faults.fault import LIMIT_MS, Outcome, Recovery, Valves
 
-_LONGEST = 96  # of what diagnostics said [characters]
+_LONGEST = 96  # of a status [characters]
 HEADER = f"{'holds':6} {'fault':28} {'valves':36} {'control':30} diagnostics"
 
 
@@ -44,9 +44,9 @@ def control(outcome: Outcome) -> str:
     return f"{after[outcome.fault.recovery]} " + (f"{seconds:.1f} s" if seconds >= 1.0 else f"{seconds * 1e3:.0f} ms")
 
 
-def said(outcome: Outcome) -> str:
-    """What diagnostics said, shortened."""
-    if not outcome.fault.says:
+def statuses(outcome: Outcome) -> str:
+    """What came on ``/diagnostics``, shortened."""
+    if not outcome.fault.expected:
         return "nothing" if outcome.held else ""
     texts = [
         text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1].rstrip()}…" for text in map(_plain, outcome.statuses)
@@ -62,7 +62,7 @@ def _plain(text: str) -> str:
 def line(outcome: Outcome) -> str:
     """One outcome for a terminal; what did not hold stands below it."""
     mark = "yes" if outcome.held else "NO"
-    text = f"{mark:6} {outcome.fault.name:28} {valves(outcome):36} {control(outcome):30} {said(outcome)}".rstrip()
+    text = f"{mark:6} {outcome.fault.name:28} {valves(outcome):36} {control(outcome):30} {statuses(outcome)}".rstrip()
     notes = [f"\n{'':6} {'':28} {note}" for note in map(_plain, (outcome.note, *outcome.failures)) if note]
     return text + "".join(notes)
 
@@ -134,7 +134,7 @@ def page(outcomes: Sequence[Outcome]) -> str:
     for outcome in outcomes:
         then = "; ".join(filter(None, (control(outcome), _plain(outcome.note))))
         verdict = "yes" if outcome.held else "**no**: " + _plain("; ".join(outcome.failures))
-        cells = (outcome.fault.name, outcome.fault.what, valves(outcome), then, said(outcome), verdict)
+        cells = (outcome.fault.name, outcome.fault.what, valves(outcome), then, statuses(outcome), verdict)
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return _PAGE.format(
         cores=os.cpu_count(),

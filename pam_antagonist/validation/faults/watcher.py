@@ -101,7 +101,7 @@ class Watcher:
         """How many listen to the reference."""
         return int(self._reference.get_subscription_count())
 
-    def tell_time(self, now_ns: int) -> None:
+    def set_time(self, now_ns: int) -> None:
         """Publish ``/clock`` [ns]."""
         assert self._clock is not None
         message = Clock()

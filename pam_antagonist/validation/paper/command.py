@@ -87,7 +87,7 @@ def _main(argv: Sequence[str] | None) -> int:
         with tempfile.TemporaryDirectory(prefix="live.", dir=folder) as recordings:
             try:
                 with common.progress(len(options.seeds), "virtual rigs", "rigs") as bar:
-                    results, took = run(scenario, options, Path(recordings), bar.update, _tell)
+                    results, took = run(scenario, options, Path(recordings), bar.update, _print_line)
             except ProcessFailed as error:
                 print(f"error: {error}", file=sys.stderr)
                 return common.FAILED
@@ -102,7 +102,7 @@ def _main(argv: Sequence[str] | None) -> int:
     return common.DONE
 
 
-def _tell(text: str) -> None:
+def _print_line(text: str) -> None:
     print(text, flush=True)
 
 

@@ -199,10 +199,10 @@ def _real_findings(real: ForceMap | None, fits: Mapping[str, ForceFit | str]) ->
     known = {form: fit for form, fit in fits.items() if isinstance(fit, ForceFit)}
     order = sorted(known, key=lambda form: known[form].left_out_rmse)
     span = float(np.max(real.force))
-    told = ", ".join(f"{_labels()[form]} {number(known[form].left_out_rmse)} N" for form in order)
+    errors = ", ".join(f"{_labels()[form]} {number(known[form].left_out_rmse)} N" for form in order)
     best = _labels()[order[0]]
     return (
-        f"Real muscle, at lengths that were left out: {told}, of forces up to {number(span)} N "
+        f"Real muscle, at lengths that were left out: {errors}, of forces up to {number(span)} N "
         f"({int(real.slack.sum())} of {len(real)} points are censored). The best is {best}"
         + (
             ", as in the paper."

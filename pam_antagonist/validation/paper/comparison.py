@@ -90,14 +90,14 @@ def ranked(context: Context, models: Sequence[Model], tuning: str, key: str) -> 
     wins = int(np.sum(values[first] <= others))
     same = [model.name for model in theirs] == [model.name for model in ours]
     order = " < ".join(label[model.name] for model in ours)
-    told = (
+    won = (
         f"Tuning {tuning}, by {_SIGNS[place]}: {label[first]}, the paper's best, is the best on {wins} of "
         f"{len(others)} rigs. "
     )
     if same:
-        return told + f"The paper's order of the medians holds: {order}."
+        return won + f"The paper's order of the medians holds: {order}."
     paper_order = " < ".join(label[model.name] for model in theirs)
-    return told + f"The paper's order does not hold. Ours: {order}. The paper's: {paper_order}."
+    return won + f"The paper's order does not hold. Ours: {order}. The paper's: {paper_order}."
 
 
 def comparison_figure(context: Context, models: Sequence[Model], quantity: str) -> Figure:

@@ -96,7 +96,7 @@ def result(context: Context) -> Result:
     runs: dict[Mode, tuple[Recording, Tracking]] = {}
     for mode in Mode:
         steps, seconds = references(mode, context.short)
-        context.tell(f"live nodes, {mode.name.lower()} control, {seconds:g} s")
+        context.log(f"live nodes, {mode.name.lower()} control, {seconds:g} s")
         recording = live.control(context, mode, LIVE_TUNING, steps, seconds)
         runs[mode] = recording, _followed(recording, mode)
     return Result(

@@ -122,7 +122,7 @@ def run(
     options: Options,
     folder: Path,
     progress: Callable[[int], Any],
-    tell: Callable[[str], None],
+    log: Callable[[str], None],
 ) -> tuple[list[Result], dict[str, float]]:
     """Run the chosen experiments.
 
@@ -131,14 +131,14 @@ def run(
         options: which, and how.
         folder: for what live runs record meanwhile.
         progress: called with 1 for each seed that is done.
-        tell: called with a line for the user now and then.
+        log: called with a line for the user now and then.
 
     Returns:
         Results in the order of the table, and what each took [s]; ``seeds`` is what all shared.
     """
     begin = time.perf_counter()
     if any(item.repeated for item in _chosen(options)):
-        tell(f"{len(options.seeds)} virtual rigs, {min(options.jobs, len(options.seeds))} at a time")
+        log(f"{len(options.seeds)} virtual rigs, {min(options.jobs, len(options.seeds))} at a time")
     repeated = over_seeds(scenario, options, progress)
     took = {"seeds": time.perf_counter() - begin}
     work = SeedWork(scenario, options.seeds[0])
@@ -147,7 +147,7 @@ def run(
         if name not in options.names:
             continue
         begin = time.perf_counter()
-        tell(f"{name}: {item.summary}")
+        log(f"{name}: {item.summary}")
         context = Context(
             work=work,
             of_seeds=repeated.get(item.module, []),
@@ -156,7 +156,7 @@ def run(
             short=options.short,
             force_map=options.force_map,
             folder=folder,
-            tell=tell,
+            log=log,
         )
         module = importlib.import_module(f"pam_antagonist.validation.paper.{item.module}")
         results.append(getattr(module, item.result)(context))

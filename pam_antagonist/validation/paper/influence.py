@@ -205,7 +205,7 @@ def _findings(changed: dict[str, Response], base: Response) -> tuple[str, ...]:
         for other in transient.values()
     )
     lengths = ", ".join(f"{length:g}" for length in _PULSES_S)
-    told = (
+    sentence = (
         "A joint that is thrown into the band in which friction holds it stays where it got to, and how far that is "
         "is a matter of transients. The proof takes τ − T_f = 0 for an equation with one answer; with dry friction it "
         "has an interval of them."
@@ -218,7 +218,7 @@ def _findings(changed: dict[str, Response], base: Response) -> tuple[str, ...]:
         f"{number(pressure)} Pa, what is left of the transient).",
         "Angle: for a joint that comes to its place from one side, slowly or by a step, A_0, k_1 and k_2 change it "
         f"by at most {number(plain, 2)}°: the proposition holds. After pulses of {lengths} s to the extreme voltages "
-        f"they change it by up to {number(pulse)}°. {told}",
+        f"they change it by up to {number(pulse)}°. {sentence}",
         "The guideline on T_p' and μ_s holds for a joint that comes from the middle. One that comes back from beyond "
         f"stops on the other side of the band: after a pulse of {_PULSES_S[-1]:g} s, more μ_s changes its angle by "
         f"{_signed(float(thrown))}°.",

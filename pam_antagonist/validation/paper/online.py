@@ -60,7 +60,7 @@ def result(context: Context) -> Result:
     seconds = {"angle": live.SHORT_S if short else live.FULL_S, "torque": live.SHORT_S if short else live.PART_S}
     runs = {}
     for quantity, joint in CONDITIONS.items():
-        context.tell(f"live nodes, joint {joint}, {seconds[quantity]:g} s")
+        context.log(f"live nodes, joint {joint}, {seconds[quantity]:g} s")
         recording = live.estimation(context, joint, LIVE_TUNING, seconds[quantity])
         runs[quantity] = judge(recording, context.work.rig.declared, quantity, joint)
     step = np.concatenate([run.step_ms for run in runs.values()])

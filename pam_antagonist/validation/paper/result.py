@@ -140,7 +140,7 @@ class Context:
         short: live runs are short ones.
         force_map: CSV file of a real muscle's force map, None where there is none.
         folder: for recordings of live runs.
-        tell: called with a line for the user now and then.
+        log: called with a line for the user now and then.
     """
 
     work: SeedWork
@@ -150,7 +150,7 @@ class Context:
     short: bool
     force_map: Path | None
     folder: Path
-    tell: Callable[[str], None]
+    log: Callable[[str], None]
 
     def spread(self, *path: str) -> Spread:
         """The spread over the seeds of a number that ``of_seed`` gave, by its path of keys."""

@@ -46,7 +46,7 @@ def test_confusion_matrix() -> None:
             outcome("foreign", [("exchange", None)], "effect", [LEAK]),
         ]
     )
-    assert header == ("there \\ said first", "leak", "creep", "none", "unexplained")
+    assert header == ("there \\ found first", "leak", "creep", "none", "unexplained")
     assert rows == (
         ("leak", "1", "1", "·", "·"),
         ("creep", "·", "·", "·", "1"),

@@ -17,7 +17,16 @@ from pam_antagonist.validation.faults.catalogue import FAULTS, RELAYED
 from pam_antagonist.validation.faults.causes import AtDevice, Killed, Messages
 from pam_antagonist.validation.faults.command import chosen
 from pam_antagonist.validation.faults.command import main as command
-from pam_antagonist.validation.faults.fault import Fault, Observed, Outcome, Recovery, Said, Status, Valves, judge
+from pam_antagonist.validation.faults.fault import (
+    Fault,
+    Observed,
+    Outcome,
+    Recovery,
+    Status,
+    Valves,
+    Wanted,
+    judge,
+)
 from pam_antagonist.validation.faults.relay import Line, Order, parse_order
 from pam_antagonist.validation.faults.valve_log import BRIDGE_SAFE, Row
 
@@ -28,7 +37,7 @@ STOP = Fault(
     "",
     AtDevice("stop"),
     Valves.SAFE,
-    (Said("bridge: safety", 2, "stopped"),),
+    (Wanted("bridge: safety", 2, "stopped"),),
     Recovery.CLEAR,
     clear=("bridge",),
 )
@@ -59,10 +68,10 @@ def test_a_stop_in_time_that_lasts_until_it_is_cleared_holds() -> None:
         (seen((121, BRIDGE_SAFE), (250, ON)), "did not have safe voltages"),  # went on before it was cleared
         (seen((121, BRIDGE_SAFE)), "control did not come back"),
         (seen((110, (10.0, 0.0)), (121, BRIDGE_SAFE), (310, ON)), "1 wrong voltages"),
-        (seen((121, BRIDGE_SAFE), (310, ON), statuses=()), "nobody said bridge: safety"),
-        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(time_ns=90 * MS),)), "nobody said"),
-        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(level=1),)), "nobody said"),
-        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(part="plant: safety"),)), "nobody said"),
+        (seen((121, BRIDGE_SAFE), (310, ON), statuses=()), "no status of bridge: safety"),
+        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(time_ns=90 * MS),)), "no status of"),
+        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(level=1),)), "no status of"),
+        (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(part="plant: safety"),)), "no status of"),
     ],
 )
 def test_what_does_not_hold_is_said(observed: Observed, words: str) -> None:
@@ -86,7 +95,9 @@ def test_control_through_a_fault() -> None:
 
 
 def test_a_count_has_to_grow_during_the_fault() -> None:
-    fault = dataclasses.replace(GOES_ON, says=(Said("estimator: samples", 0, "duplicate messages", counted=True),))
+    fault = dataclasses.replace(
+        GOES_ON, expected=(Wanted("estimator: samples", 0, "duplicate messages", counted=True),)
+    )
 
     def counted(*counts: tuple[int, int]) -> Outcome:
         said = [Status(at * MS, "estimator: samples", 0, "", {"duplicate messages": str(n)}) for at, n in counts]
@@ -102,7 +113,7 @@ def test_every_line_of_the_matrix_can_be_made_and_has_expectations() -> None:
     assert len(set(names)) == len(names)
     for fault in FAULTS:
         assert bool(fault.clear) == (fault.recovery is Recovery.CLEAR), fault.name
-        assert fault.says or fault.name == "two pipelines", fault.name
+        assert fault.expected or fault.name == "two pipelines", fault.name
         if isinstance(fault.cause, AtDevice):
             parse_fault(fault.cause.order)
         if isinstance(fault.cause, Messages):
