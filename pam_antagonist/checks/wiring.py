@@ -83,7 +83,7 @@ def pressure_unit_of(pressures: Floats, model: Prediction, now: Corrections) -> 
     """Unit and reference of the pressures, by their ratio to the model's and what is left then.
 
     Args:
-        pressures: as recorded, each beside its valve (K, 2).
+        pressures: as recorded, in the unit that is sought, each beside its valve (K, 2).
         model: what the voltages make of them.
         now: corrections so far.
     """

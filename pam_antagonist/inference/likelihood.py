@@ -62,7 +62,7 @@ class Scale:
 
     Attributes:
         noise: least standard deviation of each channel's block means (C,).
-        length: blocks per independent value of each channel (C,); 1 where a channel is at its noise.
+        length: of an independent value of each channel (C,) [blocks]; 1 where a channel is at its noise.
         blocks_per_error: blocks per value that a fit counts.
         fewest: blocks per value that the evidence counts at least.
     """
@@ -166,7 +166,7 @@ def solve(
         rounds: how often the variances are estimated.
         held: effects' coordinates that may not move.
         first: variances (C,) of the first round; default: those of the residual.
-        length: blocks per value (C,); default: as fits count.
+        length: of an independent value (C,) [blocks]; default: as fits count.
         damping: share by which the diagonal of the information grows (Marquardt 1963), for shorter steps.
     """
     counted = np.full(len(scale.noise), scale.blocks_per_error) if length is None else length

@@ -38,7 +38,7 @@ def in_turn(
     Args:
         count: how many block means the recording has (B).
         splits: how many splits.
-        length: of what is held out at once, about so many block means.
+        length: of what is held out at once, about [block means].
         buffer: block means on either side of what is held out that are neither fitted nor held out.
         errors_from: sample from which on errors are shown in a report.
         edges: where the recording changes; every part between them is split by itself.

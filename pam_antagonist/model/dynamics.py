@@ -48,7 +48,13 @@ small_signal_lags = composition.small_signal_lags
 
 @inlined
 def chamber_pressure(i, x, p):
-    """Pressure [Pa] in muscle i: that of its sensor, unless an effect says otherwise."""
+    """Pressure [Pa] in muscle i: that of its sensor, unless an effect says otherwise.
+
+    Args:
+        i: muscle, 0 or 1.
+        x: state (n,).
+        p: parameter vector (m,).
+    """
     return _chamber(x[PRESSURE_1 + i], i, x, p)
 
 
@@ -397,7 +403,15 @@ def course(x0, voltage, p, dt, substeps):
 
 @kernel
 def simulate(x0, voltage, p, dt, substeps):
-    """:func:`course`, and the subsystems (N,) that it passed through; same arguments."""
+    """:func:`course`, and the subsystems σ (N,) that it passed through.
+
+    Args:
+        x0: first state (n,).
+        voltage: as for :func:`course`, (N, 2) or (N, 3) [V, N m].
+        p: parameter vector (m,).
+        dt: time between the rows [s].
+        substeps: steps of the integration in it.
+    """
     states, torques = course(x0, voltage, p, dt, substeps)
     sigma = np.empty(states.shape[0], dtype=np.int64)
     for k in range(states.shape[0]):

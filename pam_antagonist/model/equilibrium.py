@@ -31,6 +31,11 @@ def rest_angle(pressure_1, pressure_2, p):
     """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within the stop.
 
     Where the balance lies beyond the stop (or beyond ±60° without one), that bound.
+
+    Args:
+        pressure_1: P_1 [Pa].
+        pressure_2: P_2 [Pa].
+        p: parameter vector (m,).
     """
     high = min(p[STOP], math.pi / 3.0)
     low = -high
@@ -51,7 +56,13 @@ def rest_angle(pressure_1, pressure_2, p):
 
 @inlined
 def closed_pressure(i, angle, p):
-    """Pressure [Pa] of sealed muscle i at an angle [rad]: equation (4) without flow keeps P V^k_2 as it was charged."""
+    """Pressure [Pa] of a sealed muscle: equation (4) without flow keeps P V^k_2 as it was charged.
+
+    Args:
+        i: muscle, 0 or 1.
+        angle: ψ [rad].
+        p: parameter vector (m,).
+    """
     travel, _, _ = _leverage(angle, p)
     volume, _ = _volume(i, _length(i, travel, p), p)
     charged, _ = _volume(i, _length(i, 0.0, p), p)
@@ -64,6 +75,11 @@ def start_angle(pressure_1, pressure_2, p):
 
     Of sealed muscles whose charge is known, the angle at which the ratio of the pressures is that of the
     closed chambers; otherwise the angle of rest.
+
+    Args:
+        pressure_1: P_1 [Pa].
+        pressure_2: P_2 [Pa].
+        p: parameter vector (m,).
     """
     if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
         return rest_angle(pressure_1, pressure_2, p)

@@ -34,7 +34,14 @@ _SIMPLE, _NONE = (float(FRICTION_LAWS.index(law)) for law in ("simple", "none"))
 
 @inlined
 def muscle_torque(cosine, force_1, force_2, p):
-    """τ [N m], equation (9): r cos ψ (F_1 − F_2)."""
+    """τ [N m], equation (9): r cos ψ (F_1 − F_2).
+
+    Args:
+        cosine: lever arm over r, cos ψ for a lever [-].
+        force_1: F_1 [N].
+        force_2: F_2 [N].
+        p: parameter vector (m,).
+    """
     return p[RADIUS] * cosine * (force_1 - force_2)
 
 
@@ -45,6 +52,13 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
     T_s = r_p μ_s |F_1 + F_2 − M g|;  T_p = μ_p (1/(P_1 − P_out)² + 1/(P_2 − P_out)²), where μ_p is the
     tables' T_p'. T_p is singular at atmospheric pressure: the gauge pressures in it are bounded below by
     ``friction.pressure_floor``.
+
+    Args:
+        force_1: F_1 [N].
+        force_2: F_2 [N].
+        pressure_1: P_1 [Pa].
+        pressure_2: P_2 [Pa].
+        p: parameter vector (m,).
     """
     shaft = p[SHAFT_RADIUS] * p[SHAFT_FRICTION] * abs(force_1 + force_2 - p[MASS] * p[GRAVITY])
     gauge_1 = max(pressure_1 - p[ATMOSPHERE], p[PRESSURE_FLOOR])
@@ -98,11 +112,17 @@ def quickest_lag(p):
 
 @inlined
 def friction_torque(velocity, applied, coulomb, p):
-    """T_f [N m] by the rig's law of friction, and whether the joint slides; arguments as :func:`kikuuwe_torque`.
+    """T_f [N m] by the rig's law of friction, and whether the joint slides.
 
     The laws that the paper compares (10) with (Table III) put another torque in place of T_s + T_p, and no
     viscous one: ``simple`` a constant force on the lever, r F_r sgn ψ̇; ``tondu``
     ((f_s − f_k) exp(−|ψ̇|/v) + f_k) sgn ψ̇ (Tondu and Lopez 2000), read as torques; ``none`` nothing.
+
+    Args:
+        velocity: ψ̇ [rad/s].
+        applied: T_0 [N m], all torques but friction.
+        coulomb: T_s + T_p [N m].
+        p: parameter vector (m,).
     """
     if p[FRICTION_LAW] == 0.0:
         return kikuuwe_torque(velocity, applied, coulomb, p[VISCOUS], p)
@@ -116,7 +136,13 @@ def friction_torque(velocity, applied, coulomb, p):
 def acceleration(angle, velocity, torque, coulomb, p, own=False):
     """ψ̈ [rad/s²], equation (8): (τ − T_f − k_s ψ)/J, and whether the joint slides (1.0) or sticks (0.0).
 
-    ``own``: the law is known to be the paper's own, so that it need not be looked up.
+    Args:
+        angle: ψ [rad].
+        velocity: ψ̇ [rad/s].
+        torque: τ of the muscles [N m].
+        coulomb: T_s + T_p [N m].
+        p: parameter vector (m,).
+        own: the law is known to be the paper's own, so that it need not be looked up.
     """
     applied = torque - p[STIFFNESS] * angle
     if own:

@@ -71,7 +71,14 @@ def length(muscle, sine, p):
 
 @inlined
 def length_rate(muscle, cosine, velocity, p):
-    """Time derivative of equation (2) [m/s], from cos ψ and ψ̇ [rad/s]."""
+    """Time derivative of equation (2) [m/s].
+
+    Args:
+        muscle: 0 or 1.
+        cosine: lever arm over r, cos ψ for a lever [-].
+        velocity: ψ̇ [rad/s].
+        p: parameter vector (m,).
+    """
     rate = p[RADIUS] * cosine * velocity
     return -rate if muscle == 0 else rate
 
@@ -79,6 +86,12 @@ def length_rate(muscle, cosine, velocity, p):
 @inlined
 def volume(muscle, muscle_length, p):
     """Muscle volume and its derivative with respect to length, equation (3).
+
+    Args:
+        muscle: 0 or 1.
+        muscle_length: l_i [m].
+        p: parameter vector (m,).
+
 
     Returns:
         V_i [m³] and dV_i/dl_i [m²].
@@ -92,7 +105,14 @@ def volume(muscle, muscle_length, p):
 
 @inlined
 def linear_force(muscle, muscle_length, pressure, p):
-    """Contraction force [N], equations (6) and (7): F = v(l) P + w(l)."""
+    """Contraction force [N], equations (6) and (7): F = v(l) P + w(l).
+
+    Args:
+        muscle: 0 or 1.
+        muscle_length: l_i [m].
+        pressure: P_i [Pa].
+        p: parameter vector (m,).
+    """
     base = MUSCLE + muscle * MUSCLE_SIZE
     slope = p[base + V1] * muscle_length + p[base + V2]
     intercept = p[base + W1] * muscle_length + p[base + W2]
@@ -111,6 +131,12 @@ def force(muscle, muscle_length, pressure, p):
       (c1 + c2 k + c3 k²) q + c4 + c5 k + c6 k² + c7 k³;
     * ``sarosi`` (Sárosi et al. 2010): (c1 q + c2) exp(c3 k) + c4 k q + c5 q + c6;
     * ``polynomial`` (of second degree in both): c1 + c2 k + c3 q + c4 k² + c5 k q + c6 q².
+
+    Args:
+        muscle: 0 or 1.
+        muscle_length: l_i [m].
+        pressure: P_i [Pa].
+        p: parameter vector (m,).
     """
     base = MUSCLE + muscle * MUSCLE_SIZE
     if p[FORCE_FORM] != 0.0:
@@ -133,7 +159,14 @@ def _compared_force(base, muscle_length, pressure, p):
 
 @inlined
 def force_length_slope(muscle, muscle_length, pressure, p):
-    """∂F/∂l [N/m] of :func:`force`."""
+    """∂F/∂l [N/m] of :func:`force`.
+
+    Args:
+        muscle: 0 or 1.
+        muscle_length: l_i [m].
+        pressure: P_i [Pa].
+        p: parameter vector (m,).
+    """
     base = MUSCLE + muscle * MUSCLE_SIZE
     form = p[FORCE_FORM]
     if form == 0.0:

@@ -8,11 +8,23 @@ from pam_antagonist.model.composition import sensor_inverse, sensor_reading
 
 @inlined
 def reading(muscle, pressure, p):
-    """What sensor ``muscle`` (0 or 1) shows [Pa] at a pressure [Pa]."""
+    """What a pressure sensor shows [Pa].
+
+    Args:
+        muscle: 0 or 1.
+        pressure: P_i [Pa].
+        p: parameter vector (m,).
+    """
     return sensor_reading(pressure, muscle, p)
 
 
 @inlined
 def pressure_behind(muscle, shown, p):
-    """The pressure [Pa] behind a reading [Pa]; the inverse of :func:`reading`."""
+    """The pressure behind a reading [Pa]; the inverse of :func:`reading`.
+
+    Args:
+        muscle: 0 or 1.
+        shown: reading of the sensor [Pa].
+        p: parameter vector (m,).
+    """
     return sensor_inverse(shown, muscle, p)

@@ -42,7 +42,13 @@ CHANNELS = (ANGLE, TORQUE)
 
 
 class Judged(NamedTuple):
-    """A channel with its errors in one recording."""
+    """A channel with its errors in one recording.
+
+    Attributes:
+        channel: what is compared.
+        ukf: errors of the estimator.
+        model: errors of the model alone.
+    """
 
     channel: Channel
     ukf: ChannelErrors

@@ -21,7 +21,13 @@ Verdict = Literal["effect", "none", "unexplained"]
 
 @dataclass(frozen=True)
 class Size:
-    """A parameter of a found effect."""
+    """A parameter of a found effect.
+
+    Attributes:
+        value: in `unit`.
+        std: its standard deviation, in `unit`.
+        unit: of both.
+    """
 
     value: float
     std: float
@@ -30,7 +36,12 @@ class Size:
 
 @dataclass(frozen=True)
 class Splits:
-    """How many splits of the recordings support what was found."""
+    """How many splits of the recordings support what was found.
+
+    Attributes:
+        agree: splits that support it.
+        of: all splits.
+    """
 
     agree: int
     of: int
@@ -136,7 +147,17 @@ class RecordingEntry:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate in one round; evidence and share are None where its score was too low for a fit."""
+    """A candidate in one round.
+
+    Attributes:
+        name: of the effect.
+        round: from 1.
+        score: evidence to first order.
+        delta_bic: evidence; None where the score was too low for a fit.
+        holdout_gain: share of the held-out excess that it explains; None likewise.
+        taken: whether it became part of the model.
+        score_by_muscle: score on each muscle alone; None where it is not tried so.
+    """
 
     name: str
     round: int
@@ -149,7 +170,18 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Profile:
-    """Profile likelihood of a size: values at which it was held, and the rise of −2 log posterior there."""
+    """Profile likelihood of a size.
+
+    Attributes:
+        parameter: its name.
+        recording: whose size it is.
+        value: fitted one, in `unit`.
+        std: its standard deviation, in `unit`.
+        unit: of the parameter.
+        values: at which it was held, in `unit`.
+        rise: of −2 log posterior there.
+        flat: whether the recording would as well do with half of it.
+    """
 
     parameter: str
     recording: str
@@ -163,7 +195,13 @@ class Profile:
 
 @dataclass(frozen=True)
 class Part:
-    """The verdict on a part of the joint that was judged by itself."""
+    """The verdict on a part of the joint that was judged by itself.
+
+    Attributes:
+        name: of the part.
+        verdict: on it.
+        share_explained: share of its held-out excess over noise that the effects explain.
+    """
 
     name: str
     verdict: Verdict
@@ -172,7 +210,12 @@ class Part:
 
 @dataclass(frozen=True)
 class Term:
-    """A term of a sum."""
+    """A term of a sum.
+
+    Attributes:
+        term: in words.
+        coefficient: in the residual's unit per unit of the term.
+    """
 
     term: str
     coefficient: float
@@ -180,7 +223,13 @@ class Term:
 
 @dataclass(frozen=True)
 class Form:
-    """A sum that looks like a residual, and the share of the residual that it explains, fitted and held out."""
+    """A sum that looks like a residual.
+
+    Attributes:
+        terms: of the sum.
+        share: of the fitted residual's variance that it explains.
+        share_held_out: the same of the held-out one.
+    """
 
     terms: tuple[Term, ...]
     share: float
@@ -189,7 +238,18 @@ class Form:
 
 @dataclass(frozen=True)
 class Left:
-    """A residual that no effect explains, see :class:`RemainingResidual`."""
+    """A residual that no effect explains, see :class:`RemainingResidual`.
+
+    Attributes:
+        recording: its name.
+        channel: that is compared.
+        unit: of the channel.
+        times_noise: RMS of the residual over that of the noise.
+        depends_on: share of the variance by signal.
+        bands: share of the power by frequency band.
+        period_s: about which its power lies [s].
+        form: a sum that looks like it.
+    """
 
     recording: str
     channel: str
@@ -218,7 +278,18 @@ class Left:
 
 @dataclass(frozen=True)
 class Settings:
-    """What was asked, and the thresholds of the decision."""
+    """What was asked, and the thresholds of the decision.
+
+    Attributes:
+        rig: its name.
+        rig_source: where its values are from.
+        seed: of the search.
+        holdout: share of each recording that was held out, or names of recordings.
+        strong_evidence: least ΔBIC of an effect.
+        first_share: least share of the held-out excess that a first effect explains.
+        further_share: the same of a further effect.
+        explained_share: share from which on the excess counts as explained.
+    """
 
     rig: str
     rig_source: str

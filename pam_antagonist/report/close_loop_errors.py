@@ -11,7 +11,13 @@ from pam_antagonist.estimation.errors import ChannelErrors
 
 @dataclass(frozen=True)
 class Innovations:
-    """Consistency of the estimator: mean normalised innovation squared, whiteness, largest autocorrelation."""
+    """Consistency of the estimator.
+
+    Attributes:
+        nis_mean: mean normalised innovation squared; 2 is right.
+        whiteness_p: probability of such an autocorrelation in white innovations.
+        largest_correlation: largest autocorrelation.
+    """
 
     nis_mean: float
     whiteness_p: float
@@ -74,7 +80,13 @@ def _channel(given: Mapping[str, float] | None, unit: Literal["deg", "nm"]) -> C
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """The same of the three models."""
+    """Errors of the three models.
+
+    Attributes:
+        as_configured: the rig file's.
+        recalibrated: with fitted base parameters.
+        extended: with the effects as well.
+    """
 
     as_configured: Errors
     recalibrated: Errors
@@ -93,7 +105,15 @@ class ModelErrors:
 
 @dataclass(frozen=True)
 class Relation:
-    """Correlation of a residual with a signal that comes before it: lag, size, size that chance allows, p-value."""
+    """Correlation of a residual with a signal that comes before it.
+
+    Attributes:
+        lag_s: by which the signal comes before [s].
+        correlation: at that lag.
+        z: the same in standard deviations.
+        limit: size of z that chance alone exceeds once in twenty times.
+        p: probability of such a size by chance.
+    """
 
     lag_s: float
     correlation: float

@@ -66,6 +66,12 @@ class Demo:
     def of(cls, replay: Replay, mode: Mode, simulated: Simulated) -> Demo:
         """Judge the recording of a demo.
 
+        Args:
+            replay: of the demo's recording.
+            mode: what was controlled.
+            simulated: what the joint was.
+
+
         Raises:
             BadInput: there is no reference, or no measurement, to judge by.
         """

@@ -16,7 +16,12 @@ from pam_antagonist.software import versions
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph of plain text; a document begins with its lede and its verdict."""
+    """A paragraph of plain text.
+
+    Attributes:
+        text: the paragraph.
+        kind: a document begins with its lede and its verdict.
+    """
 
     text: str
     kind: Literal["", "lede", "verdict"] = ""
@@ -44,7 +49,13 @@ class Findings:
 
 @dataclass(frozen=True)
 class Tile:
-    """One number that matters, large."""
+    """One number that matters, large.
+
+    Attributes:
+        label: what it is.
+        value: with its unit.
+        note: a few words below it.
+    """
 
     label: str
     value: str
@@ -67,7 +78,12 @@ class Definitions:
 
 @dataclass(frozen=True)
 class Columns:
-    """Two blocks beside each other where the page is wide enough, else one after the other."""
+    """Two blocks beside each other where the page is wide enough, else one after the other.
+
+    Attributes:
+        left: the first block.
+        right: the second one.
+    """
 
     left: Block
     right: Block

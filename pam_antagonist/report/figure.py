@@ -165,7 +165,14 @@ class Heatmap:
 
 @dataclass(frozen=True)
 class Reference:
-    """A dashed line at one value of the vertical axis (or of the horizontal one), with a label at its end."""
+    """A dashed line at one value of the vertical axis (or of the horizontal one), with a label at its end.
+
+    Attributes:
+        value: on that axis, in its unit.
+        label: at the line's end.
+        color: of the line.
+        vertical: whether the value is one of the horizontal axis.
+    """
 
     value: float
     label: str = ""
@@ -175,7 +182,13 @@ class Reference:
 
 @dataclass(frozen=True)
 class Region:
-    """A shaded stretch of the horizontal axis behind everything else, the held-out part for example."""
+    """A shaded stretch of the horizontal axis behind everything else, the held-out part for example.
+
+    Attributes:
+        first: where it begins, in the axis's unit.
+        last: where it ends, likewise.
+        color: of the shade.
+    """
 
     first: float
     last: float

@@ -51,13 +51,28 @@ def moving_mean(values: FloatArray, window: int) -> FloatArray:
 
 
 def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: int) -> tuple[Line, Line]:
-    """Every sample, faint, and the mean over a window of samples in front: the error behind the sensor's noise."""
+    """Every sample, faint, and in front the mean over a window: the error behind the sensor's noise.
+
+    Args:
+        name: of the line.
+        x: horizontal axis (N,).
+        values: samples (N,).
+        color: of both lines.
+        window: samples of a mean.
+    """
     faint = Line(name, x, values, color, width=0.8, quiet=True, opacity=0.3)
     return faint, Line(name, x, moving_mean(values, window), color, width=1.8, quiet=True)
 
 
 def lines(x: FloatArray, values: Mapping[str, FloatArray], quiet: bool = False, width: float = 1.7) -> tuple[Line, ...]:
-    """A line for each name, in the palette's colours."""
+    """A line for each name, in the palette's colours.
+
+    Args:
+        x: horizontal axis (N,).
+        values: by name, samples (N,).
+        quiet: not in the legend.
+        width: of the lines, in pixels.
+    """
     named = zip(values.items(), PALETTE, strict=False)
     return tuple(Line(name, x, line, color, quiet=quiet, width=width) for (name, line), color in named)
 

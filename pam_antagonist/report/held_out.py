@@ -64,7 +64,15 @@ def judge(
 
 @dataclass(frozen=True)
 class HeldOutFigures:
-    """Figures of a replay of the held-out part by one rig."""
+    """Figures of a replay of the held-out part by one rig.
+
+    Attributes:
+        samples: of the part.
+        duration_s: of the part [s].
+        ukf: errors of the estimator.
+        model_alone: errors of the model alone.
+        innovation: of the estimator.
+    """
 
     samples: int
     duration_s: float
@@ -81,7 +89,16 @@ class HeldOutFigures:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One recording's held-out part, from a time on, by the rigs that are compared."""
+    """One recording's held-out part by the rigs that are compared.
+
+    Attributes:
+        name: of the recording.
+        from_s: where the part begins [s].
+        joint: whether it could move.
+        as_configured: by the rig file.
+        identified: by the identified rig.
+        own: by the recording's own values; None of a single recording.
+    """
 
     name: str
     from_s: float

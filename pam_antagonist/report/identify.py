@@ -32,7 +32,20 @@ def rigs_of(found: Identified) -> list[Mapping[str, Rig]]:
 
 @dataclass(frozen=True)
 class ParameterEntry:
-    """What became of a free parameter, in SI units; `record` says what would determine it where it is not."""
+    """What became of a free parameter, in SI units.
+
+    Attributes:
+        name: of the parameter.
+        start: value of the rig file.
+        value: identified.
+        std: standard deviation of the value.
+        relative_change: of the value.
+        prior_std: standard deviation of the prior.
+        determined: whether the recordings determine it.
+        record: what would determine it; None where it is determined.
+        own: value of each recording.
+        own_std: standard deviations of these.
+    """
 
     name: str
     start: float
@@ -48,7 +61,12 @@ class ParameterEntry:
 
 @dataclass(frozen=True)
 class Change:
-    """A number before and after."""
+    """A number before and after.
+
+    Attributes:
+        before: number before.
+        after: number after.
+    """
 
     before: float
     after: float
@@ -56,7 +74,17 @@ class Change:
 
 @dataclass(frozen=True)
 class StageEntry:
-    """A step: values that it moved, and RMS residuals by channel [rad, N m, Pa, Pa] before and after it."""
+    """A step of the identification. RMS residuals are by channel [rad, N m, Pa, Pa], None where one was not measured.
+
+    Attributes:
+        name: of the step.
+        source: what it was found from.
+        values: that it moved, in SI units.
+        before: RMS residuals before it.
+        after: RMS residuals after it.
+        balance_nm: RMS of the joint's torque balance [N m]; None where it was not used.
+        note: what the user should know.
+    """
 
     name: str
     source: str
@@ -83,7 +111,13 @@ class StageEntry:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two parameters that the data hardly distinguish."""
+    """Two parameters that the data hardly distinguish.
+
+    Attributes:
+        first: a parameter.
+        second: another one.
+        correlation: of their errors.
+    """
 
     first: str
     second: str
@@ -92,7 +126,15 @@ class Pair:
 
 @dataclass(frozen=True)
 class ProfileEntry:
-    """Profile likelihood of a parameter, and its 95 % interval."""
+    """Profile likelihood of a parameter, and its 95 % interval.
+
+    Attributes:
+        name: of the parameter.
+        value: at which it was held, in SI units.
+        loss: of the logarithm of likelihood and prior there, 0 at the best.
+        low95: lower end of the interval, in SI units; None where it is open.
+        high95: upper end, likewise.
+    """
 
     name: str
     value: tuple[float, ...]
@@ -103,7 +145,15 @@ class ProfileEntry:
 
 @dataclass(frozen=True)
 class DifferenceEntry:
-    """How the recordings differ in one direction, relative; `largest` is between the two that differ most."""
+    """How the recordings differ in one parameter, relative.
+
+    Attributes:
+        name: of the parameter.
+        deviations: of each recording from the common value.
+        largest: difference of the two that differ most.
+        std: standard deviation of that difference.
+        certain: whether chance hardly explains it.
+    """
 
     name: str
     deviations: tuple[float, ...]
@@ -114,7 +164,13 @@ class DifferenceEntry:
 
 @dataclass(frozen=True)
 class Between:
-    """How the recordings differ, and by how much the logarithm of the evidence is higher with these differences."""
+    """How the recordings differ.
+
+    Attributes:
+        spread: standard deviation between recordings, relative, by group of parameters.
+        evidence_gain: by how much the logarithm of the evidence is higher with these differences.
+        differences: by parameter.
+    """
 
     spread: Mapping[str, float]
     evidence_gain: float
@@ -123,7 +179,15 @@ class Between:
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviations and steps of the sensors [Pa, rad, N m]."""
+    """Standard deviations and steps of the sensors.
+
+    Attributes:
+        pressure_std: [Pa].
+        angle_std: [rad].
+        angle_step: [rad].
+        torque_std: [N m].
+        torque_step: [N m].
+    """
 
     pressure_std: float
     angle_std: float
@@ -140,7 +204,12 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class Noise:
-    """The sensors' noise as the rig file declares it and as it was found."""
+    """The sensors' noise.
+
+    Attributes:
+        declared: by the rig file.
+        found: in the recordings.
+    """
 
     declared: SensorNoise
     found: SensorNoise
@@ -148,7 +217,12 @@ class Noise:
 
 @dataclass(frozen=True)
 class RelativeChange:
-    """A parameter and its relative change."""
+    """A parameter and its relative change.
+
+    Attributes:
+        name: of the parameter.
+        relative: change over value.
+    """
 
     name: str
     relative: float
@@ -156,7 +230,15 @@ class RelativeChange:
 
 @dataclass(frozen=True)
 class DirectionEntry:
-    """Parameters that are uncertain together: what they move, and the parameters that change most."""
+    """Parameters that are uncertain together, one standard deviation of them.
+
+    Attributes:
+        name: of the direction.
+        angle_deg: by how much it moves the angle [deg].
+        torque_nm: by how much it moves the torque [N m].
+        share: of the whole effect of all directions.
+        largest: parameters that change most.
+    """
 
     name: str
     angle_deg: float
@@ -167,7 +249,19 @@ class DirectionEntry:
 
 @dataclass(frozen=True)
 class TuningEntry:
-    """Process and measurement noise, and the directions in which the filter carries the parameters as uncertain."""
+    """The filter's tuning; variances in squared SI units of the states and readings.
+
+    Attributes:
+        process: diagonal of Q.
+        process_before: the same of the rig file.
+        measurement: diagonal of R.
+        measurement_before: the same of the rig file.
+        log_likelihood_a_sample: mean of the innovations' log likelihood.
+        evaluations: how many Q were tried.
+        scale: factor of all directions.
+        scale_from_reference: whether a measured reference gave it.
+        directions: in which the filter carries the parameters as uncertain.
+    """
 
     process: tuple[float, ...]
     process_before: tuple[float, ...]
@@ -182,7 +276,20 @@ class TuningEntry:
 
 @dataclass(frozen=True)
 class RecordingEntry:
-    """A recording, and until when it was fitted."""
+    """A recording that was used.
+
+    Attributes:
+        sha256: of the bag's files.
+        topics: by quantity.
+        issues: found while it was read.
+        name: of the recording.
+        condition: ``free`` or ``locked``.
+        lock_angle_rad: where a locked joint was held [rad]; None of a free one.
+        source: where the condition is from.
+        samples: of it.
+        duration_s: its length [s].
+        fitted_until_s: end of the fitted part [s].
+    """
 
     sha256: str
     topics: Mapping[str, str]
@@ -198,7 +305,16 @@ class RecordingEntry:
 
 @dataclass(frozen=True)
 class Settings:
-    """What was asked."""
+    """What was asked.
+
+    Attributes:
+        rig: its name.
+        free: parameters that were to be free besides.
+        frozen: parameters that were to stay.
+        holdout: share of each recording that was held out.
+        starts: of the joint refinement.
+        seed: of these starts.
+    """
 
     rig: str
     free: tuple[str, ...]

@@ -37,7 +37,13 @@ _CHANNELS = ((ANGLE, "Angle [°]", float(np.degrees(1.0))), (TORQUE, "Torque [N 
 
 
 def held_out_figures(judged: Judged, found: Identified, index: int) -> list[Figure]:
-    """What one recording measured and what the two rigs make of it, with the part shaded that was held out."""
+    """What one recording measured and what the two rigs make of it, with the part shaded that was held out.
+
+    Args:
+        judged: the recording by the rigs that are compared.
+        found: the identification.
+        index: of the recording.
+    """
     trial = found.trials[index]
     out = []
     scale = float(np.degrees(1.0))

@@ -36,7 +36,15 @@ class ValueChange(Change):
 
 @dataclass(frozen=True)
 class StepEntry:
-    """A step: the parameters that it found, and the RMS residual that remains."""
+    """A step of the identification.
+
+    Attributes:
+        name: of the step.
+        values: parameters that it found, in SI units.
+        residual: RMS that remains, in `unit`.
+        unit: of the residual.
+        note: what the user should know.
+    """
 
     name: str
     values: Mapping[str, ValueChange]
@@ -47,7 +55,12 @@ class StepEntry:
 
 @dataclass(frozen=True)
 class VectorChange:
-    """Diagonal of a covariance before and after."""
+    """Diagonal of a covariance, in squared SI units.
+
+    Attributes:
+        before: of the rig file.
+        after: identified.
+    """
 
     before: tuple[float, ...]
     after: tuple[float, ...]
@@ -55,7 +68,15 @@ class VectorChange:
 
 @dataclass(frozen=True)
 class SealedTuning:
-    """R, Q, the random walk of the external torque, and the likelihood of the angle's errors."""
+    """The filter's tuning.
+
+    Attributes:
+        measurement: R.
+        process: Q.
+        random_walk: noise of the external torque [N m/√s].
+        log_likelihood: of the angle's errors.
+        evaluations: how many tunings were tried.
+    """
 
     measurement: VectorChange
     process: VectorChange
@@ -66,7 +87,14 @@ class SealedTuning:
 
 @dataclass(frozen=True)
 class SealedRecording:
-    """A recording, and until when it was fitted."""
+    """A recording that was used.
+
+    Attributes:
+        name: of the recording.
+        sha256: of the bag's files.
+        duration_s: its length [s].
+        fitted_until_s: end of the fitted part [s].
+    """
 
     name: str
     sha256: str

@@ -30,7 +30,17 @@ from pam_antagonist.strict_json import plain
 
 @dataclass(frozen=True)
 class TuningSettings:
-    """The filter's tuning; `consider` holds the parameters that it carries as uncertain."""
+    """The filter's tuning; variances in squared SI units.
+
+    Attributes:
+        name: of the tuning.
+        initial: diagonal of P(0).
+        process: diagonal of Q.
+        measurement: diagonal of R.
+        kappa: spread of the sigma points.
+        consider: parameters that it carries as uncertain, with their standard deviations in SI units.
+        gate: largest Mahalanobis distance of a reading that is used.
+    """
 
     name: str
     initial: tuple[float, ...]
@@ -43,7 +53,14 @@ class TuningSettings:
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """What the recordings were replayed with."""
+    """What the recordings were replayed with.
+
+    Attributes:
+        rig: its name.
+        rig_source: where its values are from.
+        sample_period_s: of the rig [s].
+        tuning: of the filter.
+    """
 
     rig: str
     rig_source: str

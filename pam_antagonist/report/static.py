@@ -56,7 +56,14 @@ DEFINITIONS = (
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A fitted coefficient."""
+    """A fitted coefficient.
+
+    Attributes:
+        value: in `unit`.
+        std: its standard deviation, in `unit`.
+        unit: of all of them.
+        interval95: lower and upper end, in `unit`.
+    """
 
     value: float
     std: float
@@ -66,7 +73,12 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class LeftOutVolume:
-    """RMS error of the volume at a length that was left out."""
+    """RMS error of the volume at a length that was left out.
+
+    Attributes:
+        length_m: the length [m].
+        rmse_m3: the error [m³].
+    """
 
     length_m: float
     rmse_m3: float
@@ -74,7 +86,16 @@ class LeftOutVolume:
 
 @dataclass(frozen=True)
 class LeftOutForce:
-    """Errors of the force at a length that was left out; `slack_max_n` is the largest force where it was slack."""
+    """Errors of the force at a length that was left out.
+
+    Attributes:
+        length_m: the length [m].
+        measured: points with a force.
+        slack: points without one.
+        rmse_n: at the measured points [N].
+        max_n: largest error there [N].
+        slack_max_n: largest force that the fit gives at the slack points [N].
+    """
 
     length_m: float
     measured: int
@@ -86,7 +107,16 @@ class LeftOutForce:
 
 @dataclass(frozen=True)
 class VolumeEntry:
-    """The fitted volume."""
+    """The fitted volume.
+
+    Attributes:
+        samples: rows of the table.
+        coefficients: by name.
+        covariance: of the coefficients (3, 3), in squared SI units.
+        fitted_rmse_m3: on the fitted points [m³].
+        left_out_rmse_m3: at lengths that were left out [m³].
+        by_length: the same for each length.
+    """
 
     samples: int
     coefficients: Mapping[str, Coefficient]
@@ -153,7 +183,15 @@ class FormEntry:
 
 @dataclass(frozen=True)
 class ForceEntry:
-    """All forms of the force map; `form` is the one for the rig."""
+    """All forms of the force map.
+
+    Attributes:
+        form: the one for the rig.
+        samples: rows of the table.
+        slack: rows without a force.
+        lengths: different ones in the table.
+        forms: by name.
+    """
 
     form: str
     samples: int
@@ -164,7 +202,12 @@ class ForceEntry:
 
 @dataclass(frozen=True)
 class Span:
-    """Lengths that the muscles of a joint have."""
+    """Lengths that the muscles of a joint have.
+
+    Attributes:
+        shortest_m: [m].
+        longest_m: [m].
+    """
 
     shortest_m: float
     longest_m: float
@@ -172,7 +215,19 @@ class Span:
 
 @dataclass(frozen=True)
 class StaticReport:
-    """What goes into ``report.json``; SI units."""
+    """What goes into ``report.json``; SI units.
+
+    Attributes:
+        rig: its name.
+        muscles: numbers of those that the tables hold for.
+        joint: lengths of its muscles.
+        files: SHA-256 of each table, by name.
+        volume: None without a table of volumes.
+        force: None without a table of forces.
+        warnings: what the user should know.
+        rig_written: whether the fit became a rig file.
+        software: versions.
+    """
 
     rig: str
     muscles: tuple[int, ...]
@@ -214,7 +269,13 @@ def _coefficients(
 
 
 def write_report(folder: Path, result: StaticResult, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists."""
+    """Write ``report.json`` and ``report.html`` into a folder that exists.
+
+    Args:
+        folder: that exists.
+        result: of ``static``.
+        with_figures: whether the page shows figures.
+    """
     html.write(folder, document(result, with_figures), StaticReport.of(result))
 
 

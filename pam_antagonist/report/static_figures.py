@@ -76,7 +76,13 @@ def form_figure(forms: dict[str, Any]) -> Figure:
 
 
 def volume_figure(table: VolumeTable, fit: VolumeFit, result: StaticResult) -> Figure:
-    """Volume over length with the fitted parabola and its 95 % interval."""
+    """Volume over length with the fitted parabola and its 95 % interval.
+
+    Args:
+        table: what was measured.
+        fit: the parabola.
+        result: with the rig, whose joint's lengths are marked where it was fitted.
+    """
     low, high = float(table.length.min()), float(table.length.max())
     edges: list[Reference] = []
     if result.fitted is not None:

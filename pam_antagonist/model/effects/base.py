@@ -224,7 +224,17 @@ def _numbered(symbol: str, muscle: int) -> str:
 def per_muscle(
     name: str, unit: str, low: float, high: float, scale: float, meaning: str, symbol: str = ""
 ) -> tuple[EffectParameter, ...]:
-    """A size that each muscle has; arguments as of :class:`EffectParameter`."""
+    """A size that each muscle has.
+
+    Args:
+        name: without the muscle's number.
+        unit: SI.
+        low: smallest value, in that unit.
+        high: largest value, in that unit.
+        scale: a size that matters, in that unit.
+        meaning: without the muscle.
+        symbol: without the muscle's number; it goes in the place of ``#``, or becomes an index.
+    """
     return tuple(
         EffectParameter(f"{name}_{i}", unit, 0.0, low, high, scale, f"{meaning} of muscle {i}", _numbered(symbol, i))
         for i in (1, 2)
@@ -243,7 +253,20 @@ def state_per_muscle(
     steady_value: Kernel | None = None,
     lag: Kernel | None = None,
 ) -> tuple[AddedState, ...]:
-    """A state that each muscle has; arguments as of :class:`AddedState`, ``switch`` without the muscle's number."""
+    """A state that each muscle has.
+
+    Args:
+        name: without the muscle's number.
+        unit: SI.
+        switch: the size that brings it about, without the muscle's number.
+        initial_std: at the start, in that unit.
+        noise: as of :class:`AddedState`.
+        *further: as of :class:`AddedState`.
+        symbol: without the muscle's number; it goes in the place of ``#``, or becomes an index.
+        rate: its derivative.
+        steady_value: in a joint that has stood for long.
+        lag: its time constant.
+    """
     return tuple(
         AddedState(
             f"{name}_{i}",

@@ -38,13 +38,30 @@ def relaxing_force(share, stiffness, static_force, muscle_length):
 
 @inlined
 def late_force(share, stiffness, static_force, muscle_length, creep):
-    """What creep adds to the contraction force [N]: the late force c less the relaxing one."""
+    """What creep adds to the contraction force [N]: the late force c less the relaxing one.
+
+    Args:
+        share: φ [-].
+        stiffness: κ [N/m].
+        static_force: F of the static map [N].
+        muscle_length: l_i [m].
+        creep: the late force c [N].
+    """
     return creep - relaxing_force(share, stiffness, static_force, muscle_length)
 
 
 @inlined
 def late_rate(share, stiffness, time, static_force, muscle_length, creep):
-    """dc/dt [N/s]: what relaxes, late by the time constant."""
+    """dc/dt [N/s]: what relaxes, late by the time constant.
+
+    Args:
+        share: φ [-].
+        stiffness: κ [N/m].
+        static_force: F of the static map [N].
+        muscle_length: l_i [m].
+        time: time constant T [s].
+        creep: the late force c [N].
+    """
     return (relaxing_force(share, stiffness, static_force, muscle_length) - creep) / time
 
 

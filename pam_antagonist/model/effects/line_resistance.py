@@ -57,7 +57,16 @@ def behind_rate(chamber_rate):
 
 @inlined
 def before_rate(resistance, exponent, time, valve_pressure, chamber_pressure, valve_flow):
-    """dP_s/dt [Pa/s] of the pressure at the valve: the chamber's and what the line's resistance adds, with a lag."""
+    """dP_s/dt [Pa/s] of the pressure at the valve: the chamber's and what the line's resistance adds, with a lag.
+
+    Args:
+        resistance: R [Pa s/kg].
+        exponent: n [-].
+        time: lag T [s].
+        valve_pressure: P_s [Pa].
+        chamber_pressure: P_c [Pa].
+        valve_flow: m through the valve [kg/s].
+    """
     return (chamber_pressure + pressure_fall(resistance, exponent, valve_flow) - valve_pressure) / time
 
 
@@ -67,6 +76,14 @@ def steady_chamber(resistance, exponent, valve_pressure, valve_flow, atmosphere,
 
     A line settles within milliseconds: a recording that begins while a muscle fills does not begin with the pressures
     before and behind it alike.
+
+    Args:
+        resistance: R [Pa s/kg].
+        exponent: n [-].
+        valve_pressure: P_s [Pa].
+        valve_flow: m through the valve [kg/s].
+        atmosphere: P_out [Pa].
+        supply_pressure: P_tank [Pa].
     """
     chamber = valve_pressure - pressure_fall(resistance, exponent, valve_flow)
     return min(max(chamber, min(atmosphere, valve_pressure)), max(supply_pressure, valve_pressure))

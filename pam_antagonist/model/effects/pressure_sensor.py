@@ -15,13 +15,25 @@ from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_
 
 @inlined
 def shown(offset, gain, pressure):
-    """What the sensor shows [Pa] at a pressure [Pa]."""
+    """What the sensor shows [Pa].
+
+    Args:
+        offset: o [Pa].
+        gain: g [-].
+        pressure: P [Pa].
+    """
     return (1.0 + gain) * pressure + offset
 
 
 @inlined
 def pressure_behind(offset, gain, reading):
-    """The pressure [Pa] behind a reading [Pa]; the inverse of :func:`shown`."""
+    """The pressure behind a reading [Pa]; the inverse of :func:`shown`.
+
+    Args:
+        offset: o [Pa].
+        gain: g [-].
+        reading: of the sensor [Pa].
+    """
     return (reading - offset) / (1.0 + gain)
 
 

@@ -89,7 +89,7 @@ def identify(angle: Floats, pressure: Floats, voltage: Floats) -> LinearModel:
     model is then fitted to all of it.
 
     Args:
-        angle: (N,).
+        angle: (N,) [rad].
         pressure: (N, 2) [Pa].
         voltage: (N, 2) [V].
     """
