@@ -1,7 +1,8 @@
 """What recordings cannot tell apart: candidates that do nearly as well as the chosen one, and rivals on equal terms.
 
 A candidate whose evidence is within strong evidence of the chosen one's is ambiguous with it. A joint that is driven by
-its angle hides two more rivals, which are compared on what its sensors resolve:
+its angle hides more, which are compared on what its sensors resolve. Which effects these are stands in their own files
+(:class:`~pam_antagonist.model.effects.base.SealedJoint`):
 
 *A loop.* Coulomb friction and hysteresis differ in how the torque turns round: at once, or over a width. While the
 drive sticks the encoder shows no motion, so a loop that turns round within its step cannot be seen. Both are compared
@@ -28,13 +29,13 @@ from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
-from pam_antagonist.model.effects import CATALOGUE, experiment_between, parameter_path
+from pam_antagonist.model.effects import CATALOGUE, EffectParameter, experiment_between, parameter_path
+from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
-_LOOPS = ("friction", "hysteresis")
-_TURN = 4.0
-"""Widths in which a loop by Bouc and Wen turns round to 95 %: one until it is at 0, three more from there."""
+_LOOPS = {name: effect.sealed.loop for name, effect in CATALOGUE.items() if effect.sealed.loop is not None}
+"""Effects that turn the torque round, with how they do it."""
 _RATES = (0.125, 0.25, 0.5, 1.0)
 """Time constants of a loss that dies out, in durations of what was fitted."""
 
@@ -64,12 +65,10 @@ def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) ->
     driven = [experiment for experiment in experiments if isinstance(experiment, AngleDriven)]
     part = driven[0].part if driven else None
     if part == BALANCE:
-        compared = loops(driven, model.fits, model.effects)
+        compared = _loops(driven, model.fits, model.effects)
     else:
-        compared = losses(driven, base.fits, model.effects) if part == AIR else None
-    if compared is None:
-        return ()
-    return (replace(compared, ambiguous=compared.evidence < thresholds.STRONG),)
+        compared = _losses(driven, base.fits, model.effects) if part == AIR else []
+    return tuple(replace(item, ambiguous=item.evidence < thresholds.STRONG) for item in compared)
 
 
 def distinguishing_experiments(
@@ -112,95 +111,116 @@ def with_compared_size(effect: FoundEffect, compared: Sequence[Ambiguity]) -> Fo
     return effect
 
 
-def loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Sequence[str]) -> Ambiguity | None:
-    """Friction beside hysteresis where the joint slides; None where neither was found.
-
-    Args:
-        experiments: balances of the recordings.
-        fits: their models.
-        found: names of the effects in them.
-    """
+def _loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Sequence[str]) -> list[Ambiguity]:
+    """A found effect that turns the torque round beside the others that do, where the joint slides."""
     here = next((name for name in found if name in _LOOPS), None)
-    if here is None or set(_LOOPS) <= set(found):
-        return None
-    other = _LOOPS[1 - _LOOPS.index(here)]
-    evidence, squares, count, width = 0.0, np.zeros(2), 0, np.nan
-    sizes = []
-    for experiment, fitted in zip(experiments, fits, strict=True):
-        clear = replace(experiment, resolved=True)
-        slides = np.isfinite(clear.measured[: len(fitted.residual), 0])
-        rest = {path: value for path, value in fitted.point.effects.items() if path.split(".")[1] not in _LOOPS}
-        left = []
-        for name in (here, other):
-            best = min(
-                (refit(clear, Point(fitted.point.theta, {**rest, **start}), unknowns, rounds=20)
-                 for start, unknowns in _starts(experiment, name)),
-                key=lambda one: one.cost,
-            )  # fmt: skip
-            left.append(float(np.sum(best.residual[slides, 0] ** 2)))
-            if name == here:
-                sizes.append(best.point.effects[best.free[0].path])
-            if name == "hysteresis":
-                width = best.point.effects[parameter_path("hysteresis", "width")]
-        independent = max(slides.sum() / fitted.scale.counted, np.e)
-        price = (1.0 if other == "hysteresis" else -1.0) * np.log(independent)
-        evidence += float(independent * np.log(left[1] / left[0]) + price)
-        squares += left
-        count += int(slides.sum())
-    rms = np.sqrt(squares / max(count, 1))
-    step = np.degrees(np.sqrt(12.0) * experiments[0].rig.sensors.angle_std)
-    about = (
-        f"where the joint slides; a hysteresis may turn round within a step of the encoder, {step:.2g}°. Both have "
-        "one size only, since all turns of the joint are alike"
+    if here is None:
+        return []
+    clear = [replace(experiment, resolved=True) for experiment in experiments]
+    mine = [_with_loop(*pair, here) for pair in zip(clear, fits, strict=True)]
+    slides = [np.isfinite(one.measured[: len(fit.residual), 0]) for one, fit in zip(clear, fits, strict=True)]
+    # Samples that have an error of their own.
+    values = [max(there.sum() / fit.scale.counted, np.e) for there, fit in zip(slides, fits, strict=True)]
+    count = max(sum(int(there.sum()) for there in slides), 1)
+    sizes = _LOOPS[here].sizes
+    item = _item(here, sizes[0])
+    out = []
+    for other in (name for name in _LOOPS if name not in found):
+        theirs = [_with_loop(*pair, other) for pair in zip(clear, fits, strict=True)]
+        squares = np.array(
+            [
+                [np.sum(one.residual[at, 0] ** 2) for one, at in zip(both, slides, strict=True)]
+                for both in (mine, theirs)
+            ]
+        )
+        price = len(theirs[0].free) - len(mine[0].free)
+        gains = [n * np.log(their / my) + price * np.log(n) for n, my, their in zip(values, *squares, strict=True)]
+        rms = np.sqrt(squares.sum(axis=1) / count)
+        widths = [fit.point.effects[parameter_path(n, _LOOPS[n].width)]
+                  for n, fit in ((here, mine[-1]), (other, theirs[-1])) if _LOOPS[n].width]  # fmt: skip
+        out.append(
+            Ambiguity(
+                found=here,
+                other=other,
+                evidence=float(sum(gains)),
+                residual=(float(rms[0]), float(rms[1])),
+                unit="N m",
+                shape=float(widths[-1]) if widths else np.nan,
+                about=_about_loops(experiments[0].rig, (here, other)),
+                size=float(np.mean([fit.point.effects[fit.free[0].path] for fit in mine])),
+                size_unit=item.unit,
+                # Of several sizes that one value stands for, each has another one.
+                parameter=item.name if len(sizes) == 1 else "",
+            )
+        )
+    return out
+
+
+def _about_loops(rig: Rig, names: Sequence[str]) -> str:
+    step = f"{np.degrees(np.sqrt(12.0) * rig.sensors.angle_std):.2g}°"
+    about = [_LOOPS[name].about.format(step=step) for name in names if _LOOPS[name].about]
+    return (
+        "; ".join(["where the joint slides", *about])
+        + ". Both have one size only, since all turns of the joint are alike"
     )
-    residual, size = (float(rms[0]), float(rms[1])), float(np.mean(sizes))
-    parameter = "coulomb" if here == "friction" else ""
-    return Ambiguity(here, other, evidence, residual, "N m", float(width), about, size, parameter)
 
 
-def _starts(experiment: AngleDriven, name: str) -> list[tuple[dict[str, float], tuple[FreeEffectParameter, ...]]]:
-    if name == "friction":
-        path = parameter_path("friction", "coulomb")
-        return [({path: 0.2}, (FreeEffectParameter((path,), CATALOGUE["friction"].parameters[0]),))]
-    rig = experiment.rig
-    narrow = float(np.sqrt(12.0)) * rig.sensors.angle_std * rig.geometry.radius / _TURN
-    items = {item.name: item for item in CATALOGUE["hysteresis"].parameters}
-    sizes = tuple(parameter_path("hysteresis", f"amplitude_{number}") for number in (1, 2))
-    width = parameter_path("hysteresis", "width")
-    unknowns = (
-        FreeEffectParameter(sizes, items["amplitude_1"]),
-        FreeEffectParameter((width,), replace(items["width"], low=min(narrow, items["width"].low))),
-    )
-    force = 0.1 / rig.geometry.radius
-    return [({**dict.fromkeys(sizes, force), width: start}, unknowns) for start in (narrow, 4.0 * narrow, 2e-4)]
+def _item(effect: str, name: str) -> EffectParameter:
+    return next(item for item in CATALOGUE[effect].parameters if item.name == name)
 
 
-def losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: Sequence[str]) -> Ambiguity | None:
-    """A leak beside a loss that dies out, in the mean of the pressures; None where no leak was found.
+def _with_loop(experiment: AngleDriven, fitted: Fitted, name: str) -> Fitted:
+    """The best fit with one effect that turns the torque round in the place of all such effects."""
+    loop, rig = _LOOPS[name], experiment.rig
+    rest = {path: value for path, value in fitted.point.effects.items() if path.split(".")[1] not in _LOOPS}
+    sizes, size = tuple(parameter_path(name, one) for one in loop.sizes), _item(name, loop.sizes[0])
+    start = dict.fromkeys(sizes, loop.torque if size.unit == "N m" else loop.torque / rig.geometry.radius)
+    free, starts = [FreeEffectParameter(sizes, size)], [start]
+    if loop.width:
+        path, width = parameter_path(name, loop.width), _item(name, loop.width)
+        # As narrow as the encoder's step: while the drive sticks, nothing shows the motion within it.
+        narrow = float(np.sqrt(12.0)) * rig.sensors.angle_std * rig.geometry.radius / loop.widths_a_turn
+        free.append(FreeEffectParameter((path,), replace(width, low=min(narrow, width.low))))
+        starts = [{**start, path: value} for value in (narrow, 4.0 * narrow, *loop.widths)]
+    fits = [refit(experiment, Point(fitted.point.theta, {**rest, **one}), free, rounds=20) for one in starts]
+    return min(fits, key=lambda one: one.cost)
+
+
+def _losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: Sequence[str]) -> list[Ambiguity]:
+    """A found effect that takes pressure at a steady rate beside those whose rate fades, in the mean of the pressures.
 
     Args:
         experiments: airs of the recordings.
         base: their models without effects.
         found: names of the effects that were found.
     """
-    if "leak" not in found:
-        return None
+    here = next((name for name in found if CATALOGUE[name].sealed.loss == "steady"), None)
+    rivals = [name for name, effect in CATALOGUE.items() if effect.sealed.loss == "fading"]
+    if here is None or not rivals:
+        return []
     tried = []
     counted = [len(fitted.residual) / fitted.scale.counted for fitted in base]
-    steady = [_left(fitted, _time(fitted)) for fitted in base]
+    steady = [_mean_square(fitted, _time(fitted)) for fitted in base]
     for rate in _RATES:
-        dying = [_left(fitted, np.exp(-_time(fitted) / rate)) for fitted in base]
-        gain = sum(n * np.log(new / old) for n, old, new in zip(counted, steady, dying, strict=True))
+        fading = [_mean_square(fitted, np.exp(-_time(fitted) / rate)) for fitted in base]
+        gain = sum(n * np.log(new / old) for n, old, new in zip(counted, steady, fading, strict=True))
         # Its time constant is one more unknown.
-        tried.append((float(gain + np.log(max(sum(counted), np.e))), rate, dying))
-    evidence, rate, dying = min(tried, key=lambda one: one[0])
+        tried.append((float(gain + np.log(max(sum(counted), np.e))), rate, fading))
+    evidence, rate, fading = min(tried, key=lambda one: one[0])
     seconds = rate * np.mean([e.fitted * e.trial.dt for e in experiments])
-    rms = tuple(float(np.sqrt(np.mean(part))) / 1e3 for part in (steady, dying))
-    about = (
-        "in the mean of the pressures, on what was fitted: gas that still cools from having been charged, or "
-        "tubes that still give way, lose pressure at a rate that dies out"
-    )
-    return Ambiguity("leak", "thermal", evidence, (rms[0], rms[1]), "kPa", float(seconds), about)
+    rms = tuple(float(np.sqrt(np.mean(part))) / 1e3 for part in (steady, fading))
+    return [
+        Ambiguity(
+            here,
+            other,
+            evidence,
+            (rms[0], rms[1]),
+            "kPa",
+            float(seconds),
+            f"in the mean of the pressures, on what was fitted: {CATALOGUE[other].sealed.loss_about}",
+        )
+        for other in rivals
+    ]
 
 
 def either_muscle(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], effect: str) -> int | None:
@@ -236,11 +256,11 @@ def _time(fitted: Fitted) -> Floats:
     return np.asarray(np.linspace(0.0, 1.0, len(fitted.residual)))
 
 
-def _left(fitted: Fitted, course: Floats) -> float:
+def _mean_square(fitted: Fitted, course: Floats) -> float:
     """Mean square of the mean pressure's residual that base parameters and a course in time leave."""
     columns = np.column_stack([fitted.base[:, 0, :], course, np.ones(len(course))])
     used = columns[:, np.any(columns != 0.0, axis=0)]
     scaled = used / np.sqrt(np.mean(used**2, axis=0))
     residual = fitted.residual[:, 0]
-    left = residual - scaled @ np.linalg.lstsq(scaled, residual, rcond=1e-9)[0]
-    return float(np.mean(left**2))
+    rest = residual - scaled @ np.linalg.lstsq(scaled, residual, rcond=1e-9)[0]
+    return float(np.mean(rest**2))

@@ -59,9 +59,10 @@ class Ambiguity:
         unit: of these.
         shape: the other's width [m] or time constant [s].
         about: where and how they were compared.
-        size: of the found one there [N m or N], NaN where it has none of its own there.
+        size: of the found one there, in `size_unit`; NaN where it has none of its own there.
         parameter: the found one's parameter that this size belongs to, where its error should hold the difference.
         ambiguous: whether the recordings leave open which it is.
+        size_unit: of the size.
     """
 
     found: str
@@ -74,6 +75,7 @@ class Ambiguity:
     size: float = float("nan")
     parameter: str = ""
     ambiguous: bool = False
+    size_unit: str = ""
 
 
 @dataclass(frozen=True)

@@ -90,8 +90,7 @@ def _compared(item: Ambiguity | None) -> str:
         f"{item.other} {other} {item.unit} (ΔBIC {item.evidence:.1f})"
     )
     if item.size == item.size and item.ambiguous:
-        unit = "N m" if item.found == "friction" else "N"
-        text += f". Fitted there alone, {item.found} is {number(item.size, 2)} {unit}"
+        text += f". Fitted there alone, {item.found} is {number(item.size, 2)} {item.size_unit}"
     return text
 
 

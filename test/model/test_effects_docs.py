@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE, AddedState, EffectParameter
 from pam_antagonist.model.effects.page import page
+from pam_antagonist.model.effects.registry import catalogue
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
@@ -78,3 +80,11 @@ def test_files_that_it_names_are_there():
 def test_a_page_without_its_marks_is_refused():
     with pytest.raises(BadInput, match="expected one part between <!-- begin hooks -->"):
         page(TEXT.replace("<!-- begin hooks -->", ""), CATALOGUE)
+
+
+def test_a_loop_of_a_sealed_joint_names_parameters_of_its_effect() -> None:
+    friction = CATALOGUE["friction"]
+    assert friction.sealed.loop is not None
+    wrong = replace(friction.sealed, loop=replace(friction.sealed.loop, sizes=("coulombs",)))
+    with pytest.raises(BadInput, match=r"friction.*sealed\.loop.*coulomb"):
+        catalogue([replace(friction, sealed=wrong)])

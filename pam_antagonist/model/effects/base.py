@@ -18,6 +18,7 @@ __all__ = [
     "EffectParameter",
     "Form",
     "Kernel",
+    "Loop",
     "SealedJoint",
     "inlined",
     "kernel",
@@ -130,6 +131,27 @@ class Form:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Loop:
+    """How an effect turns the torque round where a joint turns round, to compare it with others that do.
+
+    Attributes:
+        sizes: parameters that have one value together, by name.
+        torque: where a search for it starts [N m]; of a size in N, on the lever arm.
+        width: parameter over which it turns round [m]; empty where it does so at once.
+        widths_a_turn: so many widths until it has turned round.
+        widths: where a search for it starts as well [m].
+        about: what to know where it is compared; ``{step}`` becomes the encoder's step.
+    """
+
+    sizes: tuple[str, ...]
+    torque: float
+    width: str = ""
+    widths_a_turn: float = 1.0
+    widths: tuple[float, ...] = ()
+    about: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SealedJoint:
     """What a sealed joint that is moved by a drive can show of an effect.
 
@@ -139,7 +161,11 @@ class SealedJoint:
         forms: in which it is tried, the simplest first.
         sentence: what a report says where it was found; default: the effect's own sentence.
         instead: what a report says where it would explain as much as the one that was found.
-        experiment: which recording tells it from the others; default: the effect's own experiment.
+        experiment: which recording distinguishes it from the others; default: the effect's own experiment.
+        loop: how it turns the torque round; None where it does not. Effects with a loop are compared with each other.
+        loss: whether it takes pressure at a ``steady`` rate or at one that is ``fading``; empty for neither. Those that
+            are steady are compared with those that fade.
+        loss_about: what such a loss is, for that comparison.
     """
 
     part: Literal["air", "balance"] | None
@@ -148,6 +174,9 @@ class SealedJoint:
     sentence: str = ""
     instead: str = ""
     experiment: str = ""
+    loop: Loop | None = None
+    loss: Literal["", "steady", "fading"] = ""
+    loss_about: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

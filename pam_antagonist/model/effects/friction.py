@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, SealedJoint, kernel
+from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, Loop, SealedJoint, kernel
 
 # Less than no friction at rest would take the joint's sticking away.
 _LEAST = {"coulomb": 0.0, "stribeck": 0.0}
@@ -54,6 +54,7 @@ EFFECT = Effect(
         experiment="drive the joint with half the torque, and again with another charge: friction of the drive keeps "
         "its torque, hysteresis makes a smaller loop and grows with the pressure; or uncouple the drive and turn by "
         "hand",
+        loop=Loop(sizes=("coulomb",), torque=0.2),
     ),
     needs_motion=True,
     needs_angle=True,

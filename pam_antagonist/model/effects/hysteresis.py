@@ -16,6 +16,7 @@ from pam_antagonist.model.effects.base import (
     Effect,
     EffectParameter,
     Form,
+    Loop,
     SealedJoint,
     inlined,
     per_muscle,
@@ -84,6 +85,15 @@ EFFECT = Effect(
         experiment="drive the joint with half the torque, and again with another charge: friction of the drive keeps "
         "its torque, hysteresis makes a smaller loop and grows with the pressure; or uncouple the drive and turn by "
         "hand",
+        # A loop by Bouc and Wen turns round to 95 % in four widths: one until it is at 0, three more from there.
+        loop=Loop(
+            sizes=("amplitude_1", "amplitude_2"),
+            torque=0.1,
+            width="width",
+            widths_a_turn=4.0,
+            widths=(2e-4,),
+            about="a hysteresis may turn round within a step of the encoder, {step}",
+        ),
     ),
     needs_motion=True,
     needs_angle=True,

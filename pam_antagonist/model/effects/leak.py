@@ -67,5 +67,6 @@ EFFECT = Effect(
         instead="a leak would do as well",
         experiment="leave the joint closed for ten minutes and record again: what is due to charging has died out "
         "then, a leak goes on",
+        loss="steady",
     ),
 )

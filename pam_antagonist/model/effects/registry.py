@@ -129,6 +129,10 @@ def _wrong_state(effect: Effect, names: list[str]) -> str:
 def _wrong_words(effect: Effect) -> str:
     if effect.sealed.part is None and not effect.sealed.reason:
         return "sealed: expected the part of a sealed joint that shows it, or the reason why none does"
+    if effect.sealed.loop is not None:
+        known, loop = [item.name for item in effect.parameters], effect.sealed.loop
+        if not loop.sizes or not {*loop.sizes, *filter(None, [loop.width])} <= set(known):
+            return f"sealed.loop: expected names of its parameters, which are {', '.join(known)}"
     try:
         effect.in_words(None, {})
         effect.in_words(1, {}, sealed=True)

@@ -65,5 +65,8 @@ EFFECT = Effect(
         instead="gas that still cools from having been charged would do as well as a leak",
         experiment="leave the joint closed for ten minutes and record again: what is due to charging has died out "
         "then, a leak goes on",
+        loss="fading",
+        loss_about="gas that still cools from having been charged, or tubes that still give way, lose pressure at a "
+        "rate that dies out",
     ),
 )
