@@ -172,8 +172,8 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
     small = [name for g in prepared.groups for name in invisible(g.experiments, bases[g.name], jobs)]
     if small:
         out.append(
-            f"Not seen in these recordings at a usual size, even if nothing else were wrong: {', '.join(small)}. "
-            "That they were not found says nothing about them."
+            f"Not seen in these recordings at their usual size: {', '.join(small)}. The joint may have them all the "
+            "same."
         )
     return tuple(out)
 

@@ -27,6 +27,7 @@ from pam_antagonist.report.document import (
     background,
 )
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
+from pam_antagonist.report.units import readable
 
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
 
@@ -45,8 +46,8 @@ def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_f
 
 def summary(report: CloseLoopReport) -> tuple[Block, ...]:
     """What the terminal shows."""
-    warnings = tuple(Finding("warn", sentence(text)) for text in (*report.warnings, *report.unseen))
-    return Text(report.sentence), Findings(warnings), errors_table(report), sizes_table(report), ranking_table(report)
+    said = (*(Finding("warn", sentence(text)) for text in report.warnings), *_unseen(report))
+    return Text(report.sentence), Findings(said), errors_table(report), sizes_table(report), ranking_table(report)
 
 
 def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = True) -> Document:
@@ -67,22 +68,34 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(report.sentence, "verdict"),
+    ]
+    before_and_after = drawn.residuals(found) if with_figures else ()
+    parts += [
+        *before_and_after[:1],
         Tiles(_tiles(report)),
         Findings(findings(report)),
         errors_table(report),
     ]
-    if with_figures:
-        parts.append(Section("Residual before and after", drawn.residuals(found), 2, "residual"))
-    parts.append(Section("Residuals", residuals.statistics(report, with_figures), 2, "statistics"))
-    parts.append(Section("Candidates", (ranking_table(report), *_laws(report)), 2, "candidates"))
+    if before_and_after[1:]:
+        title = "Residuals before and after, other recordings"
+        parts.append(Section(title, before_and_after[1:], 2, "residual"))
     if report.effects:
         figures = drawn.profiles(report.profiles) if with_figures else ()
-        parts.append(Section("Parameters", (sizes_table(report), *figures), 2, "parameters"))
+        parts.append(Section("Size of the effect", (sizes_table(report), *_laws(report), *figures), 2, "parameters"))
+    parts.append(Section("All candidates", (ranking_table(report),), 2, "candidates"))
     if found.remaining:
         parts.append(Section("What is left", residuals.left(found.remaining, with_figures), 2, "left"))
+    statistics = residuals.statistics(report, with_figures)
+    parts.append(Section("Statistics of the residuals", statistics, 2, "statistics", folded=True))
+    if report.unseen:
+        parts.append(Section("What these recordings cannot show", (Findings(_unseen(report)),), folded=True))
     parts.append(Section("What was assumed", (Definitions(assumed(report)),), folded=True))
     parts += background(definitions(report), _provenance(report))
     return Document("Closing the loop with measured data", title, tuple(parts))
+
+
+def _unseen(report: CloseLoopReport) -> tuple[Finding, ...]:
+    return tuple(Finding("note", text) for text in report.unseen)
 
 
 # ------------------------------------------------------------------ tables and tiles
@@ -161,12 +174,13 @@ def sizes_table(report: CloseLoopReport) -> Table:
     """The found effects' parameters."""
     rows = tuple(
         (
-            f"{effect.name}{f', muscle {effect.muscle}' if effect.muscle else ''}: {name} [{size.unit}]",
-            number(size.value),
-            number(size.std, 2),
+            f"{effect.name}{f', muscle {effect.muscle}' if effect.muscle else ''}: {name} [{unit.name}]",
+            number(size.value * unit.scale),
+            number(size.std * unit.scale, 2),
         )
         for effect in report.effects
         for name, size in effect.parameters.items()
+        for unit in [readable(size.unit)]
     )
     return Table(("Parameter", "value", "std. error"), rows, "What was found")
 

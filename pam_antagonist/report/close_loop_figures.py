@@ -11,6 +11,8 @@ from pam_antagonist.report.close_loop import Profile
 from pam_antagonist.report.figure import Figure, Points
 from pam_antagonist.report.figures import profile_panel, residual_figure
 from pam_antagonist.report.style import ESTIMATE, MODEL
+from pam_antagonist.report.table import number
+from pam_antagonist.report.units import readable
 
 _NEAR = 4.0
 """Standard errors that a profile shows."""
@@ -26,24 +28,25 @@ def residuals(found: Diagnosis) -> tuple[Figure, ...]:
         models = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
         axes = [(f"{name} [{unit}]", scale) for name, unit, scale in experiment.titles]
         about = (
-            f"Measurement minus model, means over {1e3 * trial.block_s:.0f} ms. Dashed: within these lines 95 % of the "
-            f"values lie that the sensor's noise alone gives. {_held(part)}"
+            f"Measurement minus model, means over {1e3 * trial.block_s:.0f} ms. The sensor's noise alone stays between "
+            f"the dashed lines 95 % of the time. {_held(part)}"
         )
         x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * trial.block_s
         title = f"{trial.name} (joint {trial.joint})"
         onset = experiment.onset if found.extended.effects else None
         if onset is not None:
-            about += f" The line at {onset:.1f} s: from then on the effect acts."
-        out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name, onset))
+            about += f" The line at {onset:.1f} s marks when the effect begins."
+        held_from = {"both": experiment.errors_from * trial.dt, "fitted": None, "held out": 0.0}[part.role]
+        out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name, onset, held_from))
     return tuple(out)
 
 
 def _held(part: HeldOutComparison) -> str:
     from_s = part.experiment.errors_from * part.experiment.trial.dt
     return {
-        "both": f"From {from_s:.0f} s on nothing was fitted.",
+        "both": f"Shaded: the end, from {from_s:.0f} s on, was held out. No fit used it.",
         "fitted": "All of it was fitted; other recordings are held out.",
-        "held out": f"Held out as a whole. Only its first state was estimated, from its first {from_s:.0f} s.",
+        "held out": f"Shaded: all of it was held out. Its first {from_s:.0f} s gave its initial state.",
     }[part.role]
 
 
@@ -57,11 +60,12 @@ def profiles(sizes: Sequence[Profile]) -> tuple[Figure, ...]:
         if near.sum() < 3:
             near[:] = True
         x = np.linspace(values[near].min(), values[near].max(), 61)
+        unit = readable(item.unit)
         panel = profile_panel(
-            f"{item.parameter} [{item.unit}]",
+            f"{item.parameter} [{unit.name}]",
             "Rise of −2 log posterior [-]",
-            [Points("tried", values[near], rise[near], MODEL)],
-            ("by the standard error", x, ((x - best) / std) ** 2, ESTIMATE),
+            [Points("tried", values[near] * unit.scale, rise[near], MODEL)],
+            ("by the standard error", x * unit.scale, ((x - best) / std) ** 2, ESTIMATE),
             3.84,
             182,
         )
@@ -69,7 +73,7 @@ def profiles(sizes: Sequence[Profile]) -> tuple[Figure, ...]:
         about = (
             "The number is held at each value and everything else is fitted again. Values below the dashed line lie in "
             "the 95 % interval. "
-            f"At half the size the rise is {at[0.5 * best]:.3g}, at size 0 it is {at[0.0]:.3g}."
+            f"At half the size the rise is {number(at[0.5 * best])}, at size 0 it is {number(at[0.0])}."
         )
         out.append(Figure(f"Profile likelihood of {item.parameter} ({item.recording})", about, (panel,)))
     return tuple(out)

@@ -72,8 +72,7 @@ def findings(report: CloseLoopReport) -> tuple[Finding, ...]:
             out.append(Finding("good", f"{_title(item.other)} explains the data less well{_compared(item)}."))
     if report.effects and not report.ambiguous_with:
         out.append(Finding("good", "No other candidate explains the data nearly as well as what was found."))
-    out += _of_parts(report)
-    return (*out, *(Finding("note", text) for text in report.unseen))
+    return (*out, *_of_parts(report))
 
 
 def _title(name: str) -> str:

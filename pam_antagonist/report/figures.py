@@ -19,6 +19,7 @@ from pam_antagonist.report.figure import (
     Panel,
     Points,
     Reference,
+    Region,
     Series,
 )
 from pam_antagonist.report.style import (
@@ -86,6 +87,7 @@ def residual_figure(
     noise: FloatArray | None,
     link: str,
     onset: float | None = None,
+    held_from: float | None = None,
 ) -> Figure:
     """Residuals over time, a panel for each channel.
 
@@ -98,12 +100,12 @@ def residual_figure(
         noise: standard deviation of each channel's noise (C,); a dashed line is drawn at twice that. None: no lines.
         link: figures of the same link share their time axis.
         onset: a time [s] at which something begins; a line is drawn there. None: no line.
+        held_from: where the held-out part begins [s], which is shaded. None: no shade.
     """
     panels = []
     for k, (name, scale) in enumerate(channels):
-        parts: list[Series] = [
-            Line(model, x, values[:, k] * scale, color, quiet=k > 0) for model, values, color in models
-        ]
+        parts: list[Series] = [] if held_from is None else [Region(held_from, float(x[-1]))]
+        parts += [Line(model, x, values[:, k] * scale, color, quiet=k > 0) for model, values, color in models]
         if onset is not None:
             parts.append(Reference(onset, f"from {onset:.1f} s" if k == 0 else "", vertical=True))
         if noise is not None:

@@ -7,16 +7,22 @@ written into the file, once. A content security policy keeps a browser from load
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from pam_antagonist import strict_json
 from pam_antagonist.report import plotly_renderer
 from pam_antagonist.report.document import Block, Columns, Document, Section
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.style import DARK
+
+_UNIT = re.compile(r"(?<=[0-9]) (?=(%|N|kPa|Pa|s|ms|min|h|V|Hz|mm|cm|kg|×)(\W|$|²|³))")
+"""The space between a number and its unit."""
+_CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
 
 
 def render(document: Document) -> str:
@@ -64,9 +70,11 @@ def _environment() -> Environment:
     return environment
 
 
-def _unbroken(text: str) -> str:
-    """A number is not torn from its unit at the end of a line."""
-    return text.replace(" %", "\u00a0%").replace(" N m", "\u00a0N\u00a0m")
+def _unbroken(text: str) -> Markup:
+    """No line ends between a number and its unit or within a unit; a checksum may end one after each eighth of it."""
+    text = text.replace("N m", "N\u00a0m").replace("N mm", "N\u00a0mm")
+    text = _UNIT.sub("\u00a0", text)
+    return Markup(_CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), str(escape(text))))
 
 
 def _json(value: Any) -> str:

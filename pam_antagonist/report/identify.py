@@ -16,6 +16,7 @@ from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts
 from pam_antagonist.report.held_out import Given, HeldOut, Judged, pooled_coverage
+from pam_antagonist.report.units import unit_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
@@ -57,6 +58,7 @@ class ParameterEntry:
     record: str | None
     own: tuple[float, ...]
     own_std: tuple[float, ...]
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -409,6 +411,7 @@ def _parameters(found: Identified) -> tuple[ParameterEntry, ...]:
             None if determined[item.name] else recording_that_shows(item.name),
             tuple(own[item.name] for own in owns),
             tuple(own[item.name] for own in own_stds),
+            unit_of(found.start, item.name),
         )
         for item in found.free
     )

@@ -13,9 +13,11 @@ from pam_antagonist.report import identify_figures as drawn
 from pam_antagonist.report.channels import CHANNELS
 from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import Judged, held_out_table
-from pam_antagonist.report.identify import IdentifyReport, ProfileEntry, StageEntry
+from pam_antagonist.report.identify import IdentifyReport, StageEntry
 from pam_antagonist.report.identify_findings import DEFINITIONS, findings, verdict
 from pam_antagonist.report.table import MISSING, Table, number, percent
+from pam_antagonist.report.units import readable, unit_of
+from pam_antagonist.rig import Rig
 
 
 def write_report(
@@ -57,6 +59,7 @@ def document(
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(verdict(report), "verdict"),
+        *(drawn.held_out_figures(judged[0], found, 0)[:1] if with_figures else ()),
         Tiles(_tiles(report)),
         Findings(findings(report)),
         _held_out(report, found, judged, with_figures),
@@ -93,13 +96,14 @@ def _held_out(report: IdentifyReport, found: Identified, judged: Sequence[Judged
     ]
     for index, (entry, item) in enumerate(zip(report.held_out, judged, strict=True)):
         figures = drawn.held_out_figures(item, found, index) if with_figures else []
+        figures = figures if index else figures[1:]  # the first one begins the report
         content.append(Section(item.name, (held_out_table(entry), *figures)))
     return Section("On held-out data", tuple(content), 2, "held-out")
 
 
 def _parameters(report: IdentifyReport, found: Identified, with_figures: bool) -> Section:
     content: list[Block] = [drawn.parameters_figure(report.parameters)] if with_figures else []
-    content.append(parameters_table(report, "All free parameters, in SI units"))
+    content.append(parameters_table(report, "All free parameters"))
     left = tuple((item.name, item.record) for item in report.parameters if item.record is not None)
     if left:
         content.append(Table(("Not determined", "What to record to determine it"), left, prose=True))
@@ -109,7 +113,7 @@ def _parameters(report: IdentifyReport, found: Identified, with_figures: bool) -
     if with_figures:
         profile = drawn.profiles_figure(found)
         content += [*([profile] if profile else []), drawn.correlation_figure(found)]
-    content.append(_profiles_table(report.profiles))
+    content.append(_profiles_table(report))
     return Section("Parameters", tuple(content), 2, "parameters")
 
 
@@ -135,7 +139,7 @@ def _between(report: IdentifyReport) -> list[Section]:
     )
     header = ("Direction", *(entry.name for entry in report.held_out), "difference", "± 95 %", "certain")
     table = Table(header, rows, "Deviation of each recording from the common value")
-    return [Section("How the recordings differ", (Text(text), table), 2, "between")]
+    return [Section("How the recordings differ", (Text(text), table), 2, "between", folded=True)]
 
 
 def _stages(report: IdentifyReport, found: Identified, with_figures: bool) -> Section:
@@ -155,13 +159,13 @@ def _stages(report: IdentifyReport, found: Identified, with_figures: bool) -> Se
         if entry.values or entry.balance_nm is not None:
             inner.append(_stage_residuals(entry))
         if entry.values and entry.name != "joint refinement":
-            inner.append(_stage_values(entry))
+            inner.append(_stage_values(entry, found.start))
         figure = drawn.stage_figure(stage, fitted) if with_figures else None
         content.append(Section(entry.name, (*inner, *([figure] if figure else []))))
     if len(report.starts) > 1:
         rows = tuple((start.name, number(start.cost, 6), "best" if start.best else "") for start in report.starts)
         content.append(Table(("Start", "cost", ""), rows, "The joint refinement from several starts"))
-    return Section("Step by step", tuple(content), 2, "steps")
+    return Section("Step by step", tuple(content), 2, "steps", folded=True)
 
 
 def _noise(report: IdentifyReport) -> Section:
@@ -183,7 +187,8 @@ def _noise(report: IdentifyReport) -> Section:
     )
     header = ("Direction", "moves the angle by", "the torque by", "largest changes")
     text = f"The filter's covariance includes the uncertainty of the parameters as directions. {size}"
-    return Section("Noise and tuning", (_noise_table(report), Text(text), Table(header, rows, prose=True)), 2, "noise")
+    tables = (_noise_table(report), Text(text), Table(header, rows, prose=True))
+    return Section("Noise and tuning", tables, 2, "noise", folded=True)
 
 
 def _percent_or_zero(value: float) -> str:
@@ -219,33 +224,42 @@ def parameters_table(report: IdentifyReport, caption: str = "") -> Table:
     """What became of each parameter."""
     rows = tuple(
         (
-            item.name,
-            number(item.start, 4),
-            number(item.value, 5),
-            number(item.std, 2),
+            f"{item.name} [{unit.name}]",
+            number(item.start * unit.scale, 4),
+            number(item.value * unit.scale, 5),
+            number(item.std * unit.scale, 2),
             change(item.relative_change),
             change(1.96 * item.std / (abs(item.start) or math.nan)).lstrip("+"),
             "yes" if item.determined else "no: stays near its prior",
         )
         for item in report.parameters
+        for unit in [readable(item.unit)]
     )
     header = ("Parameter", "configured", "identified", "std error", "change", "± 95 %", "determined")
     return Table(header, rows, caption)
 
 
-def _profiles_table(profiles: Sequence[ProfileEntry]) -> Table:
-    def end(value: float | None) -> str:
-        return "beyond 3 standard errors" if value is None else number(value, 4)
+def _profiles_table(report: IdentifyReport) -> Table:
+    units = {item.name: readable(item.unit) for item in report.parameters}
 
-    rows = tuple((item.name, end(item.low95), end(item.high95)) for item in profiles)
+    def end(value: float | None, scale: float) -> str:
+        return "beyond 3 standard errors" if value is None else number(value * scale, 4)
+
+    rows = tuple(
+        (f"{item.name} [{unit.name}]", end(item.low95, unit.scale), end(item.high95, unit.scale))
+        for item in report.profiles
+        for unit in [units[item.name]]
+    )
     return Table(("Parameter", "95 % from", "to"), rows, "Intervals by profile likelihood")
 
 
-def _stage_values(stage: StageEntry) -> Table:
+def _stage_values(stage: StageEntry, rig: Rig) -> Table:
     rows = []
     for name, item in stage.values.items():
+        unit = readable(unit_of(rig, name))
         moved = (item.after - item.before) / abs(item.before) if item.before else math.nan
-        rows.append((name, number(item.before, 4), number(item.after, 5), change(moved)))
+        values = number(item.before * unit.scale, 4), number(item.after * unit.scale, 5)
+        rows.append((f"{name} [{unit.name}]", *values, change(moved)))
     return Table(("Parameter", "before", "after", "change"), tuple(rows))
 
 

@@ -204,16 +204,19 @@ def document(numbers: SealedReport, judged: Sequence[Judged], with_figures: bool
         note = "estimated by the filter; where the joint sticks, friction hides it"
         tiles.append(Tile("External torque (RMS)", f"{ukf.external_torque.rmse:.2f} N m", note))
     held: list[Block] = []
-    for entry, item in zip(numbers.held_out, judged, strict=True):
-        held += [held_out_table(entry), *(replay_figures(item.whole["identified"]) if with_figures else ())]
+    for place, (entry, item) in enumerate(zip(numbers.held_out, judged, strict=True)):
+        figures = replay_figures(item.whole["identified"], item.from_s) if with_figures else ()
+        if place == 0:
+            parts, figures = [*parts, *figures[:1]], figures[1:]
+        held += [held_out_table(entry), *figures]
     steps = tuple((step.name, f"{number(step.residual)} {step.unit}", step.note) for step in numbers.stages)
     parts += [
         Tiles(tuple(tiles)),
         Section("On held-out data", tuple(held), 2, "held-out"),
         Section("Parameters", (_values_table(numbers),), 2, "parameters"),
-        Section("Step by step", (Table(("Step", "residual (RMS)", "note"), steps, prose=True),), 2, "steps"),
-        Section("Tuning", _tuning(numbers.tuning), 2, "tuning"),
-        Section("What is assumed", tuple(Text(text) for text in numbers.assumed), 2, "assumed"),
+        Section("Step by step", (Table(("Step", "residual (RMS)", "note"), steps, prose=True),), folded=True),
+        Section("Tuning", _tuning(numbers.tuning), folded=True),
+        Section("What is assumed", tuple(Text(text) for text in numbers.assumed), folded=True),
         *background([item for item in DEFINITIONS if item[0] in _TERMS], _provenance(numbers)),
     ]
     rig = judged[0].whole["identified"].rig.name

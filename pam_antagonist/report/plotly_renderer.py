@@ -27,6 +27,8 @@ FloatArray = NDArray[np.float64]
 _FONT = 'system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans","DejaVu Sans",sans-serif'
 _DECADES = [10.0**power for power in range(-6, 10)]
 _CLEAR = "rgba(0,0,0,0)"
+_LONG, _MOST_DECIMALS = 50, 9
+"""Rows of numbers from this length on are packed as steps, up to so many decimals."""
 _DENSE = 26.0
 """Rows that are less high than this [px] have small letters."""
 
@@ -37,7 +39,7 @@ def library() -> str:
     Raises:
         BadInput: plotly is not installed.
     """
-    with needs("reports", "figures of report.html"):
+    with needs("reports", "figures of report.html (leave them out by --no-figures)"):
         from plotly.offline import get_plotlyjs
     return str(get_plotlyjs())
 
@@ -49,7 +51,24 @@ def packed(text: str) -> str:
 
 def text(figure: Figure) -> str:
     """A figure as the page's script reads it."""
-    return json.dumps(plot(figure), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    out = plot(figure)
+    for trace in out["data"]:
+        trace |= {key: _steps(trace[key]) for key in ("x", "y") if len(trace[key]) >= _LONG}
+    return json.dumps(out, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+
+
+def _steps(values: list[float | None]) -> Values | list[float | None]:
+    """Numbers as whole steps of their last decimal place, from each to the next: half as large when compressed.
+
+    Numbers of which some have more decimals than all can be counted in stay as they are.
+    """
+    known = np.array([value for value in values if value is not None])
+    for decimals in range(_MOST_DECIMALS + 1):
+        counts = np.round(known * 10.0**decimals)
+        if np.all(np.abs(counts) < 2.0**53) and np.array_equal(counts / 10.0**decimals, known):
+            steps = iter(np.diff(counts, prepend=0.0).astype(np.int64).tolist())
+            return {"decimals": decimals, "steps": [None if value is None else next(steps) for value in values]}
+    return values
 
 
 def plot(figure: Figure) -> Values:
@@ -113,6 +132,7 @@ def _axis(axis: Axis, standoff: int) -> Values:
         "ticks": "outside",
         "ticklen": 4,
         "automargin": bool(axis.labels),
+        "exponentformat": "power",
     }
     if axis.labels:
         out |= {"tickvals": list(range(len(axis.labels))), "ticktext": [_text(name) for name in axis.labels]}

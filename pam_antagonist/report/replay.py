@@ -21,7 +21,7 @@ from pam_antagonist.report.document import (
     Tiles,
     background,
 )
-from pam_antagonist.report.replay_figures import replay_figures
+from pam_antagonist.report.replay_figures import filter_figures, replay_figures
 from pam_antagonist.report.replay_findings import DEFINITIONS, findings, overall_verdict, verdict
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.software import versions
@@ -158,11 +158,15 @@ def write_report(folder: Path, replays: Sequence[Replay], with_figures: bool = T
 
 def _recording(replay: Replay, with_figures: bool) -> list[Block]:
     report = replay.report
-    out: list[Block] = [
+    figures = replay_figures(replay) if with_figures else ()
+    inside = filter_figures(replay) if with_figures else ()
+    return [
+        *figures[:1],
         Tiles(tiles(report)),
-        Columns(Findings(findings(report)), errors_table(report, "Errors; the smaller one is bold")),
+        Columns(Findings(findings(report)), errors_table(report, "Errors. The smaller one is bold.")),
+        *figures[1:],
+        *([Section("Innovations, valve voltages and active equations", inside, folded=True)] if inside else []),
     ]
-    return [*out, *replay_figures(replay)] if with_figures else out
 
 
 def _provenance(replays: Sequence[Replay]) -> list[tuple[str, str]]:

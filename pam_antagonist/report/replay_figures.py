@@ -9,7 +9,7 @@ import numpy as np
 from pam_antagonist.estimation import metrics
 from pam_antagonist.replays import Replay
 from pam_antagonist.report import figures
-from pam_antagonist.report.figure import TIME, Axis, Band, Figure, FloatArray, Line, Panel, Series
+from pam_antagonist.report.figure import TIME, Axis, Band, Figure, FloatArray, Line, Panel, Region, Series
 from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, SECOND
 from pam_antagonist.rig import Reading
 
@@ -31,8 +31,13 @@ def _tenth(replay: Replay) -> int:
     return max(1, round(0.1 / replay.recording.sample_period_s))
 
 
-def replay_figures(replay: Replay) -> tuple[Figure, ...]:
-    """All figures of one recording, the most telling first."""
+def replay_figures(replay: Replay, held_from: float | None = None) -> tuple[Figure, ...]:
+    """What a recording and the estimate look like, the most telling figure first.
+
+    Args:
+        replay: of one recording.
+        held_from: where the held-out part of it begins [s], which is shaded. None: nothing was fitted.
+    """
     x = time(replay)
     link = replay.name
     window = _tenth(replay)
@@ -48,12 +53,24 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
     estimate = (rows["torque"], variance[:, 2, 2], replay.model.torque)
     out.append(_estimate_figure(names, x, estimate, replay.measured_torque, reading("torque"), window, link))
     out += [_disturbance(replay, x, link), _pressures(replay, x, link)]
-    if not replay.rig.valves.sealed:
-        out.append(_voltages(replay, x, link))
+    known = (figure for figure in out if figure is not None)
+    return tuple(known if held_from is None else (_shaded(figure, held_from, float(x[-1])) for figure in known))
+
+
+def filter_figures(replay: Replay) -> tuple[Figure, ...]:
+    """How the filter works inside: its input, its innovations, the equations that are active."""
+    x, link, rows = time(replay), replay.name, replay.run.rows
     window = max(1, round(1.0 / replay.recording.sample_period_s))
-    out.append(figures.nis_figure(x, rows["nis"], metrics.chi_square_bounds(2), window, link))
-    out += [_correlation(replay, link), _subsystems(replay, x, link)]
-    return tuple(figure for figure in out if figure is not None)
+    nis = figures.nis_figure(x, rows["nis"], metrics.chi_square_bounds(2), window, link)
+    voltages = None if replay.rig.valves.sealed else _voltages(replay, x, link)
+    found = (nis, _correlation(replay, link), voltages, _subsystems(replay, x, link))
+    return tuple(figure for figure in found if figure is not None)
+
+
+def _shaded(figure: Figure, begin: float, end: float) -> Figure:
+    """The same figure with a stretch of time shaded in every panel."""
+    panels = (replace(panel, series=(Region(begin, end), *panel.series)) for panel in figure.panels)
+    return replace(figure, about=f"{figure.about} The shaded end was held out.", panels=tuple(panels))
 
 
 def time(replay: Replay) -> FloatArray:

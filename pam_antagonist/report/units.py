@@ -1,0 +1,65 @@
+"""Units that people read: mm² for orifices in place of 1e-9 m². Files keep SI units."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import NamedTuple
+
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.rig import Rig
+
+
+class Unit(NamedTuple):
+    """A unit for people: its name, and how many of it are one of the SI unit."""
+
+    name: str
+    scale: float
+
+
+_READABLE = {
+    "m": Unit("mm", 1e3),
+    "m²": Unit("mm²", 1e6),
+    "m³": Unit("cm³", 1e6),
+    "kg m²": Unit("kg cm²", 1e4),
+    "kg/s": Unit("mg/s", 1e6),
+    "Pa": Unit("kPa", 1e-3),
+    "Pa/s": Unit("kPa/s", 1e-3),
+    "Pa/kg": Unit("kPa/g", 1e-6),
+    "Pa s/kg": Unit("kPa s/g", 1e-6),
+    "N m Pa²": Unit("N m kPa²", 1e-6),
+    "rad": Unit("°", math.degrees(1.0)),
+    "rad/s": Unit("°/s", math.degrees(1.0)),
+}
+_EFFECTS = {parameter_path(effect.name, item.name): item.unit for effect in CATALOGUE.values()
+            for item in effect.parameters}  # fmt: skip
+
+
+def readable(unit: str) -> Unit:
+    """The unit in which people read a quantity.
+
+    Args:
+        unit: SI unit of the quantity, as a rig file's description or an effect names it.
+    """
+    written = re.sub(r"(?<=m)[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
+    return _READABLE.get(written, Unit(written, 1.0))
+
+
+def unit_of(rig: Rig, name: str) -> str:
+    """The SI unit of a parameter of a rig file, ``-`` for a pure number.
+
+    Args:
+        rig: any rig.
+        name: dotted path, such as ``valve_1.inflow_area`` or ``effects.leak.area_1``.
+    """
+    if name in _EFFECTS:
+        return _EFFECTS[name]
+    *path, last = name.split(".")
+    node: object = rig
+    for part in path:
+        node = getattr(node, part)
+    kind = type(node)
+    fields = getattr(kind, "model_fields", None) or kind.__fields__  # type: ignore[attr-defined]
+    about = getattr(fields[last], "description", None) or fields[last].field_info.description
+    found = re.search(r"\[([^\]]*)\]", about)
+    return found[1] if found else "-"
