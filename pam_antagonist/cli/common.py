@@ -14,6 +14,7 @@ import signal
 import sys
 import tempfile
 import traceback
+import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -246,6 +247,24 @@ def topics(arguments: argparse.Namespace) -> dict[str, str]:
             raise BadInput(f"--topic {name}: given twice, as {chosen[name]} and {other}")
         chosen[name] = other
     return chosen
+
+
+def add_open(parser: argparse.ArgumentParser) -> None:
+    """``--open``."""
+    parser.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+
+
+def announce_report(arguments: argparse.Namespace, folder: Path) -> None:
+    """Say where the report is, and show it in the browser if that was asked for.
+
+    Args:
+        arguments: of a command with :func:`add_open`.
+        folder: of the report.
+    """
+    page = folder / "report.html"
+    print(f"report: {page} and report.json")
+    if arguments.open:
+        webbrowser.open(page.absolute().as_uri())
 
 
 def only_available_figures(arguments: argparse.Namespace) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
-from pam_antagonist.control import Mode
+from pam_antagonist.control import FAST_GAINS, PUBLISHED_GAINS, Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain, ros_arguments
 from pam_antagonist.optional import needs_ros
@@ -26,12 +26,12 @@ _DESCRIPTION = """\
 Run a sensor-less closed loop live and judge it.
 
 Starts a simulated joint, the estimator and the controller as three processes at the rig's sample rate (1 kHz), and a
-recorder; steps the reference of the joint's angle (or of its torque, with the joint locked at 0°) as the paper does;
-records everything into a rosbag2 bag (MCAP); replays the bag through the estimator; ends with tables and
-OUT/report.html, OUT/report.json.
+recorder. The reference of the joint's angle steps to ±20° and back, or that of its torque to ±2 N m with the joint
+locked at 0°. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the estimator. At the
+end stand tables, OUT/report.html and OUT/report.json.
 
-The simulated joint differs from the rig as declared (--mismatch), so that the estimator does not meet its own model.
-It is a simulator all the same. Only a recording of a real joint shows how well a real joint does (see replay).
+The simulated joint differs a little from the rig file (--mismatch), as a real one does. It is a simulator all the
+same: only a recording of a real joint shows how well a real joint does (see replay).
 
 Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 else.
 """
@@ -41,10 +41,11 @@ examples:
   {run} demo --mode torque --duration 20 --out torque_demo
 """
 
-_ANGLES = (20.0, -20.0, 0.0, 10.0, -10.0, 0.0)
-_TORQUES = (2.0, -2.0, 0.0, 1.0, -1.0, 0.0)
-_STEP = {Mode.ANGLE: 9.0, Mode.TORQUE: 4.5}  # length of a step, about [s]: the angle settles slower
-_REST = 2.0  # at the reference 0 before the first step [s]
+_SHARES = (1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0)  # of the largest reference, one a step; a short demo takes the extremes
+_LARGEST = {Mode.ANGLE: math.radians(20.0), Mode.TORQUE: 2.0}  # as in the paper [rad], [N m]
+_STEP = 2.75  # length of a step, about [s]; the slowest settles in 2.1 s
+_REST = 1.0  # at the reference 0 before the first step [s]
+_GAINS = {"fast": FAST_GAINS, "published": PUBLISHED_GAINS}
 _DRAIN = 0.3  # from the last sample to the end of those who wait for it [s]
 _LOOP = 0.05  # [s]
 
@@ -53,8 +54,12 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("demo", _DESCRIPTION, _EXAMPLES)
     add = out.add_argument
-    add("--duration", type=_seconds, default=30.0, metavar="S", help="length of the experiment [s] (default: 30)")
+    add("--duration", type=_seconds, default=12.0, metavar="S", help="length of the experiment [s] (default: 12)")
     add("--mode", choices=("angle", "torque"), default="angle", help="what is controlled (default: angle)")
+    gains_help = (
+        "gains of the controller: fast ones (default), or those of the paper, which need 9 s a step of the angle"
+    )
+    add("--gains", choices=tuple(_GAINS), default="fast", help=gains_help)
     rig_help = "a YAML file, or the name of a rig that comes with the package (default: shin2022)"
     add("--rig", default="shin2022", metavar="RIG", help=rig_help)
     add("--tuning", default="default", metavar="NAME", help="filter tuning of the rig (default: default)")
@@ -64,6 +69,7 @@ def parser() -> common.Parser:
     out_help = "folder for bag, logs and report; a new one (default: demo-DATE-TIME)"
     add("--out", type=Path, metavar="DIR", help=out_help)
     add("--no-figures", action="store_true", help="leave the figures out of report.html")
+    common.add_open(out)
     return out
 
 
@@ -103,13 +109,11 @@ def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> 
         largest_angle: what the joint can reach [rad]; larger steps are scaled down to four fifths of it.
     """
     rest = min(_REST, 0.1 * duration)
-    count = max(2, round((duration - rest) / _STEP[mode]))
+    count = max(2, round((duration - rest) / _STEP))
     length = (duration - rest) / count
-    values = [math.radians(value) for value in _ANGLES] if mode is Mode.ANGLE else list(_TORQUES)
-    if mode is Mode.ANGLE:
-        scale = min(1.0, 0.8 * largest_angle / max(values))
-        values = [scale * value for value in values]
-    return [(0.0, 0.0), *((rest + k * length, values[k % len(values)]) for k in range(count))]
+    shares = _SHARES if count > 2 else (1.0, -1.0)
+    largest = _LARGEST[mode] if mode is Mode.TORQUE else min(_LARGEST[mode], 0.8 * largest_angle)
+    return [(0.0, 0.0), *((rest + k * length, largest * shares[k % len(shares)]) for k in range(count))]
 
 
 def _main(argv: Sequence[str] | None) -> int:
@@ -157,10 +161,11 @@ def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> No
     joint, lock_angle = ("free", None) if mode is Mode.ANGLE else ("locked", 0.0)
     with common.progress(len(recording.stamp_ns), "replay") as bar:
         done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=bar.update)
-    judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed))
+    judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), arguments.gains)
     print(f"\n{terminal.render(demo.summary(judged))}\n")
     demo.write_report(out, judged, with_figures=not arguments.no_figures)
-    print(f"report: {out / 'report.html'} and report.json; recording: {out / 'bag'}")
+    print(f"recording: {out / 'bag'}")
+    common.announce_report(arguments, out)
 
 
 def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) -> None:
@@ -175,7 +180,7 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
     with Processes(out / "logs") as processes:
         processes.start("record", ["--out", str(out / "bag")])
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
-        processes.start("controller", ros_arguments(shared, {}))
+        processes.start("controller", ros_arguments({**shared, **_gains(arguments.gains, mode)}, {}))
         simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
         processes.start("plant", ros_arguments({**shared, **joint, **simulated}, {}))
         try:
@@ -186,6 +191,12 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
             processes.stop("plant")
             time.sleep(_DRAIN)
             processes.stop("controller", "estimator", "record")
+
+
+def _gains(name: str, mode: Mode) -> dict[str, object]:
+    """Parameters of the controller."""
+    gains, of = _GAINS[name][mode], mode.name.lower()
+    return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
 
 
 def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], duration: float) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import webbrowser
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -38,7 +37,7 @@ def add_names_and_report(parser: argparse.ArgumentParser) -> None:
     common.add_recover(parser)
     add_corrections(parser)
     parser.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
-    parser.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    common.add_open(parser)
 
 
 def share(low: float, high: float) -> Callable[[str], float]:
@@ -138,6 +137,5 @@ def damage(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> li
 
 def announce_output(arguments: argparse.Namespace, rig: str = "rig.yaml") -> None:
     """Say where rig and report are, and show the report if that was asked for."""
-    print(f"\nrig: {arguments.out / rig}\nreport: {arguments.out / 'report.html'} and report.json")
-    if arguments.open:
-        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    print(f"\nrig: {arguments.out / rig}")
+    common.announce_report(arguments, arguments.out)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -54,7 +53,7 @@ def parser() -> common.Parser:
     common.add_recover(out)
     given.add_corrections(out)
     out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
-    out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    common.add_open(out)
     return out
 
 
@@ -77,9 +76,8 @@ def _main(argv: Sequence[str] | None) -> int:
         print(f"\n{terminal.render(summary(replays[-1]))}")
     with common.output_folder(arguments.out) as folder:
         write_report(folder, replays, with_figures=not arguments.no_figures)
-    print(f"\nreport: {arguments.out / 'report.html'} and report.json")
-    if arguments.open:
-        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    print()
+    common.announce_report(arguments, arguments.out)
     return common.DONE
 
 

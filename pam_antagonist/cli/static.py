@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -68,7 +67,7 @@ def parser() -> common.Parser:
     )
     out.add_argument("--report-only", action="store_true", help="write no rig.yaml; then any muscle will do")
     out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
-    out.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    common.add_open(out)
     return out
 
 
@@ -113,9 +112,10 @@ def _main(argv: Sequence[str] | None) -> int:
             write_rig(result.fitted, folder / "rig.yaml", _remarks(result))
             load_rig(folder / "rig.yaml")
         write_report(folder, result, with_figures=not arguments.no_figures)
-    print(_summary(result, arguments))
-    if arguments.open:
-        webbrowser.open((arguments.out / "report.html").absolute().as_uri())
+    print(f"{terminal.render(summary(result))}\n")
+    if result.fitted is not None:
+        print(f"rig: {arguments.out / 'rig.yaml'}")
+    common.announce_report(arguments, arguments.out)
     return common.DONE
 
 
@@ -167,11 +167,6 @@ def _remarks(result: StaticResult) -> list[str]:
         f"Rig {result.rig.name} with static fits of muscle {whose} from {' and '.join(tables)}; their errors: priors."
     ]
     return lines + [f"! {text}" for text in result.warnings]
-
-
-def _summary(result: StaticResult, arguments: argparse.Namespace) -> str:
-    made = "report.html and report.json" if result.fitted is None else "rig.yaml, report.html and report.json"
-    return f"{terminal.render(summary(result))}\n\n{arguments.out}: {made}"
 
 
 if __name__ == "__main__":

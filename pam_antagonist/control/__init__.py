@@ -1,6 +1,7 @@
 """The paper's PI controller for angle and for torque."""
 
 from pam_antagonist.control.pi import (
+    FAST_GAINS,
     PUBLISHED_GAINS,
     Command,
     Gains,
@@ -10,4 +11,4 @@ from pam_antagonist.control.pi import (
     VoltageLimits,
 )
 
-__all__ = ["PUBLISHED_GAINS", "Command", "Gains", "Mode", "PiController", "Status", "VoltageLimits"]
+__all__ = ["FAST_GAINS", "PUBLISHED_GAINS", "Command", "Gains", "Mode", "PiController", "Status", "VoltageLimits"]

@@ -22,6 +22,9 @@ STEADY_PART = 0.2
 SHORTEST_STEP = 2.0
 """Steps of the reference that are shorter have no steady part [s]."""
 
+SETTLED = 0.05
+"""A step has settled from when the error stays below this part of the step's height."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -32,12 +35,14 @@ class Step:
         length_s: [s].
         reference: [rad] or [N m].
         steady_error: largest |reference - measured| in its steady part, in the same unit; NaN where it has none.
+        settling_s: from its start until it has settled [s]; NaN where it did not, and for the first stretch.
     """
 
     start_s: float
     length_s: float
     reference: float
     steady_error: float
+    settling_s: float
 
 
 @dataclass(frozen=True)
@@ -94,7 +99,10 @@ def tracking(stamp_ns: Stamps, reference: Floats, measured: Floats) -> Tracking:
     edges = np.flatnonzero(np.diff(wanted)) + 1
     starts = np.concatenate([[0], edges])
     ends = np.concatenate([edges, [len(wanted)]])
-    steps = tuple(_step(time[a:b], float(wanted[a]), error[a:b]) for a, b in zip(starts, ends, strict=True))
+    steps = tuple(
+        _step(time[a:b], float(wanted[a]), float(wanted[a - 1]) if a else float("nan"), error[a:b])
+        for a, b in zip(starts, ends, strict=True)
+    )
     steady = [step.steady_error for step in steps if np.isfinite(step.steady_error)]
     worst = max(steady, default=float("nan"))
     extent = float(wanted.max() - wanted.min())
@@ -108,9 +116,13 @@ def tracking(stamp_ns: Stamps, reference: Floats, measured: Floats) -> Tracking:
     )
 
 
-def _step(time: Floats, reference: float, error: Floats) -> Step:
+def _step(time: Floats, reference: float, before: float, error: Floats) -> Step:
     start, length = float(time[0]), float(time[-1] - time[0])
     steady = float("nan")
     if length >= SHORTEST_STEP:
         steady = float(error[time >= time[-1] - STEADY_PART * length].max())
-    return Step(start, length, reference, steady)
+    # Beyond the band at the end of a stretch means that it has not settled; no band (NaN) means the same.
+    outside = np.flatnonzero(~(error <= SETTLED * abs(reference - before)))
+    settled = outside[-1] + 1 if len(outside) else 0
+    settling = float(time[settled]) - start if settled < len(time) else float("nan")
+    return Step(start, length, reference, steady, settling)

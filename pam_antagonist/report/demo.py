@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.control import Mode
-from pam_antagonist.control.tracking import SHORTEST_STEP, STEADY_PART, Tracking, held, tracking
+from pam_antagonist.control.tracking import SETTLED, SHORTEST_STEP, STEADY_PART, Tracking, held, tracking
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import Accounting, account
 from pam_antagonist.report import html
 from pam_antagonist.report.channels import judged
-from pam_antagonist.report.document import Block, Document, Section, Text
+from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.figures import tracking_figure
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay import errors_table
 from pam_antagonist.report.replay import numbers as replay_numbers
 from pam_antagonist.report.replay_figures import time
-from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.report.table import MISSING, Table, number, percent
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance reported there
 _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}
@@ -52,6 +52,7 @@ class Demo:
         replay: of its recording.
         mode: what was controlled.
         simulated: what the joint was.
+        gains: of the controller, ``fast`` or ``published``.
         tracking: how the reference was followed, in degrees or N m.
         accounting: what became of the samples; None where a stage is missing in the recording.
     """
@@ -59,12 +60,19 @@ class Demo:
     replay: Replay
     mode: Mode
     simulated: Simulated
+    gains: str
     tracking: Tracking
     accounting: Accounting | None
 
     @classmethod
-    def of(cls, replay: Replay, mode: Mode, simulated: Simulated) -> Demo:
+    def of(cls, replay: Replay, mode: Mode, simulated: Simulated, gains: str = "fast") -> Demo:
         """Judge the recording of a demo.
+
+        Args:
+            replay: of the recording.
+            mode: what was controlled.
+            simulated: what the joint was.
+            gains: of the controller, ``fast`` or ``published``.
 
         Args:
             replay: of the demo's recording.
@@ -76,7 +84,7 @@ class Demo:
             BadInput: there is no reference, or no measurement, to judge by.
         """
         followed = follow(replay.recording, mode)
-        return cls(replay, mode, simulated, followed, account(replay.recording, replay.rig.sample_period))
+        return cls(replay, mode, simulated, gains, followed, account(replay.recording, replay.rig.sample_period))
 
     def to_json(self) -> dict[str, Any]:
         """The entry of ``report.json``; the unit of what was controlled is part of the keys."""
@@ -84,6 +92,7 @@ class Demo:
         return {
             "mode": self.mode.name.lower(),
             "simulated_joint": self.simulated,
+            "gains": self.gains,
             "tracking": {
                 f"rmse_{unit}": followed.rmse,
                 f"max_{unit}": followed.largest,
@@ -96,6 +105,7 @@ class Demo:
                         "length_s": step.length_s,
                         f"reference_{unit}": step.reference,
                         f"steady_error_{unit}": step.steady_error,
+                        "settling_s": step.settling_s,
                     }
                     for step in followed.steps
                 ],
@@ -116,11 +126,65 @@ def write_report(folder: Path, demo: Demo, with_figures: bool = True) -> None:
 
 
 def document(demo: Demo, with_figures: bool = True) -> Document:
-    """The replay's report with control and pipeline before it."""
-    first: list[Block] = [Section("Closed loop", (control_table(demo), Text(_definitions(demo))), 2, "loop")]
+    """One figure that shows all, the numbers of the loop, and the replay's report below.
+
+    Args:
+        demo: what was done.
+        with_figures: False leaves the figures out.
+    """
+    replayed = replay_document([demo.replay], with_figures=with_figures)
+    what = demo.mode.name.lower()
+    lede = (
+        f"A simulated joint followed steps of its {what}. The controller had no {what} sensor: it saw only the "
+        "estimate from two pressure sensors. All of it ran live at 1 kHz, was recorded, and was replayed for this "
+        "report."
+    )
+    # Lede and verdict of the replay are in the section on the estimate.
+    verdict, estimate, ends = replayed.blocks[1], replayed.blocks[2:-2], replayed.blocks[-2:]
+    blocks: list[Block] = [Text(lede, "lede"), Text(_verdict(demo), "verdict")]
     if with_figures:
-        first.append(_figure(demo))
-    return replay_document([demo.replay], "Sensor-less control, live", with_figures, first)
+        blocks.append(_figure(demo))
+    blocks += [
+        Tiles(_tiles(demo)),
+        Section("Control and pipeline", (control_table(demo),), 2, "loop"),
+        Section("How these numbers are defined", (Text(_definitions(demo)),), folded=True),
+        Section("The estimate", (verdict, *estimate), 2, "estimate"),
+        *ends,
+    ]
+    return Document(f"Demo: a simulated joint, controlled by its {what}", "Sensor-less control, live", tuple(blocks))
+
+
+def _slowest(demo: Demo) -> float:
+    """Settling time of the slowest step [s]; NaN where one did not settle."""
+    return float(np.max([step.settling_s for step in demo.tracking.steps[1:]], initial=0.0))
+
+
+def _verdict(demo: Demo) -> str:
+    sign, followed, slowest = _SIGN[demo.mode], demo.tracking, _slowest(demo)
+    steps = len(followed.steps) - 1
+    settled = (
+        f"Each of the {steps} steps settled within {slowest:.1f} s"
+        if math.isfinite(slowest)
+        else f"Not each of the {steps} steps settled within its time"
+    )
+    steady = f", and the largest error in steady state was {number(followed.worst_steady_error, 2)}{sign}"
+    return f"{settled}{steady if math.isfinite(followed.worst_steady_error) else ''}."
+
+
+def _tiles(demo: Demo) -> tuple[Tile, ...]:
+    sign, followed, slowest = _SIGN[demo.mode], demo.tracking, _slowest(demo)
+    settling = f"{slowest:.1f} s" if math.isfinite(slowest) else MISSING
+    error = f"{number(followed.worst_steady_error, 2)}{sign}" if math.isfinite(followed.worst_steady_error) else MISSING
+    out = [
+        Tile("Slowest step settled after", settling, f"to {100.0 * SETTLED:.0f} % of its height"),
+        Tile("Largest steady-state error", error, f"references span {number(followed.range)}{sign}"),
+    ]
+    if demo.accounting is not None:
+        out.append(Tile("Pressure to command", f"{demo.accounting.latency.median:.2f} ms", "median latency"))
+    live = demo.replay.report.live_equal
+    if live is not None:
+        out.append(Tile("Replay equals live", f"{live.equal} of {live.compared}", "estimates, bit by bit"))
+    return tuple(out)
 
 
 def summary(demo: Demo) -> tuple[Block, ...]:
@@ -149,10 +213,18 @@ def control_table(demo: Demo) -> Table:
     """Control and pipeline in one table."""
     sign, followed, report = _SIGN[demo.mode], demo.tracking, demo.replay.report
     steady = f"{number(followed.worst_steady_error)}{sign} (range of the references: {number(followed.range)}{sign})"
+    slowest = _slowest(demo)
     rows = [
+        (
+            f"Time until a step settles to {100.0 * SETTLED:.0f} %, slowest",
+            f"{slowest:.2f} s" if math.isfinite(slowest) else "not within the step",
+        ),
         ("Tracking error (reference − measured), RMSE", f"{number(followed.rmse)}{sign}"),
         ("Worst steady-state error", steady),
-        ("Steady-state performance", f"{percent(followed.performance)} (paper's rig: {percent(_PAPER[demo.mode])})"),
+        (
+            "Steady-state performance",
+            f"{percent(followed.performance)} (paper, its rig and gains: {percent(_PAPER[demo.mode])})",
+        ),
     ]
     rows += [
         (f"Measured {item.channel.name} within the 95 % interval", percent(item.coverage)) for item in judged(report)
@@ -183,12 +255,13 @@ def _definitions(demo: Demo) -> str:
     what = demo.mode.name.lower()
     return (
         "The joint was this package's simulator. Its parameters differ from the rig's by "
-        f"{demo.simulated.mismatch:.1%} (standard deviation, seed {demo.simulated.seed}). Only a recording of a real "
-        "joint shows how well a real joint does. Steady-state performance is the paper's: 1 minus the worst "
-        f"steady-state |reference − measured {what}| over the range of the references. The steady part is the last "
-        f"{STEADY_PART:.0%} of every step that lasts {SHORTEST_STEP:g} s or more. The measurement is the validation "
-        "sensor's, with its noise; estimator and controller do not get it. Latency counts from the reception of a "
-        "sample's first pressure to that of its command, both at the recorder."
+        f"{100.0 * demo.simulated.mismatch:.1f} % (standard deviation, seed {demo.simulated.seed}). Only a recording "
+        "of a real joint shows how well a real joint does. "
+        f"The controller had the {demo.gains} gains. Steady-state performance is defined as in the paper: 1 minus the "
+        f"largest |reference − measured {what}| in steady state over the range of the references. The steady part is "
+        f"the last {100.0 * STEADY_PART:.0f} % of every step of {SHORTEST_STEP:g} s or more. The measurement comes "
+        "from a validation sensor with noise, which estimator and controller do not get. Latency counts from the "
+        "first pressure of a sample to its command, both as received by the recorder."
     )
 
 
@@ -203,4 +276,11 @@ def _figure(demo: Demo) -> Figure:
     wanted = held(replay.run.stamp_ns, recording.reference.stamp_ns, recording.reference.value)
     signals = (measured * scale, rows[name] * scale, wanted * scale)
     about = "The controller sees the estimate, never the measurement."
-    return tracking_figure(f"Sensor-less {name} control", about, (name, sign), time(replay), signals, replay.name)
+    return tracking_figure(
+        f"{name.capitalize()}: reference, measurement and estimate",
+        about,
+        (name, sign),
+        time(replay),
+        signals,
+        replay.name,
+    )

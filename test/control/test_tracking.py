@@ -43,6 +43,18 @@ def test_transients_count_for_the_rmse_but_not_as_steady() -> None:
     assert tracking(time, reference, measured).worst_steady_error == 3.0
 
 
+def test_a_step_has_settled_from_when_the_error_stays_small() -> None:
+    time = stamps(9.0)
+    reference = np.repeat([0.0, 10.0, 0.0], 3000)
+    measured = reference.copy()
+    measured[3000:4000] = 0.0
+    measured[4500] = 10.6  # out of the band of 5 % of 10 once more, 1.5 s after the step
+    measured[6000:] = 1.0  # never within the band again
+    _, up, down = tracking(time, reference, measured).steps
+    assert up.settling_s == pytest.approx(1.501)
+    assert math.isnan(down.settling_s)
+
+
 def test_short_steps_have_no_steady_part() -> None:
     time = stamps(4.0)
     reference = np.where(np.arange(len(time)) % 2000 < 1000, 5.0, -5.0)

@@ -64,6 +64,7 @@ def parser() -> common.Parser:
         "force map of a real muscle, CSV (default: ../shared/data/measured/force_maps/dmsp_20_300.csv, if it is there)"
     )
     add("--force-map", type=Path, metavar="FILE", help=map_help)
+    common.add_open(out)
     return out
 
 
@@ -98,7 +99,8 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.docs is not None:
         docs.write(arguments.docs, results, scenario, options.seeds)
     print(f"\n{terminal.table(page.overview(results))}\n\n{page.CAUTION}\n")
-    print(f"report: {arguments.out / 'report.html'} and report.json, after {sum(took.values()):.0f} s")
+    print(f"after {sum(took.values()):.0f} s")
+    common.announce_report(arguments, arguments.out)
     return common.DONE
 
 
