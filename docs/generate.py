@@ -15,6 +15,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pam_antagonist
 from pam_antagonist.__main__ import COMMANDS
 from pam_antagonist.nodes import bridge, controller, estimator, plant
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter
@@ -46,6 +47,24 @@ def commands() -> str:
     for name, command in COMMANDS.items():
         summary = f"{command.summary[0].upper()}{command.summary[1:]}."
         parts.append(f"## {name}\n\n{summary}\n\n```text\n{help_text(name)}\n```\n")
+    return "\n".join(parts)
+
+
+def api() -> str:
+    """A section a name of the Python API: functions first, then classes."""
+    kinds = {name: getattr(pam_antagonist, name) for name in pam_antagonist.__all__ if name != "__version__"}
+    order = sorted(kinds, key=lambda name: (isinstance(kinds[name], type), list(kinds).index(name)))
+    parts = []
+    for name in order:
+        # A rig's fields stand on a page of their own.
+        members = "value, parameters, tuning" if name == "Rig" else ""
+        item, inherited = kinds[name], "" if name in ("Rig", "BadInput") else "   :inherited-members:\n"
+        if isinstance(item, type):
+            kind = "autoexception" if issubclass(item, Exception) else "autoclass"
+            options = f"   :members: {members}\n" + inherited if kind == "autoclass" else ""
+        else:
+            kind, options = "autofunction", ""
+        parts.append(f"### {name}\n\n```{{eval-rst}}\n.. {kind}:: pam_antagonist.{name}\n{options}```\n")
     return "\n".join(parts)
 
 

@@ -2,13 +2,10 @@
 
 from pathlib import Path
 
-from pam_antagonist.diagnosis import diagnose
-from pam_antagonist.recording import read_bag
-from pam_antagonist.rig import load_rig
+from pam_antagonist import diagnose
 
 folder = Path(__file__).parent / "recordings"
-recordings = [read_bag(folder / name) for name in ("leak_free", "leak_locked")]
-found = diagnose(recordings, load_rig("shin2022"), profiles=False, estimator=False)
+found = diagnose([folder / "leak_free", folder / "leak_locked"], "shin2022", profiles=False, estimator=False)
 
 print(found.verdict, "-", found.sentence)
 for effect in found.effects:

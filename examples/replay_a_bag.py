@@ -6,21 +6,17 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from pam_antagonist.estimation import Estimator
-from pam_antagonist.recording import read_bag
-from pam_antagonist.rig import load_rig
+from pam_antagonist import replay
 
 matplotlib.use("Agg")  # write a file, open no window
 from matplotlib import pyplot as plt
 
 bag = sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parent / "recordings" / "leak_free"
-recording = read_bag(bag)
-run = Estimator(load_rig("shin2022")).run(recording.stamp_ns, recording.pressure, recording.voltage)
+result = replay(bag, "shin2022")
 
-time = recording.time_s[run.index]
-angle = np.degrees(run.rows["angle"])
-half = 1.96 * np.degrees(np.sqrt(run.rows["covariance"][:, 0, 0]))  # 95 % interval, to either side
-error = angle - np.degrees(recording.angle[run.index])
+time = (result.run.stamp_ns - result.run.stamp_ns[0]) * 1e-9
+error = np.degrees(result.run.rows["angle"] - result.measured_angle)
+half = 1.96 * np.degrees(np.sqrt(result.run.rows["covariance"][:, 0, 0]))  # 95 % interval, to either side
 print(f"angle RMSE {np.sqrt(np.mean(error**2)):.3f}°, {np.mean(np.abs(error) < half):.1%} within the interval")
 
 plt.fill_between(time, error - half, error + half, alpha=0.3, label="95 % interval")

@@ -4,9 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pam_antagonist.estimation import Estimator
-from pam_antagonist.recording import read_bag
-from pam_antagonist.rig import load_rig
+from pam_antagonist import Estimator, load_rig, read_bag
 
 recording = read_bag(Path(__file__).parent / "recordings" / "leak_free")
 estimator = Estimator(load_rig("shin2022"))

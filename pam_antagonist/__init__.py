@@ -1,3 +1,75 @@
-"""Sensor-less angle and torque of a joint that is driven by two pneumatic artificial muscles."""
+"""Sensor-less angle and torque of a joint that is driven by two pneumatic artificial muscles.
+
+The Python API is what stands in ``__all__``. Names are imported when they are first used, so that ``import
+pam_antagonist`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from pam_antagonist.api.check import CheckResult, check
+    from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
+    from pam_antagonist.api.identify import IdentifyResult, identify
+    from pam_antagonist.api.replay import ReplayResult, replay
+    from pam_antagonist.api.simulate import simulate
+    from pam_antagonist.errors import BadInput
+    from pam_antagonist.estimation.estimator import Estimator
+    from pam_antagonist.recording.reader import read_bag
+    from pam_antagonist.recording.recording import Recording
+    from pam_antagonist.recording.writer import write_bag
+    from pam_antagonist.rig.load import load_rig
+    from pam_antagonist.rig.schema import Rig
+
+_WHERE = {
+    "BadInput": "errors",
+    "CheckResult": "api.check",
+    "DiagnoseResult": "api.diagnose",
+    "Estimator": "estimation.estimator",
+    "IdentifyResult": "api.identify",
+    "Recording": "recording.recording",
+    "ReplayResult": "api.replay",
+    "Rig": "rig.schema",
+    "check": "api.check",
+    "diagnose": "api.diagnose",
+    "identify": "api.identify",
+    "load_rig": "rig.load",
+    "read_bag": "recording.reader",
+    "replay": "api.replay",
+    "simulate": "api.simulate",
+    "write_bag": "recording.writer",
+}
+
+__all__ = [
+    "BadInput",
+    "CheckResult",
+    "DiagnoseResult",
+    "Estimator",
+    "IdentifyResult",
+    "Recording",
+    "ReplayResult",
+    "Rig",
+    "__version__",
+    "check",
+    "diagnose",
+    "identify",
+    "load_rig",
+    "read_bag",
+    "replay",
+    "simulate",
+    "write_bag",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_WHERE[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

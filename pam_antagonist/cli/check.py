@@ -6,9 +6,8 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from pam_antagonist.checks import Checked, check_recording
+from pam_antagonist.api.check import CheckResult, check
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
@@ -68,7 +67,7 @@ def _main(argv: Sequence[str] | None) -> int:
             bag, topics=common.topics(arguments), namespace=arguments.namespace, joint_name=arguments.joint_name,
             recover=arguments.recover, corrections=from_options(arguments), judge=False,
         )  # fmt: skip
-        results[str(bag)] = check_recording(recording, rig, arguments.joint, lock_angle)
+        results[str(bag)] = check(recording, rig, arguments.joint, lock_angle)
         if arguments.json != "-":
             print(_text(bag, recording, rig, results[str(bag)]))
     if arguments.json:
@@ -76,7 +75,7 @@ def _main(argv: Sequence[str] | None) -> int:
     return common.BAD_INPUT if any(checked.wrong for checked in results.values()) else common.DONE
 
 
-def _text(bag: Path, recording: Recording, rig: Rig, checked: Checked) -> str:
+def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> str:
     lines = [f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}"]
     for finding in checked.findings:
         text = finding.text
@@ -89,18 +88,8 @@ def _text(bag: Path, recording: Recording, rig: Rig, checked: Checked) -> str:
     return "\n".join(lines)
 
 
-def _write(where: str, results: dict[str, Checked]) -> None:
-    content: dict[str, Any] = {
-        bag: {
-            "joint": checked.joint,
-            "options": checked.corrections.options(),
-            "findings": [
-                {"status": finding.status, "text": finding.text, "options": list(finding.options)}
-                for finding in checked.findings
-            ],
-        }
-        for bag, checked in results.items()
-    }
+def _write(where: str, results: dict[str, CheckResult]) -> None:
+    content = {bag: checked.as_dict() for bag, checked in results.items()}
     text = json.dumps(content, indent=2, ensure_ascii=False)
     if where == "-":
         print(text)

@@ -7,25 +7,20 @@ import hashlib
 import shlex
 import shutil
 import sys
-import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pam_antagonist import __version__
+from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.diagnosis import Diagnosis, diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, bag_hash, bag_name
-from pam_antagonist.report import close_loop as numbers
-from pam_antagonist.report import terminal
-from pam_antagonist.report.close_loop_document import summary, write_report
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
 
 _DESCRIPTION = """\
 Trace what the model of a rig lacks to a physical effect, add it, and report the error before and after.
@@ -109,12 +104,9 @@ def _main(argv: Sequence[str] | None) -> int:
             shutil.rmtree(kept, ignore_errors=True)
         raise
     found = replace(found, warnings=(*given.damage(arguments, recordings), *found.warnings))
-    report = numbers.report(found, rig, hashes, arguments.seed, holdout)
-    with common.output_folder(arguments.out) as folder:
-        _write_rigs(folder, found, rig, hashes)
-        write_report(folder, report, found, with_figures=not arguments.no_figures)
+    found.save(arguments.out, figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
-    print(terminal.render(summary(report)))
+    print(found.summary())
     given.announce_output(arguments, "rig_extended.yaml")
     return common.DONE
 
@@ -158,7 +150,7 @@ def _diagnosed(
     held_out: Sequence[Recording],
     share: float,
     store: Checkpoint,
-) -> Diagnosis:
+) -> DiagnoseResult:
     with common.progress(_STEPS, "close_loop", "steps") as bar:
 
         def progress(text: str) -> None:
@@ -169,27 +161,6 @@ def _diagnosed(
             fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=held_out,
             jobs=arguments.jobs, seed=arguments.seed, progress=progress, store=store,
         )  # fmt: skip
-
-
-def _write_rigs(folder: Path, found: Diagnosis, rig: Rig, hashes: Sequence[str]) -> None:
-    about = [
-        f"By pam_antagonist close_loop, from rig {rig.name}. {found.sentence}",
-        "Recordings (SHA-256):",
-        *(f"  {name}: {value}" for (name, _), value in zip(found.own, hashes, strict=False)),
-        *(f"Attention: {warning}." for warning in found.warnings),
-    ]
-    remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
-    source = f"extended by close_loop from {', '.join(name for name, _ in found.own)}; started from: {rig.source}"
-    write_rig(_named(found.rig_extended, rig.name, source), folder / "rig_extended.yaml", remarks)
-    if len(found.own) > 1:
-        for number, (name, own) in enumerate(found.own, 1):
-            remark = f"The values of {name} alone; those that suit all recordings are in rig_extended.yaml."
-            named = _named(own, rig.name, f"{source}; with the values of {name} alone")
-            write_rig(named, folder / f"rig_extended_{number}.yaml", [*remarks, remark])
-
-
-def _named(rig: Rig, name: str, source: str) -> Rig:
-    return rig.replaced(name=f"{name.removesuffix('_extended')}_extended", source=" ".join(source.split()))
 
 
 if __name__ == "__main__":

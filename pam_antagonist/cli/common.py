@@ -9,21 +9,21 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import shutil
 import signal
 import sys
-import tempfile
 import traceback
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import available, install
+from pam_antagonist.output import check_output, output_folder
 from pam_antagonist.program import program, typed
+
+__all__ = ["check_output", "output_folder"]  # beside what is defined here
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -106,58 +106,6 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, previous)
-
-
-def check_output(path: Path) -> Path:
-    """Refuse an output path that exists, before any work is done.
-
-    Args:
-        path: a folder to be made.
-
-    Raises:
-        BadInput: it exists, or cannot be made.
-    """
-    if path.exists() or path.is_symlink():
-        raise BadInput(f"{path}: exists; expected the name of a new folder, nothing is overwritten")
-    ancestor = path.absolute().parent
-    while not ancestor.exists():
-        ancestor = ancestor.parent
-    if not ancestor.is_dir() or not os.access(ancestor, os.W_OK | os.X_OK):
-        raise BadInput(f"{path}: cannot be made, {ancestor} is not a folder that can be written to")
-    return path
-
-
-@contextmanager
-def output_folder(path: Path, make: bool = True) -> Iterator[Path]:
-    """A folder that appears when everything in it is written, and not at all when something goes wrong.
-
-    Args:
-        path: the folder to be made, see :func:`check_output`.
-        make: False for writers that want to make the folder themselves.
-
-    Yields:
-        An empty folder of the same name to write into (or its path only), which is moved to `path` at the end.
-
-    Raises:
-        BadInput: as :func:`check_output`, or the disk is full or not writable.
-    """
-    check_output(path)
-    target = path.resolve()
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be made: {error.strerror}") from None
-    try:
-        partial = aside / target.name
-        if make:
-            partial.mkdir()
-        yield partial
-        partial.rename(target)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:

@@ -8,12 +8,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from pam_antagonist.api.replay import ReplayResult, replay
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
+from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import corrections, read_bag
-from pam_antagonist.replays import Replay, replay
-from pam_antagonist.report import terminal
-from pam_antagonist.report.replay import summary, write_report
+from pam_antagonist.replays.table import check_estimate
+from pam_antagonist.report.replay import write_report
 from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
@@ -29,6 +30,7 @@ _EXAMPLES = """\
 examples:
   {run} replay my_bag --rig shin2022 --out result
   {run} replay free_bag locked_bag --rig my_rig.yaml --out result --tuning published
+  {run} replay my_bag --rig shin2022 --out result --save estimate.mcap
   {run} replay my_bag --rig shin2022 --out result --topic pressure_1=/arm/p1 --topic pressure_2=/arm/p2
 """
 
@@ -40,6 +42,11 @@ def parser() -> common.Parser:
     common.add_rig(out)
     common.add_tuning(out)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the report; a new one")
+    out.add_argument(
+        "--save", type=Path, metavar="FILE",
+        help="write the estimate with its covariance and innovations as well: a new .csv, or .mcap for PlotJuggler and "
+        "Foxglove; of one recording",
+    )  # fmt: skip
     common.add_joint(
         out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, from the measured angle)"
     )
@@ -65,6 +72,10 @@ def main(argv: list[str] | None = None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
+    if arguments.save is not None:
+        if len(arguments.bags) > 1:
+            raise BadInput(f"--save: expected one recording, got {len(arguments.bags)}")
+        check_estimate(arguments.save)
     common.only_available_figures(arguments)
     rig = load_rig(arguments.rig)
     rig.tuning(arguments.tuning)
@@ -73,15 +84,18 @@ def _main(argv: Sequence[str] | None) -> int:
     replays = []
     for bag in arguments.bags:
         replays.append(_replay(bag, names, rig, arguments))
-        print(f"\n{terminal.render(summary(replays[-1]))}")
+        print(f"\n{replays[-1].summary()}")
     with common.output_folder(arguments.out) as folder:
         write_report(folder, replays, with_figures=not arguments.no_figures)
     print()
+    if arguments.save is not None:
+        replays[0].save(arguments.save)
+        print(f"estimate: {arguments.save}")
     common.announce_report(arguments, arguments.out)
     return common.DONE
 
 
-def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> Replay:
+def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> ReplayResult:
     begin = time.perf_counter()
     recording = read_bag(
         bag,
@@ -95,9 +109,7 @@ def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Name
     given.refuse_wrong(recording, rig, arguments)
     read_seconds = time.perf_counter() - begin
     with common.progress(len(recording.stamp_ns), f"replay {bag.name}") as bar:
-        return replay(
-            recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, read_seconds, progress=bar.update
-        )
+        return replay(recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, bar.update, read_seconds)
 
 
 if __name__ == "__main__":

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation import excitation
-from pam_antagonist.simulation.plant import Plant
 
 _DESCRIPTION = """\
 Make a recording of a simulated joint: a rosbag2 (MCAP) with the topics of a live one.
@@ -31,8 +31,6 @@ examples:
   {run} simulate --rig shin2022 --out my_bag --profile steps --seed 7 --mismatch 0.01 --joint locked
   {run} simulate --rig my_rig.yaml --out my_bag --profile voltages.csv
 """
-FIRST_STAMP_NS = 1_000_000_000_000_000_000
-"""Stamps begin here (in 2001), whatever the time is: the same arguments give the same bag."""
 
 
 def parser() -> common.Parser:
@@ -70,11 +68,12 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.seed < 0:
         raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     angle = common.lock_angle(arguments) or 0.0
-    plant = Plant(
-        rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise
-    )
     voltage = _voltages(arguments, rig)
-    recording = simulate(plant, voltage, rig.sample_period, arguments.out)
+    with common.progress(len(voltage), "simulate") as bar:
+        recording = simulate(
+            rig, voltage, joint=arguments.joint, lock_angle=angle, seed=arguments.seed, mismatch=arguments.mismatch,
+            noise=not arguments.no_noise, path=arguments.out, progress=bar.update,
+        )  # fmt: skip
     with common.output_folder(arguments.out, make=False) as folder:
         write_bag(folder, recording, pressure_variance=rig.sensors.pressure_std**2)
     print(_summary(recording, rig, arguments))
@@ -97,32 +96,6 @@ def _voltages(arguments: argparse.Namespace, rig: Rig) -> NDArray[np.float64]:
     if len(outside):
         raise BadInput(f"{name}: row {outside[0] + 2} is outside the rig's valve voltages, {low:g} to {high:g} V")
     return excitation.held(time, voltage, duration or float(time[-1] - time[0]) + period, period)
-
-
-def simulate(plant: Plant, voltage: NDArray[np.float64], period: float, path: Path) -> Recording:
-    """Drive a plant and record what its sensors show.
-
-    Args:
-        plant: the joint.
-        voltage: (N, 2) [V], row k over sample period k.
-        period: sample period [s].
-        path: what the recording is called.
-
-    Returns:
-        The recording; sample k is stamped at the end of period k.
-    """
-    count = len(voltage)
-    pressure, angle, torque = np.empty((count, 2)), np.empty(count), np.empty(count)
-    with common.progress(count, "simulate") as bar:
-        for k in range(count):
-            sample = plant.step(voltage[k])
-            pressure[k] = sample.pressure
-            angle[k] = sample.angle
-            torque[k] = sample.torque
-            if k % 1000 == 999:
-                bar.update(1000)
-    stamps = FIRST_STAMP_NS + np.rint(np.arange(1, count + 1) * period * 1e9).astype(np.int64)
-    return Recording(path=path, stamp_ns=stamps, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
 
 
 def _summary(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> str:

@@ -257,8 +257,31 @@ class Estimator:
             u2: voltage on valve 2, likewise.
 
         Returns:
-            The estimate (an ``ESTIMATE_DTYPE``, overwritten by the next call), or None where there is none:
-            the sample was not newer than the last one, or the filter is not started yet.
+            The estimate (an ``ESTIMATE_DTYPE``), or None where there is none: the sample was not newer than the last
+            one, or the filter is not started yet.
+
+        Example:
+            >>> from pam_antagonist import Estimator, load_rig
+            >>> estimator = Estimator(load_rig("shin2022"))
+            >>> row = estimator.step(1_000_000, 450e3, 450e3, 5.5, 5.5)  # ns, absolute Pa, V
+            >>> abs(float(row["angle"])) < 0.01, row["covariance"].shape
+            (True, (3, 3))
+        """
+        row = self.step_in_place(stamp_ns, p1, p2, u1, u2)
+        return None if row is None else row.copy()
+
+    def step_in_place(self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float) -> np.void | None:
+        """:meth:`step` without a copy, for a loop that has a millisecond: the next call overwrites the row.
+
+        Args:
+            stamp_ns: as for :meth:`step`.
+            p1: likewise.
+            p2: likewise.
+            u1: likewise.
+            u2: likewise.
+
+        Returns:
+            The estimate, valid until the next call, or None.
         """
         if kernels.process_one(stamp_ns, float(p1), float(p2), float(u1), float(u2), *self._fields, self._row):
             return self._row[0]

@@ -122,9 +122,9 @@ class Identified:
     options: Options
 
 
-def steps(options: Options) -> int:
-    """How often :func:`identify` tells about its progress, about."""
-    return 14 + 5 * (options.starts - 1) + _MOST_PROFILES
+def steps(starts: int) -> int:
+    """How often :func:`identify` tells about its progress, about, with so many starts."""
+    return 14 + 5 * (starts - 1) + _MOST_PROFILES
 
 
 def identify(

@@ -132,7 +132,7 @@ class EstimatorNode(PamNode):
         for sample in samples:
             if not math.isnan(sample.voltage_1 + sample.voltage_2):
                 self._last = sample
-            row = self._estimator.step(*sample)
+            row = self._estimator.step_in_place(*sample)
             if row is None:
                 continue
             started = self._estimator.started_ns

@@ -14,7 +14,7 @@ from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, TOPICS, Topic
 if TYPE_CHECKING:
     from .reader import read_bag
     from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
-    from .storage import bag_hash, bag_name
+    from .storage import bag_hash, bag_name, recording_hash
     from .writer import BagWriter, write_bag
 
 _LAZY = {
@@ -26,6 +26,7 @@ _LAZY = {
     "Recording": "recording",
     "bag_hash": "storage",
     "bag_name": "storage",
+    "recording_hash": "storage",
     "BagWriter": "writer",
     "write_bag": "writer",
 }
@@ -44,6 +45,7 @@ __all__ = [
     "bag_hash",
     "bag_name",
     "read_bag",
+    "recording_hash",
     "write_bag",
 ]
 

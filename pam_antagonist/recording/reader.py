@@ -76,6 +76,12 @@ def read_bag(
     Raises:
         BadInput: Not a bag, damaged, a topic missing or of another type, no samples, time running backwards, or values
             that cannot be what they should be (gauge pressure, other units).
+
+    Example:
+        >>> from pam_antagonist import read_bag
+        >>> recording = read_bag("examples/recordings/leak_free")
+        >>> len(recording), round(recording.duration_s, 3), recording.pressure.shape
+        (30000, 29.999, (30000, 2))
     """
     try:
         recording = _read(

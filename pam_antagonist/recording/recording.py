@@ -6,10 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..optional import needs
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -236,6 +241,17 @@ class Recording:
             if abs(usual / nominal_s - 1.0) > _SAME_PERIOD:
                 period = usual
         return period, np.rint((self.stamp_ns - self.stamp_ns[0]) / (period * 1e9)).astype(np.int64)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each sample, in SI units; what was not measured has no column (needs pandas)."""
+        with needs("import", "a data frame"):
+            import pandas as pd
+        columns: dict[str, Any] = {"stamp_ns": self.stamp_ns, "time_s": self.time_s}
+        for muscle in (0, 1):
+            columns[f"pressure_{muscle + 1}_Pa"] = self.pressure[:, muscle]
+            columns[f"valve_{muscle + 1}_V"] = self.voltage[:, muscle]
+        measured = {"angle_rad": self.angle, "torque_Nm": self.torque, "external_torque_Nm": self.external_torque}
+        return pd.DataFrame(columns | {name: values for name, values in measured.items() if values is not None})
 
     def slice(self, start_s: float, stop_s: float) -> Recording:
         """The samples of ``start_s <= time < stop_s``, counted in seconds from the first sample.

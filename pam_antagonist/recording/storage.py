@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from ..errors import BadInput
 from . import metadata
@@ -19,6 +20,9 @@ from .metadata import one_line
 from .raw import RawTopic
 from .sqlite import MAGIC as SQLITE_MAGIC
 from .sqlite import SqliteDamage, cut_off, read_sqlite
+
+if TYPE_CHECKING:
+    from .recording import Recording
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _EXPECTED = "expected a folder with metadata.yaml, a .mcap or a .db3 file"
@@ -104,6 +108,20 @@ def bag_hash(path: str | Path) -> str:
     if len(digests) == 1:
         return digests[0].hexdigest()
     return hashlib.sha256(b"".join(digest.digest() for digest in digests)).hexdigest()
+
+
+def recording_hash(recording: Recording) -> str:
+    """SHA-256 of a recording: of its bag, or of its arrays where it was made in memory.
+
+    Args:
+        recording: the recording.
+    """
+    if recording.path.exists():
+        return bag_hash(recording.path)
+    digest = hashlib.sha256(recording.stamp_ns.tobytes())
+    for values in (recording.pressure, recording.voltage, recording.angle, recording.torque, recording.external_torque):
+        digest.update(b"" if values is None else values.tobytes())
+    return digest.hexdigest()
 
 
 def bag_name(path: str | Path) -> str:

@@ -19,7 +19,7 @@ from pam_antagonist.estimation.errors import (
     pressure_errors,
 )
 from pam_antagonist.model import sensor
-from pam_antagonist.recording import Recording, bag_hash, bag_name
+from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.replays.live import LiveInput, as_live, compare_with_live
@@ -214,7 +214,7 @@ def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: Estimate
         ),
         recording=RecordingFacts(
             bag_name(recording.path),
-            bag_hash(recording.path),
+            recording_hash(recording),
             dict(recording.topics),
             int(recording.stamp_ns[0]),
             (*recording.issues, *_sealed(recording, rig), *_other_joint(recording, rig)),

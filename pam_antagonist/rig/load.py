@@ -32,6 +32,12 @@ def load_rig(name_or_path: str | Path) -> Rig:
 
     Raises:
         BadInput: unknown name, unreadable file, unknown or missing key, a value that is not physical.
+
+    Example:
+        >>> from pam_antagonist import load_rig
+        >>> rig = load_rig("shin2022")
+        >>> rig.sample_period, rig.value("joint.inertia")
+        (0.001, 0.0004263)
     """
     path = _locate(str(name_or_path), Path())
     content = _read_with_base(path)

@@ -50,7 +50,7 @@ def test_usage_errors_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
         return 0
 
     assert common.run(command, []) == 2
-    assert capsys.readouterr().err == "error: the following arguments are required: --rig (see thing --help)\n"
+    assert capsys.readouterr().err == "error: the following arguments are required: --rig (see pam thing --help)\n"
     assert common.run(command, ["--help"]) == 0
     assert "Do a thing." in capsys.readouterr().out
     assert common.run(command, ["--ri", "x"]) == 2, "abbreviations would break when an argument is added"

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.cli import identify as command
 from pam_antagonist.cli import simulate
 from pam_antagonist.cli.identify import main
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.recording import Recording, read_bag, write_bag
+from pam_antagonist.report import identify_document
 from pam_antagonist.rig import load_rig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -170,7 +170,7 @@ def test_an_interrupted_run_leaves_nothing(
         raise KeyboardInterrupt
 
     # At the worst moment: the rig is written, its report is not.
-    monkeypatch.setattr(command, "write_report", interrupt)
+    monkeypatch.setattr(identify_document, "write_report", interrupt)
     assert main([str(bags[1]), "--rig", "shin2022", "--out", str(tmp_path / "out"), *FEW]) == 130
     assert "nothing was written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

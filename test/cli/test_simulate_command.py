@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.cli.simulate import FIRST_STAMP_NS, main
+from pam_antagonist.api.simulate import FIRST_STAMP_NS
+from pam_antagonist.cli.simulate import main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.recording import bag_hash, read_bag

@@ -1,0 +1,78 @@
+"""``check``: is this a recording of this rig, in the right units and with the right wiring?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pam_antagonist.api.given import Bag, RigGiven, as_rig
+from pam_antagonist.checks import Checked, check_recording
+from pam_antagonist.optional import needs
+from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.strict_json import write_json
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True)
+class CheckResult(Checked):
+    """What a check found.
+
+    Attributes:
+        findings: the worst first.
+        corrections: all that were found, together.
+        joint: ``free`` or ``locked``.
+    """
+
+    def as_dict(self) -> dict[str, Any]:
+        """As plain values: ``joint``, ``options`` to type, and ``findings``."""
+        return {
+            "joint": self.joint,
+            "options": self.corrections.options(),
+            "findings": [
+                {"status": finding.status, "text": finding.text, "options": list(finding.options)}
+                for finding in self.findings
+            ],
+        }
+
+    def save(self, path: str | Path) -> Path:
+        """Write the findings as JSON to a file; returns its path."""
+        write_json(Path(path), self.as_dict())
+        return Path(path)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each finding: ``status``, ``text``, ``options`` (needs pandas)."""
+        with needs("import", "a data frame"):
+            import pandas as pd
+        return pd.DataFrame(self.as_dict()["findings"], columns=["status", "text", "options"])
+
+
+def check(recording: Bag, rig: RigGiven, joint: str = "auto", lock_angle: float | None = None) -> CheckResult:
+    """Compare a recording with the model of its rig, driven by the recorded voltages.
+
+    It finds gauge pressures and other units, exchanged lines or valves, sensors that count the wrong way round, delays,
+    and recordings of another rig.
+
+    Args:
+        recording: a bag, or a recording that was read with ``read_bag(..., judge=False)``.
+        rig: a rig, its name or its file.
+        joint: ``free``, ``locked`` or ``auto`` (detected).
+        lock_angle: of a locked joint [rad], where it is known.
+
+    Returns:
+        What was found, with the options of the commands that correct it.
+
+    Raises:
+        BadInput: a recording that is too short to compare, or without finite voltages or pressures.
+
+    Example:
+        >>> from pam_antagonist import check
+        >>> checked = check("examples/recordings/leak_free", "shin2022")
+        >>> checked.joint, len(checked.wrong)
+        ('free', 0)
+    """
+    read = recording if isinstance(recording, Recording) else read_bag(recording, judge=False)
+    found = check_recording(read, as_rig(rig), joint, lock_angle)
+    return CheckResult(found.findings, found.corrections, found.joint)

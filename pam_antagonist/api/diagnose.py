@@ -1,0 +1,159 @@
+"""``diagnose``: what the model of a rig lacks, traced to a physical effect."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig
+from pam_antagonist.diagnosis import Diagnosis
+from pam_antagonist.diagnosis import diagnose as _diagnose
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.optional import needs
+from pam_antagonist.output import output_folder
+from pam_antagonist.recording import bag_name, recording_hash
+from pam_antagonist.report import close_loop as numbers
+from pam_antagonist.report import terminal
+from pam_antagonist.report.close_loop_document import summary, write_report
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import write_rig
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnoseResult(Diagnosis):
+    """The answer, see :class:`pam_antagonist.diagnosis.Diagnosis`, and what was asked.
+
+    Attributes:
+        start: the rig as configured.
+        hashes: SHA-256 of each recording, those held out as a whole behind the others.
+        seed: as asked.
+        kept: share of each recording that was held out, or names of the recordings that were.
+    """
+
+    start: Rig
+    hashes: tuple[str, ...]
+    seed: int
+    kept: float | tuple[str, ...]
+
+    @property
+    def report(self) -> numbers.CloseLoopReport:
+        """The numbers of ``report.json``."""
+        return numbers.report(self, self.start, self.hashes, self.seed, self.kept)
+
+    def summary(self) -> str:
+        """The tables that the command prints."""
+        return terminal.render(summary(self.report))
+
+    def save(self, path: str | Path, figures: bool = True) -> Path:
+        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
+
+        Args:
+            path: of a new folder.
+            figures: False leaves the figures out of the page.
+
+        Returns:
+            The folder.
+
+        Raises:
+            BadInput: it exists already, or cannot be written.
+        """
+        with output_folder(Path(path)) as folder:
+            self._write_rigs(folder)
+            write_report(folder, self.report, self, with_figures=figures)
+        return Path(path)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter of each effect that was found (needs pandas)."""
+        with needs("import", "a data frame"):
+            import pandas as pd
+        rows = [
+            (effect.name, effect.muscle, name, value, std, unit, effect.delta_bic)
+            for effect in self.effects
+            for name, (value, std, unit) in effect.parameters.items()
+        ]
+        return pd.DataFrame(rows, columns=["effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"])
+
+    def _write_rigs(self, folder: Path) -> None:
+        name = self.start.name
+        about = [
+            f"By pam_antagonist close_loop, from rig {name}. {self.sentence}",
+            "Recordings (SHA-256):",
+            *(f"  {own}: {value}" for (own, _), value in zip(self.own, self.hashes, strict=False)),
+            *(f"Attention: {warning}." for warning in self.warnings),
+        ]
+        remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
+        names = ", ".join(own for own, _ in self.own)
+        source = f"extended by close_loop from {names}; started from: {self.start.source}"
+        write_rig(_named(self.rig_extended, name, source), folder / "rig_extended.yaml", remarks)
+        for number, (own, rig) in enumerate(self.own if len(self.own) > 1 else (), 1):
+            remark = f"The values of {own} alone; those that suit all recordings are in rig_extended.yaml."
+            named = _named(rig, name, f"{source}; with the values of {own} alone")
+            write_rig(named, folder / f"rig_extended_{number}.yaml", [*remarks, remark])
+
+
+def diagnose(
+    recordings: Bag | Sequence[Bag],
+    rig: RigGiven,
+    *,
+    joint: str = "auto",
+    lock_angle: float | None = None,
+    holdout: float = 1.0 / 3.0,
+    held_out: Bag | Sequence[Bag] = (),
+    jobs: int = 2,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    profiles: bool = True,
+    estimator: bool = True,
+    store: Checkpoint | None = None,
+) -> DiagnoseResult:
+    """Trace what a rig's model lacks to a physical effect, as ``close_loop`` does.
+
+    Args:
+        recordings: of one rig; a free and a locked one show most. Of a sealed rig, its joint driven to and fro.
+        rig: as configured: a rig, its name or its file.
+        joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
+        lock_angle: of a locked joint [rad], where it is known.
+        holdout: share at the end of each recording that no fit sees.
+        held_out: whole recordings of the same rig that no fit sees; the others are then fitted to their ends.
+        jobs: threads.
+        seed: draws the starts of fits.
+        progress: is called with what is being done.
+        profiles: False leaves out profile likelihoods, which saves time.
+        estimator: False leaves out the estimator before and after, which saves time.
+        store: keeps finished candidates; default: nowhere.
+
+    Returns:
+        The verdict and everything behind it.
+
+    Raises:
+        BadInput: recordings from which nothing can be learned.
+
+    Example:
+        >>> from pam_antagonist import diagnose
+        >>> found = diagnose("examples/recordings/leak_locked", "shin2022", profiles=False, estimator=False)
+        >>> found.verdict, [(effect.name, effect.muscle) for effect in found.effects]
+        ('effect', [('leak', 1)])
+    """
+    chosen = as_rig(rig)
+    fitted, kept = as_recordings(recordings), as_recordings(held_out)
+    found = _diagnose(
+        fitted, chosen, joint=joint, lock_angle=lock_angle, holdout=holdout, held_out=kept, jobs=jobs, seed=seed,
+        progress=progress, profiles=profiles, estimator=estimator, store=store,
+    )  # fmt: skip
+    return DiagnoseResult(
+        **{item.name: getattr(found, item.name) for item in fields(Diagnosis)},
+        start=chosen,
+        hashes=tuple(recording_hash(recording) for recording in (*fitted, *kept)),
+        seed=seed,
+        kept=tuple(bag_name(recording.path) for recording in kept) or holdout,
+    )
+
+
+def _named(rig: Rig, name: str, source: str) -> Rig:
+    return rig.replaced(name=f"{name.removesuffix('_extended')}_extended", source=" ".join(source.split()))

@@ -1,0 +1,212 @@
+"""``identify``: a rig's parameters, noise and tuning from its recordings."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.sealed import SealedIdentified, identify_sealed
+from pam_antagonist.identification.session import Identified, Options
+from pam_antagonist.identification.session import identify as _identify
+from pam_antagonist.optional import needs
+from pam_antagonist.output import output_folder
+from pam_antagonist.recording import Recording, bag_name, recording_hash
+from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.recording.notes import sealed_muscles
+from pam_antagonist.report import identify as numbers
+from pam_antagonist.report import identify_document, terminal
+from pam_antagonist.report import identify_sealed as sealed
+from pam_antagonist.report.held_out import Judged, judge
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import write_rig
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_Named = tuple[Recording, JointCondition, str]
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifyResult:
+    """An identified rig.
+
+    Attributes:
+        rig: with the identified parameters, noise and tuning.
+        own: of several recordings, the rig with each one's own values in place of the common ones.
+        warnings: what the user should know.
+        report: the numbers of ``report.json``.
+        found: everything behind them.
+        judged: the recordings by the rigs that are compared, for figures.
+        recordings: each with its joint's condition and its name.
+        seed: of further starts.
+    """
+
+    rig: Rig
+    own: tuple[Rig, ...]
+    warnings: tuple[str, ...]
+    report: numbers.IdentifyReport | sealed.SealedReport
+    found: Identified | SealedIdentified
+    judged: tuple[Judged, ...]
+    recordings: tuple[_Named, ...]
+    seed: int = 0
+
+    def summary(self) -> str:
+        """The tables that the command prints."""
+        if isinstance(self.report, sealed.SealedReport):
+            return terminal.render(sealed.summary(self.report))
+        return terminal.render(identify_document.summary(self.report))
+
+    def save(self, path: str | Path, figures: bool = True) -> Path:
+        """Write ``rig.yaml``, ``report.html`` and ``report.json``, and of several recordings ``rig_1.yaml`` and so on.
+
+        Args:
+            path: of a new folder.
+            figures: False leaves the figures out of the page.
+
+        Returns:
+            The folder.
+
+        Raises:
+            BadInput: it exists already, or cannot be written.
+        """
+        with output_folder(Path(path)) as folder:
+            self._write_rigs(folder)
+            if isinstance(self.report, sealed.SealedReport):
+                sealed.write_report(folder, self.report, self.judged, with_figures=figures)
+            else:
+                assert isinstance(self.found, Identified)
+                identify_document.write_report(folder, self.report, self.found, self.judged, with_figures=figures)
+        return Path(path)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each identified parameter: value at the start, now, and its standard error (needs pandas)."""
+        with needs("import", "a data frame"):
+            import pandas as pd
+        if isinstance(self.report, sealed.SealedReport):
+            rows = [
+                (name, entry.before, entry.after, entry.std)
+                for stage in self.report.stages
+                for name, entry in stage.values.items()
+            ]
+        else:
+            rows = [(entry.name, entry.start, entry.value, entry.std) for entry in self.report.parameters]
+        return pd.DataFrame(rows, columns=["parameter", "start", "value", "std"]).set_index("parameter")
+
+    def _write_rigs(self, folder: Path) -> None:
+        start = self.found.start
+        when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+        about = [
+            f"Identified on {when} by pam_antagonist identify, from rig {start.name}, seed {self.seed}.",
+            "Recordings (the part that was fitted, joint, SHA-256):",
+            *(
+                f"  {name}: first {until:.1f} s, {state.condition}, {recording_hash(recording)}"
+                for (recording, state, name), until in zip(self.recordings, self.found.held_from, strict=True)
+            ),
+        ]
+        if isinstance(self.found, Identified):
+            about.append(
+                "Standard errors stand in report.json; the directions below are what of them moves the estimate."
+            )
+        names = ", ".join(name for _, _, name in self.recordings)
+        source = f"identified from {names}; started from: {start.source.strip()}"
+        write_rig(_named(self.rig, start.name, source), folder / "rig.yaml", about)
+        for index, own in enumerate(self.own):
+            name = self.recordings[index][2]
+            remark = f"The values of {name} alone, which deviate a little from the common ones in rig.yaml."
+            named = _named(own, start.name, f"{source}; with the values of {name} alone")
+            write_rig(named, folder / f"rig_{index + 1}.yaml", [*about, remark])
+
+
+def identify(
+    recordings: Bag | Sequence[Bag],
+    rig: RigGiven,
+    *,
+    joint: str = "auto",
+    lock_angle: float | None = None,
+    free: Sequence[str] = (),
+    freeze: Sequence[str] = (),
+    holdout: float = 1.0 / 3.0,
+    starts: int = 1,
+    seed: int = 0,
+    jobs: int = 2,
+    progress: Callable[[str], None] | None = None,
+) -> IdentifyResult:
+    """Identify a rig: parameters with error bars, sensor noise, filter tuning.
+
+    Args:
+        recordings: of a joint that moves, and of one that is held, with angle and torque measured where you can.
+        rig: start values, priors and bounds: a rig, its name or its file.
+        joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
+        lock_angle: of a locked joint [rad], where it is known.
+        free: parameters, or beginnings of their names, that may move beside the usual ones.
+        freeze: parameters, or beginnings of their names, that may not.
+        holdout: share at the end of each recording that is not fitted but judges the result.
+        starts: how many places the refinement begins from.
+        seed: of further starts.
+        jobs: threads.
+        progress: is called with what is being done.
+
+    Returns:
+        The identified rig and everything behind it.
+
+    Raises:
+        BadInput: recordings from which nothing can be learned, or that are not of one rig.
+
+    Example:
+        >>> from pam_antagonist import identify, simulate
+        >>> recording = simulate("shin2022", duration=8.0, mismatch=0.02, seed=1)
+        >>> result = identify(recording, "shin2022", freeze=["muscle_1.force", "muscle_2.force"])
+        >>> round(result.rig.value("supply.pressure") / 1e5, 1)  # [bar]
+        7.1
+    """
+    chosen = as_rig(rig)
+    read = [
+        (recording, joint_condition(recording, joint, lock_angle), bag_name(recording.path))
+        for recording in as_recordings(recordings)
+    ]
+    if chosen.valves.sealed:
+        return _sealed(read, chosen, holdout, seed, progress, [*free, *freeze])
+    for recording, _, name in read:
+        if sealed_muscles(recording.path):
+            raise BadInput(
+                f"{name}: its muscles were sealed, as the bag says, but rig {chosen.name} lets air through its valves; "
+                "expected a rig file with valves.sealed: true, such as config/rigs/sealed_joint.yaml"
+            )
+    options = Options(tuple(free), tuple(freeze), holdout, starts, seed, jobs)
+    found = _identify(read, chosen, options, progress)
+    judged = judge(read, numbers.rigs_of(found), found.held_from, progress)
+    report = numbers.report(read, found, judged)
+    own = found.own if len(read) > 1 else ()
+    return IdentifyResult(found.tuned.rig, own, found.warnings, report, found, tuple(judged), tuple(read), seed)
+
+
+def _sealed(
+    read: Sequence[_Named],
+    rig: Rig,
+    holdout: float,
+    seed: int,
+    progress: Callable[[str], None] | None,
+    chosen: Sequence[str],
+) -> IdentifyResult:
+    """The same for a joint whose muscles are sealed: other steps, fewer parameters."""
+    if chosen:
+        raise BadInput(f"{chosen[0]}: the parameters of a sealed joint that can be identified are fixed; leave it out")
+    for _, state, name in read:
+        if state.condition != "free":
+            raise BadInput(
+                f"{name}: the joint is {state.condition}; expected a sealed joint that an external torque moves"
+            )
+    found = identify_sealed([(recording, name) for recording, _, name in read], rig, holdout, progress)
+    rigs = {"as_configured": found.start, "identified": found.rig}
+    judged = judge(read, [rigs] * len(read), found.held_from)
+    return IdentifyResult(found.rig, (), (), sealed.report(found, judged), found, tuple(judged), tuple(read), seed)
+
+
+def _named(rig: Rig, name: str, source: str) -> Rig:
+    plain = name.removesuffix("_identified")
+    return rig.replaced(name=f"{plain}_identified", source=" ".join(source.split()))

@@ -1,0 +1,85 @@
+"""``simulate``: a recording of a simulated joint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.api.given import RigGiven, as_rig
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording
+from pam_antagonist.simulation import excitation
+from pam_antagonist.simulation.plant import Plant
+
+FIRST_STAMP_NS = 1_000_000_000_000_000_000
+"""Stamps begin here (in 2001), whatever the time is: the same arguments give the same recording."""
+
+
+def simulate(
+    rig: RigGiven,
+    voltage: NDArray[np.float64] | None = None,
+    *,
+    profile: str = "steps",
+    duration: float = 10.0,
+    joint: str = "free",
+    lock_angle: float = 0.0,
+    seed: int = 0,
+    mismatch: float = 0.0,
+    noise: bool = True,
+    path: str | Path = "simulated",
+    progress: Callable[[int], object] | None = None,
+) -> Recording:
+    """Drive a simulated joint and record what its sensors show.
+
+    The model runs at a finer step than the estimator's, behind noisy, quantised sensors. It is this package's own
+    model: agreement with it says nothing about a real joint.
+
+    Args:
+        rig: a rig, its name or its file.
+        voltage: on the valves (N, 2) [V], row k over sample period k; default: a profile.
+        profile: ``paper``, ``steps`` or ``multisine``, where no voltages are given.
+        duration: of the profile [s].
+        joint: ``free`` or ``locked``.
+        lock_angle: of a locked joint [rad].
+        seed: of everything that is random.
+        mismatch: relative scatter of the joint's parameters from the rig's.
+        noise: False for exact sensors.
+        path: what the recording is called; nothing is written.
+        progress: is called with the number of samples done since the last call.
+
+    Returns:
+        The recording; sample k is stamped at the end of period k. ``write_bag`` makes a bag of it.
+
+    Raises:
+        BadInput: voltages of another shape, or a value that is not physical.
+
+    Example:
+        >>> from pam_antagonist import simulate
+        >>> recording = simulate("shin2022", duration=2.0, mismatch=0.01, seed=7)
+        >>> len(recording), recording.pressure.shape
+        (2000, (2000, 2))
+    """
+    chosen = as_rig(rig)
+    if voltage is None:
+        if profile not in excitation.PROFILES:
+            raise BadInput(f"profile {profile!r}: expected one of {', '.join(excitation.PROFILES)}")
+        low, high = chosen.valves.voltage_min, chosen.valves.voltage_max
+        voltage = np.clip(excitation.profile(profile, duration, chosen.sample_period, seed), low, high)
+    given = np.asarray(voltage, dtype=np.float64)
+    if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
+        raise BadInput(f"voltage has shape {given.shape}, expected (N, 2)")
+    plant = Plant(chosen, joint, lock_angle, seed, mismatch=mismatch, noise=noise)
+    count = len(given)
+    pressure, angle, torque = np.empty((count, 2)), np.empty(count), np.empty(count)
+    for k in range(count):
+        sample = plant.step(given[k])
+        pressure[k] = sample.pressure
+        angle[k] = sample.angle
+        torque[k] = sample.torque
+        if progress is not None and k % 1000 == 999:
+            progress(1000)
+    stamps = FIRST_STAMP_NS + np.rint(np.arange(1, count + 1) * chosen.sample_period * 1e9).astype(np.int64)
+    return Recording(path=Path(path), stamp_ns=stamps, pressure=pressure, voltage=given, angle=angle, torque=torque)

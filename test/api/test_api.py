@@ -1,0 +1,146 @@
+"""The Python API: lazy, documented by examples that run, with results that can be saved and looked at as tables."""
+
+from __future__ import annotations
+
+import csv
+import doctest
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pam_antagonist
+from pam_antagonist import BadInput, Estimator, Recording, ReplayResult, check, read_bag, replay, simulate
+from pam_antagonist.rig import Rig
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ("check", "identify", "load_rig", "read_bag", "replay", "simulate", "Estimator")
+
+
+@pytest.fixture(scope="module")
+def replayed(free: Recording) -> ReplayResult:
+    return replay(free.slice(0.0, 2.0), "shin2022")
+
+
+def test_every_name_is_there_and_nothing_is_loaded_before() -> None:
+    code = """
+import sys, pam_antagonist
+slow = {"numpy", "numba", "rosbags", "pydantic"} & set(sys.modules)
+assert not slow, slow
+assert set(pam_antagonist.__all__) <= set(dir(pam_antagonist))
+from pam_antagonist import *
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+    with pytest.raises(AttributeError, match="no attribute 'replya'"):
+        _ = pam_antagonist.replya
+
+
+def test_functions_are_not_hidden_by_modules() -> None:
+    """A module that is imported later would take the place of a function of its name."""
+    modules = {path.stem for path in (ROOT / "pam_antagonist").iterdir()}
+    assert not modules & {name for name in pam_antagonist.__all__ if not name.startswith("_")}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_example_in_the_docstring_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    _run_examples(name)
+
+
+@pytest.mark.slow
+def test_the_example_of_diagnose_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    _run_examples("diagnose")
+
+
+def _run_examples(name: str) -> None:
+    item = getattr(pam_antagonist, name)
+    module = importlib.import_module(item.__module__)
+    found = doctest.DocTestFinder(recurse=True).find(item, name, module=module)
+    runner = doctest.DocTestRunner()
+    for test in found:
+        runner.run(test)
+    assert runner.tries > 0, f"{name} has no example"
+    assert runner.failures == 0
+
+
+def test_every_function_has_an_example() -> None:
+    functions = {name for name in pam_antagonist.__all__ if name[0].islower()} - {"write_bag"}
+    assert functions | {"Estimator"} == {*EXAMPLES, "diagnose"}
+
+
+def test_a_replay_is_saved_as_report_table_and_bag(replayed: ReplayResult, tmp_path: Path) -> None:
+    replayed.save(tmp_path / "report", figures=False)
+    assert json.loads((tmp_path / "report/report.json").read_text())["samples"] == 2000
+
+    replayed.save(tmp_path / "estimate.csv")
+    with (tmp_path / "estimate.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(replayed.run.rows)
+    last, covariance = replayed.run.rows[-1], replayed.run.rows["covariance"][-1]
+    assert int(rows[-1]["stamp_ns"]) == replayed.run.stamp_ns[-1]
+    assert float(rows[-1]["angle_rad"]) == pytest.approx(float(last["angle"]), rel=1e-8)
+    assert float(rows[-1]["torque_std_Nm"]) == pytest.approx(float(np.sqrt(covariance[2, 2])), rel=1e-8)
+    assert float(rows[-1]["innovation_2_Pa"]) == pytest.approx(float(last["innovation"][1]), rel=1e-8)
+
+    replayed.save(tmp_path / "estimate.mcap")
+    again = read_bag(tmp_path / "estimate.mcap")
+    assert again.estimate is not None
+    assert np.array_equal(again.estimate.covariance, replayed.run.rows["covariance"])
+    assert np.array_equal(again.estimate.innovation, replayed.run.rows["innovation"], equal_nan=True)
+    assert np.array_equal(again.pressure, replayed.recording.pressure)
+    content = (tmp_path / "estimate.mcap").read_bytes()
+    assert b"pam_antagonist_msgs/msg/JointEstimate" in content and content.startswith(b"\x89MCAP0\r\n")
+
+    for path in ("estimate.csv", "report"):
+        with pytest.raises(BadInput, match="exists"):
+            replayed.save(tmp_path / path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["estimate.csv", "estimate.mcap", "report"]
+
+
+def test_results_are_tables(replayed: ReplayResult, free: Recording) -> None:
+    pytest.importorskip("pandas", reason="the extra [import] is not installed")
+    frame = replayed.to_dataframe()
+    assert len(frame) == len(replayed.run.rows)
+    assert np.array_equal(frame["measured_angle_rad"], replayed.measured_angle)
+    samples = free.to_dataframe()
+    assert list(samples["pressure_2_Pa"]) == list(free.pressure[:, 1])
+    assert "external_torque_Nm" not in samples
+
+
+def test_without_pandas_a_table_says_what_to_install(replayed: ReplayResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(BadInput, match=r"pandas is not installed.*'pam_antagonist\[import\]'"):
+        replayed.to_dataframe()
+
+
+def test_a_check_is_saved(free: Recording, tmp_path: Path) -> None:
+    checked = check(free.path, "shin2022")
+    content = json.loads(checked.save(tmp_path / "check.json").read_text())
+    assert content["joint"] == "free" and len(content["findings"]) == len(checked.findings) > 0
+
+
+def test_a_simulated_recording_needs_no_bag() -> None:
+    recording = simulate("shin2022", np.full((300, 2), 5.5))
+    assert replay(recording, "shin2022").report.samples == 300
+    with pytest.raises(BadInput, match=r"shape \(3,\)"):
+        simulate("shin2022", np.zeros(3))
+    with pytest.raises(BadInput, match="profile 'stairs'"):
+        simulate("shin2022", profile="stairs")
+
+
+def test_each_step_gives_a_row_of_its_own(rig: Rig) -> None:
+    estimator = Estimator(rig)
+    rows = [estimator.step(k * 1_000_000, 450e3 + 10.0 * k, 450e3, 5.5, 5.5) for k in range(1, 4)]
+    kept = [row.copy() for row in rows if row is not None]
+    estimator.step(5_000_000, 460e3, 450e3, 5.5, 5.5)
+    assert len(kept) == 3 and all(row.tobytes() == copy.tobytes() for row, copy in zip(rows, kept, strict=True))
+    assert len({float(row["pressure"][0]) for row in kept}) == 3
+    first = estimator.step_in_place(6_000_000, 461e3, 450e3, 5.5, 5.5)
+    before = float(first["angle"])  # type: ignore[index]
+    second = estimator.step_in_place(7_000_000, 480e3, 440e3, 5.5, 5.5)
+    assert float(first["angle"]) == float(second["angle"]) != before  # type: ignore[index]
