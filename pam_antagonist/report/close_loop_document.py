@@ -77,8 +77,8 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
         errors_table(report),
     ]
     if before_and_after[1:]:
-        title = "Residuals before and after, other recordings"
-        parts.append(Section(title, before_and_after[1:], 2, "residual"))
+        others = "Residuals before and after, other recordings"
+        parts.append(Section(others, before_and_after[1:], 2, "residual"))
     if report.effects:
         figures = drawn.profiles(report.profiles) if with_figures else ()
         parts.append(Section("Size of the effect", (sizes_table(report), *_laws(report), *figures), 2, "parameters"))

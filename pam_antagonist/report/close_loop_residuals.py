@@ -168,5 +168,5 @@ def _drawn(item: RemainingResidual) -> Figure:
         panels.append(Panel(Axis(title), Axis(f"{item.channel.capitalize()} [{item.unit}]"), tuple(parts), 222))
     form = f" A sparse regression suggests {item.form}." if item.form.terms else ""
     about = f"The residual over the two signals on which it depends most, and means over equal numbers of values.{form}"
-    title = f"{item.recording}: {item.channel} that the model lacks"
+    title = f"What the model lacks in {item.channel}, {item.recording}"
     return Figure(title, about, tuple(panels), beside=True)

@@ -69,16 +69,10 @@ class Demo:
         """Judge the recording of a demo.
 
         Args:
-            replay: of the recording.
-            mode: what was controlled.
-            simulated: what the joint was.
-            gains: of the controller, ``fast`` or ``published``.
-
-        Args:
             replay: of the demo's recording.
             mode: what was controlled.
             simulated: what the joint was.
-
+            gains: of the controller, ``fast`` or ``published``.
 
         Raises:
             BadInput: there is no reference, or no measurement, to judge by.

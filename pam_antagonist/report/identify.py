@@ -46,6 +46,7 @@ class ParameterEntry:
         record: what would determine it; None where it is determined.
         own: value of each recording.
         own_std: standard deviations of these.
+        unit: SI unit of these numbers.
     """
 
     name: str

@@ -11,7 +11,12 @@ from pam_antagonist.rig import Rig
 
 
 class Unit(NamedTuple):
-    """A unit for people: its name, and how many of it are one of the SI unit."""
+    """A unit for people.
+
+    Attributes:
+        name: how it is written.
+        scale: how many of it are one of the SI unit.
+    """
 
     name: str
     scale: float
