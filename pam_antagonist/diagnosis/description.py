@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import ambiguity, held_out, splits, warnings
 from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
+from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.findings import profile_sizes
 from pam_antagonist.diagnosis.preparation import Prepared, Settings, Timings
 from pam_antagonist.diagnosis.remaining import describe as describe_remaining
@@ -252,7 +252,7 @@ def sentence(
     firmness: str,
     ambiguous: Sequence[str],
     share: float,
-    errors: Mapping[str, Mapping[str, Any]],
+    errors: ModelErrors,
     ranking: Sequence[TriedCandidate],
     reference: Mapping[str, float] | None,
     mean_pressure: bool,
@@ -270,7 +270,7 @@ def sentence(
         reference: errors of maps that know no physics.
         mean_pressure: whether the mean of the pressures is what the model is compared by, not each of them.
     """
-    recalibrated, extended = (_errors(errors[name], mean_pressure) for name in ("recalibrated", "extended"))
+    recalibrated, extended = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
     if verdict == "none":
         return (
             "Nothing is wrong with the model beyond its parameters: recalibrated, it leaves what the sensors' noise "
@@ -304,13 +304,13 @@ def _instead(name: str) -> str:
     return effect.sealed.instead or f"{effect.title} would do as well"
 
 
-def _errors(own: Mapping[str, Any], mean_pressure: bool) -> str:
+def _errors(own: Errors, mean_pressure: bool) -> str:
     parts = []
-    if own["angle"]:
-        parts.append(f"{own['angle']['rmse_deg']:.2g}°")
-    if own["torque"]:
-        parts.append(f"{own['torque']['rmse_nm']:.2g} N m")
-    if mean_pressure:
-        return ", ".join([*parts, f"{own['pressure']['mean_rmse_pa'] / 1e3:.2g} kPa (mean pressure)"])
-    parts.append("{:.2g} and {:.2g} kPa".format(*(value / 1e3 for value in own["pressure"]["rmse_pa"])))
+    if own.angle:
+        parts.append(f"{own.angle.rmse:.2g}°")
+    if own.torque:
+        parts.append(f"{own.torque.rmse:.2g} N m")
+    if mean_pressure and own.mean_rmse_pa is not None:
+        return ", ".join([*parts, f"{own.mean_rmse_pa / 1e3:.2g} kPa (mean pressure)"])
+    parts.append("{:.2g} and {:.2g} kPa".format(*(value / 1e3 for value in own.rmse_pa)))
     return ", ".join(parts)

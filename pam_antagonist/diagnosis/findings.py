@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -12,7 +12,7 @@ from joblib import Parallel, delayed
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model, evidence, price
 from pam_antagonist.diagnosis.explained import further_share, remaining_residuals
-from pam_antagonist.diagnosis.result import FoundEffect
+from pam_antagonist.diagnosis.result import FoundEffect, SizeProfile
 from pam_antagonist.diagnosis.selection import refitted_without
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
@@ -296,7 +296,7 @@ def profile_sizes(
     found: Sequence[FoundEffect],
     jobs: int,
     progress: Callable[[str], None],
-) -> tuple[Mapping[str, Any], ...]:
+) -> tuple[SizeProfile, ...]:
     """Profiles of the found sizes, each in the recording that shows it first.
 
     Args:
@@ -305,10 +305,6 @@ def profile_sizes(
         found: its effects.
         jobs: threads.
         progress: is called with what is being done.
-
-    Returns:
-        For each: parameter, recording, value, its standard error, unit, values (P,), rise of −2 log posterior (P,),
-        whether it is flat.
     """
     names = [experiment.trial.name for experiment in experiments]
     result = []
@@ -324,16 +320,16 @@ def profile_sizes(
             progress(f"profile of {parameter.path}")
             profile = effect_profile(experiments[r], model.fits[r], parameter, jobs)
             result.append(
-                {
-                    "parameter": parameter.path.removeprefix("effects."),
-                    "recording": names[r],
-                    "value": profile.best,
-                    "std": profile.std,
-                    "unit": parameter.item.unit,
-                    "values": profile.value.tolist(),
-                    "rise": (2.0 * profile.loss).tolist(),
-                    "flat": profile.flat,
-                }
+                SizeProfile(
+                    parameter.path.removeprefix("effects."),
+                    names[r],
+                    profile.best,
+                    profile.std,
+                    parameter.item.unit,
+                    tuple(profile.value.tolist()),
+                    tuple((2.0 * profile.loss).tolist()),
+                    profile.flat,
+                )
             )
     return tuple(result)
 

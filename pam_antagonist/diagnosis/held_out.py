@@ -1,13 +1,12 @@
 """What was held out judges the three models: their errors there, alone and in the estimator.
 
-Keys are those of ``report.json``. ``torque`` of a joint that is driven by its angle is the torque from outside.
+The torque of a joint that is driven by its angle is the torque from outside.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -16,8 +15,9 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import residual_statistics
 from pam_antagonist.diagnosis.agreement import common_point, own_rig, with_tuning
 from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.errors import Errors, Innovations, ModelErrors, Sliding, errors_of, total_of
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared
-from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison
+from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison, RecordingEntry
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics
 from pam_antagonist.identification.tuning import innovation_likelihood
 from pam_antagonist.inference.angle_driven import sweeps
@@ -81,7 +81,7 @@ def by_recording(
     tuned: Mapping[str, Rig],
     estimator: bool,
     jobs: int,
-) -> tuple[Mapping[str, Any], ...]:
+) -> tuple[RecordingEntry, ...]:
     """Errors and residuals of the three models on what was held out of each recording, model alone and estimator.
 
     Args:
@@ -92,11 +92,10 @@ def by_recording(
         jobs: threads.
     """
 
-    def one(number: int) -> dict[str, Any]:
+    def one(number: int) -> RecordingEntry:
         parts = [part for part in compared if part.number == number]
         rigs = {name: with_tuning(rig_of(prepared, parts, name), tuned.get(name)) for name in MODELS}
-        name = prepared.trials[number].name
-        return {"recording": name, **_entry(prepared.recordings[number], parts, rigs, estimator)}
+        return _entry(prepared.trials[number].name, prepared.recordings[number], parts, rigs, estimator)
 
     return tuple(
         Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(number) for number in range(len(prepared.recordings)))
@@ -104,41 +103,48 @@ def by_recording(
 
 
 def _entry(
-    recording: Recording, parts: Sequence[HeldOutComparison], rigs: Mapping[str, Rig], estimator: bool
-) -> dict[str, Any]:
-    """A recording in ``report.json``."""
+    name: str,
+    recording: Recording,
+    parts: Sequence[HeldOutComparison],
+    rigs: Mapping[str, Rig],
+    estimator: bool,
+) -> RecordingEntry:
     first = parts[0]
     experiment, trial = first.experiment, first.experiment.trial
-    entry: dict[str, Any] = {
-        "joint": trial.joint,
-        "lock_angle_rad": trial.lock_angle if trial.joint == "locked" else None,
-        "role": first.role,
-        "held_out_from_s": experiment.errors_from * trial.dt if first.judges else None,
-        "errors": None,
-    }
+    entry = RecordingEntry(
+        name,
+        trial.joint,
+        trial.lock_angle if trial.joint == "locked" else None,
+        first.role,
+        experiment.errors_from * trial.dt if first.judges else None,
+    )
     if not first.judges:
         return entry
-    if experiment.slides is not None:
-        fitted, held = (sweeps(trial, *span) for span in ((0, experiment.fitted), (experiment.fitted, len(trial))))
-        entry["sweeps"] = {"fitted": fitted, "held_out": held}
-    entry["errors"] = {name: model_errors(first, name, rigs[name]) for name in MODELS}
-    entry["residuals"] = {
-        name: [row for part in parts for row in residual_statistics.statistics(part.experiment, part.points[name])]
-        for name in ("recalibrated", "extended")
+    residuals = {
+        model: [row for part in parts for row in residual_statistics.statistics(part.experiment, part.points[model])]
+        for model in ("recalibrated", "extended")
     }
+    ukf = None
     if estimator:
-        entry["ukf"] = {}
-        for name, rig in rigs.items():
-            run = estimator_errors(recording, rig, experiment)
-            entry["ukf"][name] = run.errors
-            if name in entry["residuals"]:
-                entry["residuals"][name] += residual_statistics.of_innovations(
-                    experiment, first.points[name], run.time, run.innovation
-                )
-    return entry
+        runs = {model: estimator_errors(recording, rigs[model], experiment) for model in MODELS}
+        ukf = ModelErrors(*(runs[model].errors for model in MODELS))
+        for model, rows in residuals.items():
+            run = runs[model]
+            rows.extend(residual_statistics.of_innovations(experiment, first.points[model], run.time, run.innovation))
+    counted = None
+    if experiment.slides is not None:
+        spans = {"fitted": (0, experiment.fitted), "held_out": (experiment.fitted, len(trial))}
+        counted = {name: sweeps(trial, *span) for name, span in spans.items()}
+    return replace(
+        entry,
+        errors=ModelErrors(*(model_errors(first, model, rigs[model]) for model in MODELS)),
+        residuals={model: tuple(rows) for model, rows in residuals.items()},
+        ukf=ukf,
+        sweeps=counted,
+    )
 
 
-def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> dict[str, Any]:
+def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
     """Errors of the model alone, run from the recording's start, on the samples that were held out.
 
     Args:
@@ -148,98 +154,29 @@ def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> dict[str, Any
     """
     experiment = part.experiment
     held = slice(experiment.errors_from, None)
-    measured = experiment.trial.measured[held]
-    error = measured - experiment.shown(part.points[model], rig)[held]
-    out = error_figures(error, measured, experiment.judged_channels)
-    if experiment.slides is not None and out["torque"] is not None:
-        slides = experiment.slides[held]
-        for name, rows in (("sliding", slides), ("sticking", ~slides)):
-            known = error[rows, TORQUE][np.isfinite(error[rows, TORQUE])]
-            out["torque"][f"rmse_{name}_nm"] = float(np.sqrt(np.mean(known**2))) if len(known) else None
-        out["torque"]["sliding_share"] = float(np.mean(slides))
-    return out
+    measured, shown = experiment.trial.measured[held], experiment.shown(part.points[model], rig)[held]
+    found = errors_of(measured, shown, experiment.judged_channels)
+    if experiment.slides is None or found.torque is None:
+        return found
+    slides, error = experiment.slides[held], (shown - measured)[:, TORQUE]
+    sliding, sticking = (
+        metrics.rmse(error[rows]) if np.isfinite(error[rows]).any() else None for rows in (slides, ~slides)
+    )
+    return replace(found, sliding=Sliding(sliding, sticking, float(np.mean(slides))))
 
 
-def error_figures(error: Floats, measured: Floats, channels: Sequence[int]) -> dict[str, Any]:
-    """Error figures of all channels.
-
-    Args:
-        error: (N, 4), NaN where nothing was measured.
-        measured: (N, 4).
-        channels: those that were measured and can be judged.
-    """
-
-    def figures(channel: int, unit: str, factor: float) -> dict[str, float] | None:
-        if channel not in channels:
-            return None
-        e = error[np.isfinite(error[:, channel]), channel]
-        span = float(np.nanmax(measured[:, channel]) - np.nanmin(measured[:, channel]))
-        most = float(np.max(np.abs(e)))
-        return {
-            f"rmse_{unit}": factor * float(np.sqrt(np.mean(e**2))),
-            f"max_{unit}": factor * most,
-            "q": most / span if span > 0.0 else float("nan"),
-        }
-
-    pressures = error[:, PRESSURE_1:]
-    return {
-        "angle": figures(ANGLE, "deg", float(np.degrees(1.0))),
-        "torque": figures(TORQUE, "nm", 1.0),
-        "pressure": {
-            "rmse_pa": [float(np.sqrt(np.nanmean(pressures[:, i] ** 2))) for i in (0, 1)],
-            "mean_rmse_pa": float(np.sqrt(np.nanmean(pressures.mean(axis=1) ** 2))),
-        },
-    }
-
-
-def total_errors(
-    compared: Sequence[HeldOutComparison], entries: Sequence[Mapping[str, Any]]
-) -> dict[str, dict[str, Any]]:
-    """Errors over all recordings of which something was held out, by model.
+def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[RecordingEntry]) -> ModelErrors:
+    """Errors over all recordings of which something was held out.
 
     Args:
         compared: the recordings, or parts of them.
         entries: of :func:`by_recording`.
-
-    Returns:
-        Root mean squares over all samples, the largest of the other figures.
     """
     held = [(part.number, part.experiment) for part in compared if part.judges]
     samples = {number: len(experiment.trial) - experiment.errors_from for number, experiment in held}
-    numbers = sorted(samples)
-    return {
-        name: _total([entries[number]["errors"][name] for number in numbers], [samples[number] for number in numbers])
-        for name in MODELS
-    }
-
-
-def _total(parts: Sequence[Mapping[str, Any]], samples: Sequence[int]) -> dict[str, Any]:
-    if len(parts) == 1:
-        return dict(parts[0])
-
-    def channel(name: str, unit: str) -> dict[str, float] | None:
-        known = [(part[name], count) for part, count in zip(parts, samples, strict=True) if part[name] is not None]
-        if not known:
-            return None
-        total = sum(count for _, count in known)
-        square = sum(item[f"rmse_{unit}"] ** 2 * count for item, count in known) / total
-        return {
-            f"rmse_{unit}": float(np.sqrt(square)),
-            f"max_{unit}": max(item[f"max_{unit}"] for item, _ in known),
-            "q": max(item["q"] for item, _ in known),
-        }
-
-    weights = np.array(samples, float) / sum(samples)
-    squares = np.array([np.array(part["pressure"]["rmse_pa"]) ** 2 for part in parts])
-    means = np.array([part["pressure"]["mean_rmse_pa"] ** 2 for part in parts])
-    return {
-        "angle": channel("angle", "deg"),
-        "torque": channel("torque", "nm"),
-        "pressure": {
-            "rmse_pa": [float(value) for value in np.sqrt(weights @ squares)],
-            "mean_rmse_pa": float(np.sqrt(weights @ means)),
-        },
-    }
+    known = [(errors, samples[number]) for number in sorted(samples) if (errors := entries[number].errors) is not None]
+    by_model = zip(*(errors.all for errors, _ in known), strict=True)
+    return ModelErrors(*(total_of(parts, [count for _, count in known]) for parts in by_model))
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,12 +184,12 @@ class EstimatorErrors:
     """The estimator over a recording, on the samples that were held out.
 
     Attributes:
-        errors: with the keys of ``report.json``.
+        errors: of all channels.
         time: of each sample since the recording's first (M,) [s].
         innovation: what the pressures were beside the prediction, in its standard deviations (M, 2).
     """
 
-    errors: dict[str, Any]
+    errors: Errors
     time: Floats
     innovation: Floats
 
@@ -293,20 +230,21 @@ def estimator_errors(recording: Recording, rig: Rig, experiment: Experiment) -> 
     measured[:, PRESSURE_1:] = recording.pressure[index]
     known = {ANGLE: recording.angle is not None, TORQUE: torque is not None, PRESSURE_1: True, PRESSURE_2: True}
     channels = [c for c, there in known.items() if there and experiment.trial.has(c)]
-    result = error_figures(measured - estimate, measured, channels)
+    found = errors_of(measured, estimate, channels)
+    reading = rig.sensors.reading
     for name, channel in (("angle", ANGLE), ("torque", TORQUE)):
-        if result[name] is not None and channel in variance:
-            result[name]["coverage95"] = metrics.coverage(
-                measured[:, channel] - estimate[:, channel], variance[channel], rig.sensors.reading(name)
-            )
+        errors = getattr(found, name)
+        if errors is not None and channel in variance:
+            share = metrics.coverage(estimate[:, channel] - measured[:, channel], variance[channel], reading(name))
+            found = replace(found, **{name: replace(errors, coverage95=share)})
     normal = rows["innovation"] / np.sqrt(np.diagonal(rows["innovation_covariance"], axis1=1, axis2=2))
-    result["innovation"] = {
-        "nis_mean": float(np.nanmean(rows["nis"])),
-        "whiteness_p": metrics.whiteness_p(normal),
-        "largest_correlation": metrics.largest_autocorrelation(normal),
-    }
+    innovation = Innovations(
+        float(np.nanmean(rows["nis"])), metrics.whiteness_p(normal), metrics.largest_autocorrelation(normal)
+    )
     time = (recording.stamp_ns[index] - recording.stamp_ns[0]) * 1e-9
-    return EstimatorErrors(result, np.asarray(time, dtype=np.float64), np.asarray(normal, dtype=np.float64))
+    return EstimatorErrors(
+        replace(found, innovation=innovation), np.asarray(time, dtype=np.float64), np.asarray(normal, dtype=np.float64)
+    )
 
 
 def deciding_evidence(

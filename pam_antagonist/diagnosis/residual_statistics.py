@@ -18,8 +18,7 @@ torque's error is taken at the measured state.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +54,64 @@ _LEAST = 40
 """Fewest values that are tested at all."""
 
 
+@dataclass(frozen=True)
+class Relation:
+    """Correlation of a residual with a signal that comes before it.
+
+    Attributes:
+        lag_s: by which the signal comes before [s]: where the whitened series go together best.
+        correlation: at that lag.
+        z: the same in standard deviations.
+        limit: size of z that chance alone exceeds once in twenty times.
+        p: probability of the largest of all lags and signals being chance.
+    """
+
+    lag_s: float
+    correlation: float
+    z: float
+    limit: float
+    p: float
+
+    @property
+    def over_chance(self) -> float:
+        """Size relative to the one that chance alone exceeds once in twenty times, with its sign."""
+        return self.z / self.limit
+
+
+@dataclass(frozen=True)
+class ResidualRow:
+    """A residual of a model on held-out data.
+
+    Attributes:
+        channel: sensor, equation or innovation.
+        kind: ``sensor``, ``equation`` or ``innovation``.
+        unit: of the residual.
+        rms: root mean square.
+        noise: that of the sensors' noise.
+        above_noise: share of the mean square that the sensors' noise does not explain.
+        memory_s: time between independent values [s].
+        independent: number of independent values.
+        whiteness_p: probability of such an autocorrelation in white noise; NaN where there are too few values.
+        relations: by signal.
+    """
+
+    channel: str
+    kind: str
+    unit: str
+    rms: float
+    noise: float
+    above_noise: float
+    memory_s: float
+    independent: float
+    whiteness_p: float | None
+    relations: Mapping[str, Relation]
+
+    @property
+    def title(self) -> str:
+        """The channel's name."""
+        return self.channel.replace("_", " ")
+
+
 def unit_of(channel: Channel) -> str:
     """Unit of a channel as ``report.json`` writes it."""
     return "deg" if channel.unit == "°" else channel.unit
@@ -82,8 +139,8 @@ def signals(experiment: Experiment, point: Point) -> dict[str, Floats]:
     return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
 
 
-def statistics(experiment: Experiment, point: Point) -> list[dict[str, Any]]:
-    """Residuals of sensors and equations of a model on what was held out, with the keys of ``report.json``.
+def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
+    """Residuals of sensors and equations of a model on what was held out.
 
     Args:
         experiment: the recording.
@@ -104,17 +161,18 @@ def statistics(experiment: Experiment, point: Point) -> list[dict[str, Any]]:
             for name, values in given.items()
         }
         for k in equations.known:
-            row = row_of(equations.values[late, k], equations.noise[k], over, SPAN * step)
-            out.append({"channel": EQUATIONS[k].title, "kind": "equation", "unit": EQUATIONS[k].unit, **row})
+            name, unit = EQUATIONS[k].title, EQUATIONS[k].unit
+            row = row_of((name, "equation", unit), equations.values[late, k], equations.noise[k], over, SPAN * step)
+            out.append(row)
     behind = {name: values[first:] for name, values in given.items()}
     for k, channel in enumerate(experiment.titles):
-        row = row_of(channel.factor * residual[first:, k], channel.factor * experiment.noise[k], behind, step)
-        name = channel.title.lower().replace(" ", "_")
-        out.append({"channel": name, "kind": "sensor", "unit": unit_of(channel), **row})
+        what = (channel.title.lower().replace(" ", "_"), "sensor", unit_of(channel))
+        noise = channel.factor * experiment.noise[k]
+        out.append(row_of(what, channel.factor * residual[first:, k], noise, behind, step))
     return out
 
 
-def of_innovations(experiment: Experiment, point: Point, time: Floats, innovation: Floats) -> list[dict[str, Any]]:
+def of_innovations(experiment: Experiment, point: Point, time: Floats, innovation: Floats) -> list[ResidualRow]:
     """The same for the estimator's innovations, in their own standard deviations.
 
     Args:
@@ -135,17 +193,20 @@ def of_innovations(experiment: Experiment, point: Point, time: Floats, innovatio
         count_of = np.bincount(block[inside] - first, minlength=count - first)
         total = np.bincount(block[inside] - first, values[inside], minlength=count - first)
         means = np.where(count_of > 0, total / np.maximum(count_of, 1), 0.0)
-        row = row_of(means, 1.0 / np.sqrt(experiment.trial.block), behind, step)
-        # Every sample tells of the whiteness, not means of them.
-        row["whiteness_p"] = metrics.whiteness_p(values[inside][:, None])
-        out.append({"channel": f"innovation {number + 1}", "kind": "innovation", "unit": "σ", **row})
+        what = (f"innovation {number + 1}", "innovation", "σ")
+        row = row_of(what, means, 1.0 / np.sqrt(experiment.trial.block), behind, step)
+        # Every sample counts for the whiteness, not means of them.
+        out.append(replace(row, whiteness_p=metrics.whiteness_p(values[inside][:, None])))
     return out
 
 
-def row_of(values: Floats, noise: float, given: Mapping[str, Floats], step: float) -> dict[str, Any]:
+def row_of(
+    what: tuple[str, str, str], values: Floats, noise: float, given: Mapping[str, Floats], step: float
+) -> ResidualRow:
     """Figures of a residual.
 
     Args:
+        what: its channel, kind and unit.
         values: the residual (N,), at a constant step.
         noise: standard deviation that its sensor alone gives.
         given: signals (N,) that it may go with, by name.
@@ -155,29 +216,25 @@ def row_of(values: Floats, noise: float, given: Mapping[str, Floats], step: floa
     length = correlation_length(values)
     enough = len(values) >= _LEAST and rms > 0.0
     lags = min(20, len(values) // 5)
-    return {
-        "rms": rms,
-        "noise": noise,
-        "above_noise": max(1.0 - (noise / rms) ** 2, 0.0) if rms > 0.0 else 0.0,
-        "memory_s": length * step,
-        "independent": len(values) / length,
-        "whiteness_p": metrics.whiteness_p(values[:, None], lags) if enough else float("nan"),
-        "relations": cross_correlations(values, given, step) if enough else {},
-    }
+    return ResidualRow(
+        *what,
+        rms=rms,
+        noise=float(noise),
+        above_noise=max(1.0 - (noise / rms) ** 2, 0.0) if rms > 0.0 else 0.0,
+        memory_s=length * step,
+        independent=len(values) / length,
+        whiteness_p=metrics.whiteness_p(values[:, None], lags) if enough else float("nan"),
+        relations=cross_correlations(values, given, step) if enough else {},
+    )
 
 
-def cross_correlations(residual: Floats, given: Mapping[str, Floats], step: float) -> dict[str, dict[str, float]]:
+def cross_correlations(residual: Floats, given: Mapping[str, Floats], step: float) -> dict[str, Relation]:
     """How a residual goes with what was there before it.
 
     Args:
         residual: (N,), at a constant step.
         given: signals (N,) by name.
         step: between values [s].
-
-    Returns:
-        For each signal the ``lag_s`` > 0 [s] at which the whitened series go together best, their ``correlation``
-        there, its size ``z`` in standard deviations, the ``limit`` that chance passes once in twenty, and ``p`` of the
-        largest of all lags and signals being chance.
     """
     most = max(1, min(round(_REACH / step), len(residual) // 4))
     filtered = whitener(residual)
@@ -193,13 +250,8 @@ def cross_correlations(residual: Floats, given: Mapping[str, Floats], step: floa
         rho = np.array([white[k:] @ driving[: len(driving) - k] for k in range(1, most + 1)]) / scale
         k = int(np.argmax(np.abs(rho)))
         z = float(rho[k] * np.sqrt(len(white)))
-        out[name] = {
-            "lag_s": (k + 1) * step,
-            "correlation": float(rho[k]),
-            "z": z,
-            "limit": limit,
-            "p": min(1.0, 2.0 * tried * float(ndtr(-abs(z)))),
-        }
+        chance = min(1.0, 2.0 * tried * float(ndtr(-abs(z))))
+        out[name] = Relation((k + 1) * step, float(rho[k]), z, limit, chance)
     return out
 
 

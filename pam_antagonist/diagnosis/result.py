@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
+from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.remaining import RemainingResidual
+from pam_antagonist.diagnosis.residual_statistics import ResidualRow
 from pam_antagonist.diagnosis.selection import Selection
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.inference.experiment import Experiment, Point
@@ -144,6 +146,72 @@ class HeldOutComparison:
         return self.role != "fitted"
 
 
+Residuals = Mapping[str, tuple[ResidualRow, ...]]
+"""Rows of the recalibrated and of the extended model."""
+
+
+@dataclass(frozen=True)
+class RecordingEntry:
+    """A recording and what the models make of it.
+
+    Attributes:
+        recording: its name.
+        joint: ``free``, ``locked`` or ``driven``.
+        lock_angle_rad: where a locked joint was held [rad].
+        role: ``fitted``, ``held out``, or ``both``: its end was held out.
+        held_out_from_s: where the held-out part begins [s].
+        errors: on held-out data; None where nothing was held out.
+        residuals: on held-out data; None likewise.
+        ukf: errors of the estimator; None where it was not run.
+        sweeps: how often a driven joint slides in the fitted and in the held-out part; None of other joints.
+        sha256: of the bag's files; empty where it was not read from a bag.
+    """
+
+    recording: str
+    joint: str
+    lock_angle_rad: float | None
+    role: str
+    held_out_from_s: float | None
+    errors: ModelErrors | None = None
+    residuals: Residuals | None = None
+    ukf: ModelErrors | None = None
+    sweeps: Mapping[str, int] | None = None
+    sha256: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Without what was not worked out."""
+        return {
+            item.name: getattr(self, item.name)
+            for item in fields(self)
+            if getattr(self, item.name) is not None or item.name in ("lock_angle_rad", "errors", "held_out_from_s")
+        }
+
+
+@dataclass(frozen=True)
+class SizeProfile:
+    """Profile likelihood of a size.
+
+    Attributes:
+        parameter: its name.
+        recording: whose size it is.
+        value: fitted one, in `unit`.
+        std: its standard deviation, in `unit`.
+        unit: of the parameter.
+        values: at which it was held, in `unit`.
+        rise: of −2 log posterior there.
+        flat: whether the recording would as well do with half of it.
+    """
+
+    parameter: str
+    recording: str
+    value: float
+    std: float
+    unit: str
+    values: tuple[float, ...]
+    rise: tuple[float, ...]
+    flat: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """The answer.
@@ -158,7 +226,7 @@ class Diagnosis:
         ranking: all candidates of all rounds, with their models.
         share: share of the held-out excess over noise (:mod:`explained`) that the extended model removes.
         parts: the verdict on each part of the joint that was judged by itself.
-        errors: by model (``as_configured``, ``recalibrated``, ``extended``), as in ``report.json``.
+        errors: of the three models.
         by_recording: the same and more, for each recording.
         reference: errors of maps that know no physics, by name [N m]; None where there is none to compare with.
         remaining: what is not explained, described.
@@ -185,13 +253,13 @@ class Diagnosis:
     ranking: tuple[TriedCandidate, ...]
     share: float
     parts: tuple[PartVerdict, ...]
-    errors: Mapping[str, Mapping[str, Any]]
-    by_recording: tuple[Mapping[str, Any], ...]
+    errors: ModelErrors
+    by_recording: tuple[RecordingEntry, ...]
     reference: Mapping[str, float] | None
     remaining: tuple[RemainingResidual, ...]
     unseen: tuple[str, ...]
     warnings: tuple[str, ...]
-    profiles: tuple[Mapping[str, Any], ...]
+    profiles: tuple[SizeProfile, ...]
     rig_recalibrated: Rig
     rig_extended: Rig
     own: tuple[tuple[str, Rig], ...]

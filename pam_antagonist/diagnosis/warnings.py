@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -11,6 +10,7 @@ from joblib import Parallel, delayed
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.preparation import Prepared
+from pam_antagonist.diagnosis.result import RecordingEntry, SizeProfile
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.stretches import Stretch
 from pam_antagonist.inference.angle_driven import BALANCE, sweeps
@@ -78,13 +78,13 @@ def decided_by_innovations(effects: Sequence[str], evidence: float, taken: bool)
     )
 
 
-def flat_profiles(profiles: Sequence[Mapping[str, Any]]) -> list[str]:
+def flat_profiles(profiles: Sequence[SizeProfile]) -> list[str]:
     """Sizes that the recordings do not determine."""
-    flat = [item["parameter"] for item in profiles if item["flat"]]
+    flat = [item.parameter for item in profiles if item.flat]
     return [f"the likelihood of {', '.join(flat)} is flat: not determined by these recordings"] if flat else []
 
 
-def estimator_worse(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
     """Recordings in which the estimator does worse with what was found than as configured.
 
     Args:
@@ -92,15 +92,16 @@ def estimator_worse(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     """
     warnings = []
     for entry in entries:
-        errors = entry.get("ukf")
-        if not errors:
+        if entry.ukf is None:
             continue
-        for what, key, unit in (("angle", "rmse_deg", "°"), ("torque", "rmse_nm", " N m")):
-            before, after = (errors[name][what] for name in ("as_configured", "extended"))
-            if before and after and after[key] > thresholds.ESTIMATOR_WORSE * before[key]:
+        start, end = entry.ukf.as_configured, entry.ukf.extended
+        for what, unit, before, after in (
+            ("angle", "°", start.angle, end.angle), ("torque", " N m", start.torque, end.torque),
+        ):  # fmt: skip
+            if before and after and after.rmse > thresholds.ESTIMATOR_WORSE * before.rmse:
                 warnings.append(
-                    f"from the pressures alone the estimator does worse in {entry['recording']} with what was fitted "
-                    f"here ({what} {after[key]:.2g}{unit}) than as configured ({before[key]:.2g}{unit}): base "
+                    f"from the pressures alone the estimator does worse in {entry.recording} with what was fitted "
+                    f"here ({what} {after.rmse:.2g}{unit}) than as configured ({before.rmse:.2g}{unit}): base "
                     "parameters bend to what no effect explains; keep the rig file that you have"
                 )
     return warnings

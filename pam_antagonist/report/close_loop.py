@@ -6,13 +6,13 @@ The fields of :class:`CloseLoopReport` and of the classes in it are the keys of 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.remaining import RemainingResidual
-from pam_antagonist.diagnosis.result import Ambiguity, Diagnosis, FoundEffect
-from pam_antagonist.report.close_loop_errors import ModelErrors, ResidualRow
+from pam_antagonist.diagnosis.result import Ambiguity, Diagnosis, FoundEffect, RecordingEntry, SizeProfile
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
@@ -90,61 +90,6 @@ class Effect:
         )
 
 
-Residuals = Mapping[str, tuple[ResidualRow, ...]]
-"""Rows of the recalibrated and of the extended model."""
-
-
-@dataclass(frozen=True)
-class RecordingEntry:
-    """A recording and what the models make of it.
-
-    Attributes:
-        recording: its name.
-        joint: ``free``, ``locked`` or ``driven``.
-        lock_angle_rad: where a locked joint was held [rad].
-        role: ``fitted``, ``held out``, or ``both``: its end was held out.
-        held_out_from_s: where the held-out part begins [s].
-        errors: on held-out data; None where nothing was held out.
-        sha256: of the bag's files.
-        residuals: on held-out data; None likewise.
-        ukf: errors of the estimator; None where it was not run.
-        sweeps: how often a driven joint slides in the fitted and in the held-out part; None of other joints.
-    """
-
-    recording: str
-    joint: str
-    lock_angle_rad: float | None
-    role: str
-    held_out_from_s: float | None
-    errors: ModelErrors | None
-    sha256: str
-    residuals: Residuals | None = None
-    ukf: ModelErrors | None = None
-    sweeps: Mapping[str, int] | None = None
-
-    @classmethod
-    def of(cls, given: Mapping[str, Any], sha256: str) -> RecordingEntry:
-        """The entry of a diagnosis."""
-        residuals = given.get("residuals")
-        out = {
-            **given,
-            "errors": None if given["errors"] is None else ModelErrors.of(given["errors"]),
-            "ukf": ModelErrors.of(given["ukf"]) if "ukf" in given else None,
-            "residuals": None
-            if residuals is None
-            else {name: tuple(map(ResidualRow.of, rows)) for name, rows in residuals.items()},
-        }
-        return cls(**out, sha256=sha256)
-
-    def to_json(self) -> dict[str, Any]:
-        """Without what was not worked out."""
-        return {
-            item.name: getattr(self, item.name)
-            for item in fields(self)
-            if getattr(self, item.name) is not None or item.name in ("lock_angle_rad", "errors", "held_out_from_s")
-        }
-
-
 @dataclass(frozen=True)
 class Candidate:
     """A candidate in one round.
@@ -166,31 +111,6 @@ class Candidate:
     holdout_gain: float | None
     taken: bool
     score_by_muscle: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class Profile:
-    """Profile likelihood of a size.
-
-    Attributes:
-        parameter: its name.
-        recording: whose size it is.
-        value: fitted one, in `unit`.
-        std: its standard deviation, in `unit`.
-        unit: of the parameter.
-        values: at which it was held, in `unit`.
-        rise: of −2 log posterior there.
-        flat: whether the recording would as well do with half of it.
-    """
-
-    parameter: str
-    recording: str
-    value: float
-    std: float
-    unit: str
-    values: tuple[float, ...]
-    rise: tuple[float, ...]
-    flat: bool
 
 
 @dataclass(frozen=True)
@@ -343,7 +263,7 @@ class CloseLoopReport:
     errors: ModelErrors
     recordings: tuple[RecordingEntry, ...]
     ranking: tuple[Candidate, ...]
-    profiles: tuple[Profile, ...]
+    profiles: tuple[SizeProfile, ...]
     remaining: tuple[str, ...]
     left: tuple[Left, ...]
     unseen: tuple[str, ...]
@@ -387,8 +307,8 @@ def report(
         parts=tuple(Part(part.name, part.verdict, part.share) for part in found.parts),
         reference=None if found.reference is None else dict(found.reference),
         base_friction_removed=found.base_friction_removed,
-        errors=ModelErrors.of(found.errors),
-        recordings=tuple(map(RecordingEntry.of, found.by_recording, hashes)),
+        errors=found.errors,
+        recordings=tuple(replace(part, sha256=value) for part, value in zip(found.by_recording, hashes, strict=True)),
         ranking=tuple(
             Candidate(
                 item.effect,
@@ -401,7 +321,7 @@ def report(
             )
             for item in found.ranking
         ),
-        profiles=tuple(Profile(**item) for item in found.profiles),
+        profiles=found.profiles,
         remaining=tuple(item.line() for item in found.remaining),
         left=tuple(map(Left.of, found.remaining)),
         unseen=tuple(found.unseen),

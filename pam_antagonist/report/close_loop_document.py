@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from pam_antagonist.diagnosis.result import Diagnosis
+from pam_antagonist.diagnosis.errors import ModelErrors
+from pam_antagonist.diagnosis.result import Diagnosis, RecordingEntry
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report import close_loop_figures as drawn
 from pam_antagonist.report import close_loop_residuals as residuals
 from pam_antagonist.report import html
 from pam_antagonist.report.channels import CHANNELS, TORQUE
-from pam_antagonist.report.close_loop import CloseLoopReport, RecordingEntry
-from pam_antagonist.report.close_loop_errors import ModelErrors
+from pam_antagonist.report.close_loop import CloseLoopReport
 from pam_antagonist.report.close_loop_findings import assumed, definitions, findings, sentence
 from pam_antagonist.report.document import (
     Block,
@@ -109,8 +109,8 @@ def errors_table(report: CloseLoopReport) -> Table:
         out.heading("Model driven by the measured angle")
         _channel_rows(out, errors, ("torque",), largest=True)
         for key, name in (("rmse_sliding_nm", "while it slides"), ("rmse_sticking_nm", "while it sticks")):
-            if key in errors.extended.sliding:
-                values = [model.sliding.get(key) for model in errors.all]
+            values = [getattr(model.sliding, key, None) for model in errors.all]
+            if errors.extended.sliding is not None:
                 out.values(f"    torque {name}, RMSE [N m]", values)
     else:
         out.heading("Model alone, driven by the voltages")

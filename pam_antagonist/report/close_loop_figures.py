@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pam_antagonist.diagnosis.result import Diagnosis, HeldOutComparison
-from pam_antagonist.report.close_loop import Profile
+from pam_antagonist.diagnosis.result import Diagnosis, HeldOutComparison, SizeProfile
 from pam_antagonist.report.figure import Figure, Points
 from pam_antagonist.report.figures import profile_panel, residual_figure
 from pam_antagonist.report.style import ESTIMATE, MODEL
@@ -50,7 +49,7 @@ def _held(part: HeldOutComparison) -> str:
     }[part.role]
 
 
-def profiles(sizes: Sequence[Profile]) -> tuple[Figure, ...]:
+def profiles(sizes: Sequence[SizeProfile]) -> tuple[Figure, ...]:
     """Profile likelihood of each size."""
     out = []
     for item in sizes:

@@ -97,7 +97,8 @@ def _of_parts(report: CloseLoopReport) -> list[Finding]:
     out = []
     if report.effects:
         before, after = (
-            model.sliding.get("rmse_sliding_nm") for model in (report.errors.as_configured, report.errors.extended)
+            None if model.sliding is None else model.sliding.rmse_sliding_nm
+            for model in (report.errors.as_configured, report.errors.extended)
         )
         if before is not None and after is not None and before < after:
             out.append(

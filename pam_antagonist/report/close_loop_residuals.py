@@ -8,8 +8,9 @@ import numpy as np
 
 from pam_antagonist.diagnosis import remaining
 from pam_antagonist.diagnosis.remaining import RemainingResidual
-from pam_antagonist.report.close_loop import CloseLoopReport, Residuals
-from pam_antagonist.report.close_loop_errors import Relation
+from pam_antagonist.diagnosis.residual_statistics import Relation
+from pam_antagonist.diagnosis.result import Residuals
+from pam_antagonist.report.close_loop import CloseLoopReport
 from pam_antagonist.report.document import Block, Finding, Findings, Text
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.figures import matrix

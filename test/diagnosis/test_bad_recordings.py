@@ -33,9 +33,9 @@ def test_pressures_alone_name_what_cannot_be_seen(rig, recorded) -> None:
         assert name in blind
     for name in ("leak", "valve_offset", "supply_droop"):
         assert name not in blind
-    rows = {row["channel"]: row for row in found.by_recording[0]["residuals"]["recalibrated"]}
-    assert {"innovation 1", "innovation 2", "mass flow 1", "pressure_1"} <= set(rows)
-    assert not {"contraction torque", "joint motion", "angle", "torque"} & set(rows)
+    rows = {row.channel for row in found.by_recording[0].residuals["recalibrated"]}
+    assert {"innovation 1", "innovation 2", "mass flow 1", "pressure_1"} <= rows
+    assert not {"contraction torque", "joint motion", "angle", "torque"} & rows
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def one_leaks(rig, recorded):
 
 
 def test_one_recording_shows_what_the_other_rules_out(one_leaks) -> None:
-    first, second = (part["recording"] for part in one_leaks.by_recording)
+    first, second = (part.recording for part in one_leaks.by_recording)
     assert one_leaks.effects[0].recordings == (first,)
     warning = next(line for line in one_leaks.warnings if "contradict" in line)
     assert f"{first} shows leak" in warning and f"{second} rules it out" in warning

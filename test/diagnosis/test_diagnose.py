@@ -41,11 +41,11 @@ def test_every_candidate_is_ranked_on_each_muscle(leaking) -> None:
 
 
 def test_the_extended_model_is_better_on_data_that_no_fit_saw(leaking) -> None:
-    errors = {name: leaking.errors[name]["pressure"]["rmse_pa"][0] for name in leaking.errors}
-    assert errors["extended"] < 0.4 * errors["recalibrated"]
-    assert leaking.errors["extended"]["angle"] is None
+    errors = leaking.errors
+    assert errors.extended.rmse_pa[0] < 0.4 * errors.recalibrated.rmse_pa[0]
+    assert errors.extended.angle is None
     for part in leaking.by_recording:
-        assert set(part["ukf"]) == {"as_configured", "recalibrated", "extended"}
+        assert all(model.innovation is not None for model in part.ukf.all)
 
 
 def test_the_extended_rig_can_be_read_again(leaking, tmp_path) -> None:
@@ -58,10 +58,10 @@ def test_what_a_locked_joint_cannot_show_is_said(leaking) -> None:
 
 
 def test_the_likelihood_of_what_was_found_is_not_flat(leaking) -> None:
-    profile = next(item for item in leaking.profiles if item["parameter"] == "leak.area_1")
-    assert not profile["flat"]
-    places = (np.array(profile["values"]) - profile["value"]) / profile["std"]
-    rise = dict(zip(np.round(places, 2).tolist(), profile["rise"], strict=True))
+    profile = next(item for item in leaking.profiles if item.parameter == "leak.area_1")
+    assert not profile.flat
+    places = (np.array(profile.values) - profile.value) / profile.std
+    rise = dict(zip(np.round(places, 2).tolist(), profile.rise, strict=True))
     # Half of it is beyond doubt, and so is none; nearby it bends as the standard error says.
     assert min(rise[at] for at in rise if at < -3.5) > 100.0
     assert all(0.3 < (rise[-at] + rise[at]) / (2.0 * at**2) < 3.0 for at in (1.5, 3.0))
@@ -82,7 +82,7 @@ def test_a_wrong_parameter_is_no_effect(rig, recorded) -> None:
     found = diagnose([recorded()], rig, joint="locked", jobs=1, estimator=False)
     assert found.verdict == "none"
     assert found.effects == ()
-    assert found.errors["recalibrated"] == found.errors["extended"]
+    assert found.errors.recalibrated == found.errors.extended
 
 
 def test_what_is_in_no_catalogue_is_unexplained(rig, recorded) -> None:
@@ -114,7 +114,7 @@ def test_pressures_alone_say_so(rig, recorded, kept) -> None:
     bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
     found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False, store=kept)
     assert any("Pressures alone" in line for line in found.unseen)
-    assert found.errors["extended"]["torque"] is None
+    assert found.errors.extended.torque is None
     assert found.effects and found.effects[0].name in ("valve_offset", "pressure_sensor", "leak")
     assert np.isfinite(found.share)
     decided = next(line for line in found.warnings if "innovations" in line)

@@ -29,17 +29,15 @@ def judged(rig, pair):
 def test_the_effect_is_judged_by_the_recording_that_no_fit_saw(judged) -> None:
     assert judged.verdict == "effect"
     assert (judged.effects[0].name, judged.effects[0].muscle) == ("leak", 1)
-    assert judged.effects[0].recordings == (judged.by_recording[0]["recording"],)
+    assert judged.effects[0].recordings == (judged.by_recording[0].recording,)
     fitted, other = judged.by_recording
-    assert (fitted["role"], other["role"]) == ("fitted", "held out")
-    assert fitted["errors"] is None and fitted["held_out_from_s"] is None
-    before, after = (other["errors"][model]["pressure"]["rmse_pa"][0] for model in ("recalibrated", "extended"))
+    assert (fitted.role, other.role) == ("fitted", "held out")
+    assert fitted.errors is None and fitted.held_out_from_s is None
+    before, after = (model.rmse_pa[0] for model in other.errors.all[1:])
     assert after < 0.3 * before
     # With nothing but that recording held out, the totals are its errors.
-    assert judged.errors["extended"]["pressure"]["rmse_pa"] == pytest.approx(
-        other["errors"]["extended"]["pressure"]["rmse_pa"]
-    )
-    assert [row["channel"] for row in other["residuals"]["extended"]][:2] == ["mass flow 1", "mass flow 2"]
+    assert judged.errors.extended.rmse_pa == pytest.approx(other.errors.extended.rmse_pa)
+    assert [row.channel for row in other.residuals["extended"]][:2] == ["mass flow 1", "mass flow 2"]
 
 
 def test_only_the_start_of_a_held_out_recording_is_fitted(judged) -> None:

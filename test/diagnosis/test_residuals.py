@@ -38,7 +38,7 @@ def test_slow_series_that_have_nothing_in_common_pass_as_such() -> None:
     for seed in range(100):
         rng = np.random.default_rng(seed)
         residual, signal = drift(rng), command(rng)
-        false += residual_statistics.cross_correlations(residual, {"voltage": signal}, STEP)["voltage"]["p"] < 0.05
+        false += residual_statistics.cross_correlations(residual, {"voltage": signal}, STEP)["voltage"].p < 0.05
         plain += abs(np.corrcoef(residual, signal)[0, 1]) > 1.96 / np.sqrt(COUNT)
     assert false <= 9
     assert plain > 50
@@ -52,9 +52,9 @@ def test_an_answer_to_a_command_is_seen_with_its_lag() -> None:
         found = residual_statistics.cross_correlations(drift(rng, 0.8) + 3.0 * late, {"voltage": signal}, STEP)[
             "voltage"
         ]
-        assert found["p"] < 1e-3
-        assert found["lag_s"] == pytest.approx(0.3, abs=0.021)
-        assert abs(found["z"]) > found["limit"]
+        assert found.p < 1e-3
+        assert found.lag_s == pytest.approx(0.3, abs=0.021)
+        assert abs(found.z) > found.limit
 
 
 def test_what_follows_from_the_residual_itself_is_not_read() -> None:
@@ -64,7 +64,7 @@ def test_what_follows_from_the_residual_itself_is_not_read() -> None:
         rng = np.random.default_rng(seed)
         residual = rng.standard_normal(COUNT)
         signal = np.concatenate([np.zeros(25), residual[:-25]]) + 0.1 * rng.standard_normal(COUNT)
-        hits += residual_statistics.cross_correlations(residual, {"voltage": signal}, STEP)["voltage"]["p"] < 0.05
+        hits += residual_statistics.cross_correlations(residual, {"voltage": signal}, STEP)["voltage"].p < 0.05
         backwards = np.corrcoef(signal[25:], residual[:-25])[0, 1]
         assert backwards > 0.9
     assert hits <= 5
@@ -90,22 +90,22 @@ def exchanging(recorded, experiment_of):
 
 def test_a_right_model_leaves_white_noise_of_the_sensors_size(sound) -> None:
     experiment, fitted = sound
-    rows = {row["channel"]: row for row in residual_statistics.statistics(experiment, fitted.point)}
+    rows = {row.channel: row for row in residual_statistics.statistics(experiment, fitted.point)}
     assert set(rows) == {"mass flow 1", "mass flow 2", "contraction torque", "torque", "pressure_1", "pressure_2"}
     for name, row in rows.items():
-        assert row["rms"] < 1.35 * row["noise"], name
-        assert row["above_noise"] < 0.45, name
-        assert row["whiteness_p"] > 1e-4, name
-    assert "angle" not in rows["torque"]["relations"]
+        assert row.rms < 1.35 * row.noise, name
+        assert row.above_noise < 0.45, name
+        assert row.whiteness_p > 1e-4, name
+    assert "angle" not in rows["torque"].relations
 
 
 def test_a_missing_flow_shows_in_the_flows(exchanging) -> None:
     experiment, fitted = exchanging
-    rows = {row["channel"]: row for row in residual_statistics.statistics(experiment, fitted.point)}
+    rows = {row.channel: row for row in residual_statistics.statistics(experiment, fitted.point)}
     for name in ("mass flow 1", "mass flow 2", "pressure_1", "pressure_2"):
-        assert rows[name]["rms"] > 2.0 * rows[name]["noise"], name
-        assert rows[name]["whiteness_p"] < 1e-6, name
-    assert rows["pressure_1"]["independent"] < 0.2 * 500
+        assert rows[name].rms > 2.0 * rows[name].noise, name
+        assert rows[name].whiteness_p < 1e-6, name
+    assert rows["pressure_1"].independent < 0.2 * 500
 
 
 def test_equation_errors_are_those_of_the_equation(rig, recorded, experiment_of) -> None:

@@ -76,7 +76,7 @@ def test_friction_and_a_leak_of_one_muscle_are_found_with_their_sizes(recorded, 
     assert loop.size == pytest.approx(0.2, rel=0.1), "fitted where the joint slides"
     assert effects["leak"].muscle == 1
     assert effects["leak"].parameters["area_1"][0] == pytest.approx(8e-12, rel=0.1)
-    before, after = (found.errors[model]["torque"]["rmse_nm"] for model in ("recalibrated", "extended"))
+    before, after = (model.torque.rmse for model in found.errors.all[1:])
     assert after < 0.7 * before
     assert found.rig_extended.effects["friction"]["coulomb"] == value
     assert found.rig_extended.friction.shaft == 0.0
@@ -167,7 +167,7 @@ def test_without_a_torque_the_air_alone_is_judged(recorded, joint) -> None:
     found = diagnosed(recording, joint)
     assert [effect.name for effect in found.effects] == ["leak"]
     assert found.effects[0].muscle is None
-    assert found.errors["extended"]["torque"] is None
+    assert found.errors.extended.torque is None
     assert any("No torque from outside was recorded" in text for text in found.unseen)
 
 

@@ -7,33 +7,52 @@ from typing import Any
 
 import pytest
 
-from pam_antagonist.diagnosis.result import Ambiguity
-from pam_antagonist.report.close_loop import CloseLoopReport, Effect, Part, RecordingEntry, Settings, Size
+from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Sliding
+from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
+from pam_antagonist.diagnosis.result import Ambiguity, RecordingEntry
+from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.report.close_loop import CloseLoopReport, Effect, Part, Settings, Size
 from pam_antagonist.report.close_loop_document import errors_table, summary
-from pam_antagonist.report.close_loop_errors import ModelErrors
 from pam_antagonist.report.close_loop_findings import findings
 from pam_antagonist.report.document import Findings
 from pam_antagonist.strict_json import plain
 
 
-def errors(angle: float | None, torque: float, **more: float) -> dict[str, Any]:
-    """Errors of a model as a diagnosis has them."""
+def errors(angle: float | None, torque: float, sliding: Sliding | None = None) -> Errors:
+    """Errors of a model."""
+    return Errors(
+        None if angle is None else ChannelErrors("deg", angle, 2.0 * angle, 0.1),
+        ChannelErrors("nm", torque, 2.0 * torque, 0.2),
+        (1000.0, 2000.0),
+        sliding=sliding,
+    )
+
+
+def keys(angle: float, torque: float, **more: float) -> dict[str, Any]:
+    """The same in ``report.json``."""
     return {
-        "angle": None if angle is None else {"rmse_deg": angle, "max_deg": 2.0 * angle, "q": 0.1},
+        "angle": {"rmse_deg": angle, "max_deg": 2.0 * angle, "q": 0.1},
         "torque": {"rmse_nm": torque, "max_nm": 2.0 * torque, "q": 0.2, **more},
         "pressure": {"rmse_pa": [1000.0, 2000.0]},
     }
 
 
-MODELS = {"as_configured": errors(0.4, 0.3), "recalibrated": errors(0.2, 0.2), "extended": errors(0.1, 0.1)}
-ROW = {
+MODELS = ModelErrors(errors(0.4, 0.3), errors(0.2, 0.2), errors(0.1, 0.1))
+MODEL_KEYS = {"as_configured": keys(0.4, 0.3), "recalibrated": keys(0.2, 0.2), "extended": keys(0.1, 0.1)}
+ROW = ResidualRow(
+    "mass_flow_1", "equation", "mg/s", 2.0, 1.0, 0.75, 0.1, 100.0, 0.5, {"angle": Relation(0.2, 0.4, 4.0, 2.0, 0.01)}
+)
+ROW_KEYS = {
     "channel": "mass_flow_1", "kind": "equation", "unit": "mg/s", "rms": 2.0, "noise": 1.0, "above_noise": 0.75,
     "memory_s": 0.1, "independent": 100.0, "whiteness_p": 0.5,
     "relations": {"angle": {"lag_s": 0.2, "correlation": 0.4, "z": 4.0, "limit": 2.0, "p": 0.01}},
 }  # fmt: skip
-RECORDING = {
+RECORDING = RecordingEntry(
+    "lab/free", "free", None, "both", 40.0, MODELS, {"recalibrated": (ROW,), "extended": (ROW,)}, sha256="0" * 64
+)
+RECORDING_KEYS = {
     "recording": "lab/free", "joint": "free", "lock_angle_rad": None, "role": "both", "held_out_from_s": 40.0,
-    "errors": MODELS, "residuals": {"recalibrated": [ROW], "extended": [ROW]},
+    "errors": MODEL_KEYS, "residuals": {"recalibrated": [ROW_KEYS], "extended": [ROW_KEYS]}, "sha256": "0" * 64,
 }  # fmt: skip
 
 
@@ -51,8 +70,8 @@ def report() -> CloseLoopReport:
         parts=(Part("joint", "effect", 0.9),),
         reference=None,
         base_friction_removed=False,
-        errors=ModelErrors.of(MODELS),
-        recordings=(RecordingEntry.of(RECORDING, "0" * 64),),
+        errors=MODELS,
+        recordings=(RECORDING,),
         ranking=(),
         profiles=(),
         remaining=(),
@@ -71,33 +90,35 @@ def said(report: CloseLoopReport, status: str) -> str:
 
 def test_a_diagnosis_keeps_its_keys(report: CloseLoopReport) -> None:
     written = plain(report)
-    assert written["errors"] == MODELS
-    assert written["recordings"] == [{**RECORDING, "sha256": "0" * 64}]
+    assert written["errors"] == MODEL_KEYS
+    assert written["recordings"] == [RECORDING_KEYS]
     assert written["effects"][0]["parameters"] == {"area_1": {"value": 1e-9, "std": 1e-11, "unit": "m2"}}
 
 
 def test_a_recording_that_was_fitted_to_its_end_has_no_errors() -> None:
-    entry = {**RECORDING, "role": "fitted", "held_out_from_s": None, "errors": None}
-    del entry["residuals"]
-    assert plain(RecordingEntry.of(entry, "1" * 64)) == {**entry, "sha256": "1" * 64}
+    known = {**RECORDING_KEYS, "role": "fitted", "held_out_from_s": None, "errors": None}
+    del known["residuals"]
+    assert plain(replace(RECORDING, role="fitted", held_out_from_s=None, errors=None, residuals=None)) == known
 
 
 def test_the_best_model_is_marked_and_what_was_not_measured_is_said(report: CloseLoopReport) -> None:
     table = errors_table(report)
     best = dict(zip((row[0].strip() for row in table.rows), table.marked, strict=True))
     assert best["angle RMSE [°]"] == {3} and best["pressure 1 RMSE [kPa]"] == set()
-    blind = {name: {**values, "angle": None} for name, values in MODELS.items()}
-    assert ("  angle", "not measured", "–", "–") in errors_table(replace(report, errors=ModelErrors.of(blind))).rows
+    blind = ModelErrors(*(replace(values, angle=None) for values in MODELS.all))
+    assert ("  angle", "not measured", "–", "–") in errors_table(replace(report, errors=blind)).rows
 
 
 def test_a_driven_joint_shows_where_it_slides(report: CloseLoopReport) -> None:
-    sliding = {
-        name: errors(0.1, 0.2, rmse_sliding_nm=size, rmse_sticking_nm=0.3, sliding_share=0.4)
-        for name, size in (("as_configured", 0.04), ("recalibrated", 0.4), ("extended", 0.09))
+    sizes = {"as_configured": 0.04, "recalibrated": 0.4, "extended": 0.09}
+    sliding = ModelErrors(*(errors(0.1, 0.2, Sliding(size, 0.3, 0.4)) for size in sizes.values()))
+    entry = replace(RECORDING, joint="driven", errors=sliding, sweeps={"fitted": 3, "held_out": 1})
+    driven = replace(report, errors=sliding, recordings=(entry,))
+    assert plain(driven.errors) == {
+        name: keys(0.1, 0.2, rmse_sliding_nm=size, rmse_sticking_nm=0.3, sliding_share=0.4)
+        for name, size in sizes.items()
     }
-    entry = {**RECORDING, "joint": "driven", "errors": sliding, "sweeps": {"fitted": 3, "held_out": 1}}
-    driven = replace(report, errors=ModelErrors.of(sliding), recordings=(RecordingEntry.of(entry, "0" * 64),))
-    assert plain(driven.errors) == sliding
+    assert plain(entry)["sweeps"] == {"fitted": 3, "held_out": 1}
     assert "torque while it slides, RMSE [N m]" in [row[0].strip() for row in errors_table(driven).rows]
     assert "the rig as configured has the smaller error (0.040 N m, extended 0.090 N m)" in said(driven, "note")
     assert "the smaller error" not in said(report, "note")

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pam_antagonist.diagnosis.errors import Errors
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import load_rig
@@ -124,7 +125,7 @@ Diagnose = Callable[[tuple[Recording, Recording]], Any]
 
 
 _LEADING = 3
-_REFUSAL = SimpleNamespace(verdict="refused", effects=(), ambiguous_with=(), errors={}, ranking=())
+_REFUSAL = SimpleNamespace(verdict="refused", effects=(), ambiguous_with=(), errors=None, ranking=())
 
 
 def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: int = 1) -> Outcome:
@@ -148,7 +149,9 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
     channel = max(moved, key=lambda name: moved[name]) if moved else None
     errors: dict[str, float | None] = {}
     if channel is not None:
-        errors = {key: _error(diagnosis.errors.get(key), channel) for key in ("recalibrated", "extended")}
+        errors = dict.fromkeys(("recalibrated", "extended"))
+        if diagnosis.errors is not None:
+            errors = {key: _error(getattr(diagnosis.errors, key), channel) for key in errors}
         errors["true"] = true_error(case, recordings, channel)
     return Outcome(
         name=case.name,
@@ -222,15 +225,12 @@ def _values(source: Any, channel: str) -> np.ndarray:
     return np.asarray(getattr(source, channel))
 
 
-def _error(errors: Mapping[str, Any] | None, channel: str) -> float | None:
-    """RMSE of a channel among a diagnosis's errors, which are laid out as in its report."""
-    if errors is None:
-        return None
+def _error(errors: Errors, channel: str) -> float | None:
+    """RMSE of a channel [deg, N m or Pa], None where it was not measured."""
     if channel.startswith("pressure_"):
-        pair = (errors.get("pressure") or {}).get("rmse_pa")
-        return None if pair is None else float(pair[int(channel[-1]) - 1])
-    value = (errors.get(channel) or {}).get({"angle": "rmse_deg", "torque": "rmse_nm"}[channel])
-    return None if value is None else float(value)
+        return errors.rmse_pa[int(channel[-1]) - 1]
+    known = errors.angle if channel == "angle" else errors.torque
+    return None if known is None else known.rmse
 
 
 def save(folder: Path, number: int, outcome: Outcome) -> None:

@@ -11,17 +11,19 @@ import numpy as np
 import pytest
 from battery_outcomes import CREEP, DROOP, LEAK, outcome
 
+from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.validation.battery import command, outcomes, remainders, scores
 from pam_antagonist.validation.battery.draw import NOTHING_FROM, cases
 from pam_antagonist.validation.battery.plants import JOINTS, Case
 
-NOTHING = {"angle": None, "torque": None, "pressure": {"rmse_pa": [None, None]}}
+NOTHING = Errors(None, None, (np.nan, np.nan))
 
 
-def errors(angle: float, torque: float, pressure: tuple[float, float]):
-    return {"angle": {"rmse_deg": angle}, "torque": {"rmse_nm": torque}, "pressure": {"rmse_pa": list(pressure)}}
+def errors(angle: float, torque: float, pressure: tuple[float, float]) -> Errors:
+    return Errors(ChannelErrors("deg", angle, 1.0, 1.0), ChannelErrors("nm", torque, 1.0, 1.0), pressure)
 
 
 def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=None, after=None):
@@ -33,7 +35,7 @@ def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=No
             SimpleNamespace(effect=n, round=1, delta_bic=30.0, held_out_evidence=8.0, shares=(0.9, 0.8))
             for n, _ in effects
         ],
-        errors={"recalibrated": before or errors(1, 1, (1e4, 1e4)), "extended": after or errors(1, 1, (1e4, 1e4))},
+        errors=ModelErrors(*(one or errors(1, 1, (1e4, 1e4)) for one in (None, before, after))),
     )
 
 
@@ -110,8 +112,7 @@ def test_the_angle_s_error_is_in_degrees_and_of_the_free_joint() -> None:
 
 def test_errors_that_are_not_there_are_unknown() -> None:
     case = a_case("friction", "hess and soom", None)
-    answer = said("unexplained", before=NOTHING)
-    del answer.errors["extended"]
+    answer = said("unexplained", before=NOTHING, after=NOTHING)
     result = outcomes.judge(case, lambda recordings: answer, 12.0)
     assert result.errors["recalibrated"] is None and result.errors["extended"] is None
     assert result.reduction is None

@@ -1,0 +1,144 @@
+"""Errors of the three models on held-out data, with the keys of ``report.json`` of ``close_loop``."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.estimation import metrics
+from pam_antagonist.estimation.errors import ChannelErrors, channel_errors
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Consistency of the estimator.
+
+    Attributes:
+        nis_mean: mean normalised innovation squared; 2 is right.
+        whiteness_p: probability of such an autocorrelation in white innovations.
+        largest_correlation: largest autocorrelation.
+    """
+
+    nis_mean: float
+    whiteness_p: float
+    largest_correlation: float
+
+
+@dataclass(frozen=True)
+class Sliding:
+    """The torque's error of a driven joint while it slides and while it sticks.
+
+    Attributes:
+        rmse_sliding_nm: while it slides [N m]; None where it never does.
+        rmse_sticking_nm: while it sticks [N m]; None likewise.
+        sliding_share: share of the samples in which it slides.
+    """
+
+    rmse_sliding_nm: float | None
+    rmse_sticking_nm: float | None
+    sliding_share: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one model on held-out data.
+
+    Attributes:
+        angle: None where it was not measured.
+        torque: likewise.
+        rmse_pa: of both pressures [Pa].
+        mean_rmse_pa: of the mean of both pressures [Pa]; None where it was not judged.
+        sliding: of the torque; None where sliding and sticking were not separated.
+        innovation: of the estimator; None of a model alone.
+    """
+
+    angle: ChannelErrors | None
+    torque: ChannelErrors | None
+    rmse_pa: tuple[float, float]
+    mean_rmse_pa: float | None = None
+    sliding: Sliding | None = None
+    innovation: Innovations | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``."""
+        mean = {} if self.mean_rmse_pa is None else {"mean_rmse_pa": self.mean_rmse_pa}
+        sliding = {} if self.sliding is None else vars(self.sliding)
+        out: dict[str, Any] = {
+            "angle": self.angle,
+            "torque": None if self.torque is None else {**self.torque.to_json(), **sliding},
+            "pressure": {"rmse_pa": self.rmse_pa, **mean},
+        }
+        return out if self.innovation is None else {**out, "innovation": self.innovation}
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Errors of the three models.
+
+    Attributes:
+        as_configured: the rig file's.
+        recalibrated: with fitted base parameters.
+        extended: with the effects as well.
+    """
+
+    as_configured: Errors
+    recalibrated: Errors
+    extended: Errors
+
+    @property
+    def all(self) -> tuple[Errors, Errors, Errors]:
+        """In the order of the table's columns."""
+        return self.as_configured, self.recalibrated, self.extended
+
+
+def errors_of(measured: Floats, shown: Floats, channels: Collection[int]) -> Errors:
+    """Errors of all channels.
+
+    Args:
+        measured: (N, 4) in the order of ``CHANNELS``, NaN where nothing was measured.
+        shown: by a model or the estimator (N, 4).
+        channels: those that were measured and can be judged.
+    """
+    error = (shown - measured)[:, PRESSURE_1:]
+    return Errors(
+        channel_errors(measured[:, ANGLE], shown[:, ANGLE], "deg") if ANGLE in channels else None,
+        channel_errors(measured[:, TORQUE], shown[:, TORQUE], "nm") if TORQUE in channels else None,
+        (metrics.rmse(error[:, 0]), metrics.rmse(error[:, 1])),
+        metrics.rmse(error.mean(axis=1)),
+    )
+
+
+def total_of(parts: Sequence[Errors], samples: Sequence[int]) -> Errors:
+    """Errors over several recordings: root mean squares over all samples, the largest of the other figures.
+
+    Args:
+        parts: errors in each.
+        samples: of each.
+    """
+    if len(parts) == 1:
+        return parts[0]
+
+    def mean(values: Sequence[float], counts: Sequence[int]) -> float:
+        return float(np.sqrt(np.average(np.square(values), weights=counts)))
+
+    def channel(own: Sequence[ChannelErrors | None]) -> ChannelErrors | None:
+        known = [(item, count) for item, count in zip(own, samples, strict=True) if item is not None]
+        if not known:
+            return None
+        items, counts = zip(*known, strict=True)
+        largest, ratio = max(item.largest for item in items), max(item.ratio for item in items)
+        return ChannelErrors(items[0].unit, mean([item.rmse for item in items], counts), largest, ratio)
+
+    return Errors(
+        channel([part.angle for part in parts]),
+        channel([part.torque for part in parts]),
+        (mean([part.rmse_pa[0] for part in parts], samples), mean([part.rmse_pa[1] for part in parts], samples)),
+        mean([part.mean_rmse_pa or 0.0 for part in parts], samples),
+    )
