@@ -273,29 +273,30 @@ def sentence(
     recalibrated, extended = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
     if verdict == "none":
         return (
-            "Nothing is wrong with the model beyond its parameters: recalibrated, it leaves what the sensors' noise "
-            f"explains ({recalibrated} on data held out from the fit)."
+            "The model lacks nothing that these recordings show. After recalibration its errors are as small as the "
+            f"sensors' noise allows ({recalibrated} on held-out data)."
         )
     if verdict == "effect":
-        what = "; and ".join(effects)
+        what = " ".join(f"{words[0].upper()}{words[1:]}." for words in effects)
         text = (
-            f"{what[0].upper()}{what[1:]}: with it the model's errors on data that no fit has seen fall from "
-            f"{recalibrated} to {extended}, and {100 * share:.0f} % of what was beyond the sensors' noise is gone."
+            f"{what} With {'these effects' if len(effects) > 1 else 'this effect'} the model's errors on held-out data "
+            f"fall from {recalibrated} to {extended}: {100 * share:.0f} % of the excess over the sensors' noise is "
+            "explained."
         )
         text += f" {firmness}." if firmness else ""
         if reference is not None:
             text += f" A straight-line map of angle and pressures errs by {reference['angle_and_pressures']:.2g} N m."
         doubts = "; ".join(_instead(name) for name in ambiguous)
-        return text + (f" Not told apart: {doubts}." if doubts else "")
+        return text + (f" These recordings do not exclude another cause: {doubts}." if doubts else "")
     tried = [item for item in ranking if item.shares is not None and item.round == 1]
     best = max(tried, key=lambda item: item.shares[0] if item.shares else 0.0, default=None)
     closest = ""
     if best is not None and best.shares is not None:
         gone = f"{100 * max(best.shares[0], 0.0):.0f} %"
-        closest = f" The closest, {best.effect}, takes away {gone} of that, which is not enough."
+        closest = f" The effect that comes closest, {best.effect}, explains {gone} of that, which is not enough."
     return (
-        "Something is wrong that no effect of the catalogue explains: recalibrated, the model leaves "
-        f"{recalibrated} on held-out data, well beyond the sensors' noise.{closest}"
+        "The model lacks something, and no effect of the catalogue explains it. After recalibration its errors on "
+        f"held-out data are {recalibrated}, well above the sensors' noise.{closest}"
     )
 
 

@@ -39,8 +39,8 @@ def explained_in_part(effects: Sequence[str]) -> str:
     """What to say of effects that explain much of the excess and not all."""
     which = " and ".join(dict.fromkeys(effects))
     return (
-        f"beside {which} much is left beyond the sensors' noise: the effect has another form than the catalogue's law, "
-        "or something smaller is there as well; see what is left"
+        f"{which} does not explain all: much of the residual is still above the sensors' noise; the effect may have "
+        "another form than the catalogue's law, or there is a smaller effect as well (section What is left)"
     )
 
 
@@ -71,17 +71,17 @@ def decided_by_innovations(effects: Sequence[str], evidence: float, taken: bool)
     """
     which = " and ".join(effects)
     if taken:
-        return f"pressures alone were measured: the estimator's innovations, too, speak for {which} ({evidence:+.0f})"
+        return f"only pressures were measured; the estimator's innovations speak for {which} as well ({evidence:+.0f})"
     return (
-        f"the pressures call for {which}, the estimator's innovations on the held-out part do not ({evidence:+.0f}): "
-        "not taken; expected an angle or a torque to be measured as well"
+        f"the pressures suggest {which}, but the estimator's innovations on the held-out part do not "
+        f"({evidence:+.0f}), so it was not taken; to decide, measure the angle or the torque as well"
     )
 
 
 def flat_profiles(profiles: Sequence[SizeProfile]) -> list[str]:
     """Sizes that the recordings do not determine."""
     flat = [item.parameter for item in profiles if item.flat]
-    return [f"the likelihood of {', '.join(flat)} is flat: not determined by these recordings"] if flat else []
+    return [f"these recordings do not determine {', '.join(flat)}: the likelihood is flat"] if flat else []
 
 
 def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
@@ -100,9 +100,9 @@ def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
         ):  # fmt: skip
             if before and after and after.rmse > thresholds.ESTIMATOR_WORSE * before.rmse:
                 warnings.append(
-                    f"from the pressures alone the estimator does worse in {entry.recording} with what was fitted "
-                    f"here ({what} {after.rmse:.2g}{unit}) than as configured ({before.rmse:.2g}{unit}): base "
-                    "parameters bend to what no effect explains; keep the rig file that you have"
+                    f"with the extended rig the estimator is worse in {entry.recording} ({what} "
+                    f"{after.rmse:.2g}{unit}) than with the rig as configured ({before.rmse:.2g}{unit}): the base "
+                    "parameters were fitted to something that no effect explains; keep the rig file that you have"
                 )
     return warnings
 
@@ -118,9 +118,9 @@ def few_sweeps(prepared: Prepared) -> list[str]:
     if min(fitted, held) >= thresholds.FEW_SWEEPS:
         return []
     return [
-        f"the joint slides {_times(fitted)} in what was fitted and {_times(held)} in what was held out, and all "
-        "samples of a sweep err alike: errors on held-out data are those of so few; record for minutes, at several "
-        "amplitudes"
+        f"the joint slides only {_times(fitted)} in the fitted part and {_times(held)} in the held-out part; all "
+        "samples of one sweep have nearly the same error, so the errors rest on few independent values; record for "
+        "minutes, at several amplitudes"
     ]
 
 
@@ -142,8 +142,8 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
         reasons = "; ".join(f"{effect.name} ({effect.sealed.reason})" for effect in hidden)
         balance = _listed(effect for effect in CATALOGUE.values() if effect.sealed.part == BALANCE)
         torque = (
-            "The torque from outside is what the drive was told to apply, not what a sensor measured: friction of the "
-            "drive is in it."
+            "The external torque is the one that the drive was commanded to apply, not a measured one. It includes the "
+            "drive's friction."
             if any(trial.has(TORQUE) for trial in trials)
             else f"No torque from outside was recorded: {balance} cannot be seen."
         )
@@ -155,20 +155,18 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
         out.append(f"The joint was locked throughout: {moving} do not show.")
     if len(free) == len(trials):
         out.append(
-            "The joint moved throughout: an error of the force is told from friction and load only by their different "
-            "course; a recording with the joint locked would tell at once."
+            "The joint was never locked, so an error of the force is hard to distinguish from friction and load. A "
+            "recording with the joint locked distinguishes them."
         )
     if not any(trial.has(TORQUE) for trial in trials):
-        out.append("No torque was measured: an error of the force shows only where it moves the joint.")
+        out.append("No torque was measured: an error of the force shows only in the joint's motion.")
     if free and not any(trial.has(ANGLE) for trial in free):
         hardly = _listed(effect for effect in CATALOGUE.values() if effect.needs_angle)
-        out.append(
-            f"No angle was measured: of the motion only what it does to the pressures shows; {hardly} are hardly seen."
-        )
+        out.append(f"No angle was measured: the motion shows only through the pressures, and {hardly} hardly show.")
     if not any(trial.has(TORQUE) or trial.has(ANGLE) for trial in trials):
         out.append(
-            "Pressures alone decide here, and of a candidate that they call for the estimator's innovations: only "
-            "effects of the air, the valves and their sensors can be found."
+            "Pressures alone decide here. The estimator's innovations have to support what they suggest. Only effects "
+            "of the air, the valves and the pressure sensors can be found."
         )
     small = [name for g in prepared.groups for name in invisible(g.experiments, bases[g.name], jobs)]
     if small:
