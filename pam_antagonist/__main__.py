@@ -34,7 +34,9 @@ COMMANDS: dict[str, Command] = {
         "pam_antagonist.cli.close_loop:main", "trace what the model lacks to a physical effect, error before and after"
     ),
     "simulate": Command("pam_antagonist.cli.simulate:main", "make a recording of a simulated joint"),
-    "import_csv": Command("pam_antagonist.cli.import_csv:main", "make a recording of a CSV file"),
+    "import_csv": Command(
+        "pam_antagonist.cli.import_csv:main", "make a recording of a CSV, MATLAB, numpy or Parquet file"
+    ),
     "static": Command("pam_antagonist.cli.static:main", "volume and force map of a muscle from tables of measurements"),
     "paper": Command(
         "pam_antagonist.validation.paper.command:main", "every experiment of the paper on a simulated joint"

@@ -1,4 +1,4 @@
-"""``import_csv``: a lab's CSV file as a recording."""
+"""``import_csv``: a lab's file as a recording: CSV, MATLAB, numpy or Parquet."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map
 from pam_antagonist.recording.notes import write_notes
 
 _DESCRIPTION = """\
-Make a recording of a CSV file: a rosbag2 (MCAP) with the topics of a live joint, for replay and identify.
+Make a recording of a file with columns: a rosbag2 (MCAP) with the topics of a live joint, for replay and identify.
+
+The file is CSV text, MATLAB (.mat of both kinds), numpy (.npz) or Parquet.
 
 A map, a short YAML file, says which column is what and in which unit; --example prints one that explains
 itself. Pressures may be gauge or absolute, valves columns, constant or sealed. Values that are implausible in
@@ -30,7 +32,8 @@ _EXAMPLES = """\
 examples:
   {run} import_csv --example > my_map.yaml          then change it to fit your file
   {run} import_csv trial_7.csv --map my_map.yaml --out trial_7
-  {run} import_csv sealed_joint.csv --map sealed_joint --out sealed
+  {run} import_csv trial_8.mat --map my_map.yaml --out trial_8
+  {run} import_csv data.mat --map sealed_joint_mat --out sealed
 """
 _LONG = 100_000  # samples that take long enough to write to be worth a word
 
@@ -38,7 +41,7 @@ _LONG = 100_000  # samples that take long enough to write to be worth a word
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("import_csv", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the CSV file")
+    out.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the file")
     out.add_argument(
         "--map", metavar="MAP", help=f"a YAML file, or the name of a map of the package: {', '.join(map_names())}"
     )

@@ -69,7 +69,20 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
         external_torque=measured.get("external_torque"),
     )
     _judge_missing(where, recording, table, issues)
-    return replace(recording, issues=tuple(issues))
+    return _cut(where, replace(recording, issues=tuple(issues)), mapping)
+
+
+def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
+    """The part that the map asks for."""
+    begin, end = mapping.time.begin, mapping.time.end
+    if begin == 0.0 and end is None:
+        return recording
+    try:
+        return recording.slice(begin, float("inf") if end is None else end)
+    except ValueError:
+        raise BadInput(
+            f"{where}: no row from time.begin {begin:g} to time.end {end}, the file has {recording.duration_s:.3f} s"
+        ) from None
 
 
 def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:

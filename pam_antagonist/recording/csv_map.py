@@ -53,6 +53,8 @@ class Time(Strict):
     resample: Optional[float] = Field(  # noqa: UP045
         None, ge=2.0, le=50_000.0, description="rate of an even grid to put the rows on [Hz]"
     )
+    begin: float = Field(0.0, ge=0.0, description="seconds at the beginning that are left out")
+    end: Optional[float] = Field(None, gt=0.0, description="seconds from the first row on after which all is left out")  # noqa: UP045
     out_of_order: Literal["refuse", "drop"] = Field(
         "refuse", description="what to do about rows that are not later than those before them"
     )

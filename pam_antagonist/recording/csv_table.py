@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
+from . import array_files
 from .csv_map import Layout, Name
 from .csv_text import Line, Lines, check_file, opened, other_delimiter, shown, split
 
@@ -60,6 +61,9 @@ def read_table(
         BadInput: Not a text file, empty, a column missing, a row of another length, a cell that is no number, or more
             than ``MAX_ROWS`` rows.
     """
+    kind = array_files.kind_of(path)
+    if kind:
+        return _of_arrays(path, kind, layout, columns)
     size = check_file(path)
     with opened(path, layout) as stream:
         lines = Lines(path, layout, stream)
@@ -78,6 +82,18 @@ def read_table(
     if reader.rows == 0:
         raise BadInput(f"{path}: fewer than two rows of numbers in it")
     return reader.table()
+
+
+def _of_arrays(path: Path, kind: str, layout: Layout, columns: Mapping[str, Name]) -> Table:
+    """The same of a file that holds arrays; a row's line is its number."""
+    values = array_files.read_columns(path, kind, columns, MAX_ROWS)
+    for cells in values.values():
+        for sentinel in layout.missing:
+            if not isinstance(sentinel, str):
+                cells[cells == sentinel] = np.nan
+    rows = len(next(iter(values.values())))
+    labels = {quantity: f"{quantity} (column {column!r})" for quantity, column in columns.items()}
+    return Table(values, np.arange(1, rows + 1, dtype=np.int32), labels, ())
 
 
 def _check_size(path: Path, rows: int, done: int, size: int) -> None:
@@ -103,6 +119,9 @@ class _Head:
 def _head(path: Path, layout: Layout, lines: Lines) -> _Head:
     lines.skip(layout.skip_lines)
     line = next(lines, None)
+    if line is not None and re.fullmatch(r"sep=.\s*", line.text):
+        # Excel's own line; the delimiter is what the map says, which is checked like any other.
+        line = next(lines, None)
     if line is None:
         raise BadInput(f"{path}: no rows in it, only empty lines and comments")
     cells = [cell.strip() for cell in split(path, layout, [line])[0]]

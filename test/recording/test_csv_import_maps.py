@@ -101,7 +101,7 @@ def test_unknown_units_list_the_known_ones(lab: Lab, entry: str, quantity: str, 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "expected a mapping of names to values, as in import_csv --example"),
+        ("", "expected a mapping of names to values, as in pam import_csv --example"),
         ("- time\n", "expected a mapping"),
         ("time: {rate: 5}\ntime: {rate: 6}\n", "key 'time' stands twice"),
         ("a: !!python/object/apply:os.system [ls]\n", "not valid YAML"),
