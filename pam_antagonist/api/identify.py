@@ -22,6 +22,7 @@ from pam_antagonist.report import identify as numbers
 from pam_antagonist.report import identify_document, terminal
 from pam_antagonist.report import identify_sealed as sealed
 from pam_antagonist.report.held_out import Judged, judge
+from pam_antagonist.report.identify_entries import IdentifyReport
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import write_rig
 
@@ -49,7 +50,7 @@ class IdentifyResult:
     rig: Rig
     own: tuple[Rig, ...]
     warnings: tuple[str, ...]
-    report: numbers.IdentifyReport | sealed.SealedReport
+    report: IdentifyReport | sealed.SealedReport
     found: Identified | SealedIdentified
     judged: tuple[Judged, ...]
     recordings: tuple[_Named, ...]

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.static_columns import QUANTITIES, Choice
 from pam_antagonist.identification.static_rig import StaticResult, with_length, work_out
-from pam_antagonist.identification.static_table import QUANTITIES, Choice, read_force_map, read_volumes
+from pam_antagonist.identification.static_table import read_force_map, read_volumes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.program import typed
 from pam_antagonist.report import terminal

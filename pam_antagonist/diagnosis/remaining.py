@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +128,11 @@ class Form:
     def __str__(self) -> str:
         return " ".join(f"{value:+.2g}·{name}" for name, value in self.terms)
 
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``."""
+        terms = [{"term": name, "coefficient": value} for name, value in self.terms]
+        return {"terms": terms, "share": self.share, "share_held_out": self.held_out}
+
 
 @dataclass(frozen=True, eq=False)
 class RemainingResidual:
@@ -155,6 +161,11 @@ class RemainingResidual:
     form: Form
     values: Floats
     around: Surroundings
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``: the description without the residual itself."""
+        names = ("recording", "channel", "unit", "times_noise", "depends_on", "bands")
+        return {**{name: getattr(self, name) for name in names}, "period_s": self.period, "form": self.form}
 
     def line(self) -> str:
         """The description as a line."""

@@ -129,74 +129,6 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Term:
-    """A term of a sum.
-
-    Attributes:
-        term: in words.
-        coefficient: in the residual's unit per unit of the term.
-    """
-
-    term: str
-    coefficient: float
-
-
-@dataclass(frozen=True)
-class Form:
-    """A sum that looks like a residual.
-
-    Attributes:
-        terms: of the sum.
-        share: of the fitted residual's variance that it explains.
-        share_held_out: the same of the held-out one.
-    """
-
-    terms: tuple[Term, ...]
-    share: float
-    share_held_out: float
-
-
-@dataclass(frozen=True)
-class Left:
-    """A residual that no effect explains, see :class:`RemainingResidual`.
-
-    Attributes:
-        recording: its name.
-        channel: that is compared.
-        unit: of the channel.
-        times_noise: RMS of the residual over that of the noise.
-        depends_on: share of the variance by signal.
-        bands: share of the power by frequency band.
-        period_s: about which its power lies [s].
-        form: a sum that looks like it.
-    """
-
-    recording: str
-    channel: str
-    unit: str
-    times_noise: float
-    depends_on: Mapping[str, float]
-    bands: Mapping[str, float]
-    period_s: float
-    form: Form
-
-    @classmethod
-    def of(cls, item: RemainingResidual) -> Left:
-        """The entry of a residual."""
-        form = Form(tuple(Term(*term) for term in item.form.terms), item.form.share, item.form.held_out)
-        return cls(
-            item.recording,
-            item.channel,
-            item.unit,
-            item.times_noise,
-            item.depends_on,
-            item.bands,
-            item.period,
-            form,
-        )
-
-
-@dataclass(frozen=True)
 class Settings:
     """What was asked, and the thresholds of the decision.
 
@@ -265,7 +197,7 @@ class CloseLoopReport:
     ranking: tuple[Candidate, ...]
     profiles: tuple[SizeProfile, ...]
     remaining: tuple[str, ...]
-    left: tuple[Left, ...]
+    left: tuple[RemainingResidual, ...]
     unseen: tuple[str, ...]
     warnings: tuple[str, ...]
     settings: Settings
@@ -323,7 +255,7 @@ def report(
         ),
         profiles=found.profiles,
         remaining=tuple(item.line() for item in found.remaining),
-        left=tuple(map(Left.of, found.remaining)),
+        left=found.remaining,
         unseen=tuple(found.unseen),
         warnings=tuple(found.warnings),
         settings=Settings(

@@ -1,21 +1,32 @@
-"""What an identification found, as typed numbers: the content of its ``report.json``.
-
-The fields of :class:`IdentifyReport` and of the classes in it are the keys of ``report.json``.
-"""
+"""From an identification to the numbers of its ``report.json``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
-from pam_antagonist.identification.session import Identified, Start, recording_that_shows, relative
-from pam_antagonist.identification.stages import Stage
+from pam_antagonist.identification.session import Identified, recording_that_shows, relative
 from pam_antagonist.identification.tuning import ConsideredDirection
-from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts
 from pam_antagonist.report.held_out import Given, HeldOut, Judged, pooled_coverage
+from pam_antagonist.report.identify_entries import (
+    Between,
+    Change,
+    DifferenceEntry,
+    DirectionEntry,
+    IdentifyReport,
+    Noise,
+    Pair,
+    ParameterEntry,
+    ProfileEntry,
+    RecordingEntry,
+    RelativeChange,
+    SensorNoise,
+    Settings,
+    StageEntry,
+    TuningEntry,
+)
 from pam_antagonist.report.units import unit_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
@@ -29,342 +40,6 @@ def rigs_of(found: Identified) -> list[Mapping[str, Rig]]:
     """The rigs that are compared on each recording of an identification."""
     both: dict[str, Rig] = {"as_configured": found.start, "identified": found.tuned.rig}
     return [{**both, "own": own} for own in found.own] if found.own else [both] * len(found.trials)
-
-
-@dataclass(frozen=True)
-class ParameterEntry:
-    """What became of a free parameter, in SI units.
-
-    Attributes:
-        name: of the parameter.
-        start: value of the rig file.
-        value: identified.
-        std: standard deviation of the value.
-        relative_change: of the value.
-        prior_std: standard deviation of the prior.
-        determined: whether the recordings determine it.
-        record: what would determine it; None where it is determined.
-        own: value of each recording.
-        own_std: standard deviations of these.
-        unit: SI unit of these numbers.
-    """
-
-    name: str
-    start: float
-    value: float
-    std: float
-    relative_change: float
-    prior_std: float
-    determined: bool
-    record: str | None
-    own: tuple[float, ...]
-    own_std: tuple[float, ...]
-    unit: str
-
-
-@dataclass(frozen=True)
-class Change:
-    """A number before and after.
-
-    Attributes:
-        before: number before.
-        after: number after.
-    """
-
-    before: float
-    after: float
-
-
-@dataclass(frozen=True)
-class StageEntry:
-    """A step of the identification. RMS residuals are by channel [rad, N m, Pa, Pa], None where one was not measured.
-
-    Attributes:
-        name: of the step.
-        source: what it was found from.
-        values: that it moved, in SI units.
-        before: RMS residuals before it.
-        after: RMS residuals after it.
-        balance_nm: RMS of the joint's torque balance [N m]; None where it was not used.
-        note: what the user should know.
-    """
-
-    name: str
-    source: str
-    values: Mapping[str, Change]
-    before: Mapping[str, float | None]
-    after: Mapping[str, float | None]
-    balance_nm: Change | None
-    note: str
-
-    @classmethod
-    def of(cls, stage: Stage) -> StageEntry:
-        """The entry of a step."""
-        balance = stage.balance
-        return cls(
-            stage.name,
-            stage.source,
-            {name: Change(old, new) for name, (old, new) in stage.values.items()},
-            dict(zip(CHANNELS, stage.before, strict=True)),
-            dict(zip(CHANNELS, stage.after, strict=True)),
-            None if balance is None else Change(balance.rms("before"), balance.rms("after")),
-            stage.note,
-        )
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two parameters that the data hardly distinguish.
-
-    Attributes:
-        first: a parameter.
-        second: another one.
-        correlation: of their errors.
-    """
-
-    first: str
-    second: str
-    correlation: float
-
-
-@dataclass(frozen=True)
-class ProfileEntry:
-    """Profile likelihood of a parameter, and its 95 % interval.
-
-    Attributes:
-        name: of the parameter.
-        value: at which it was held, in SI units.
-        loss: of the logarithm of likelihood and prior there, 0 at the best.
-        low95: lower end of the interval, in SI units; None where it is open.
-        high95: upper end, likewise.
-    """
-
-    name: str
-    value: tuple[float, ...]
-    loss: tuple[float, ...]
-    low95: float | None
-    high95: float | None
-
-
-@dataclass(frozen=True)
-class DifferenceEntry:
-    """How the recordings differ in one parameter, relative.
-
-    Attributes:
-        name: of the parameter.
-        deviations: of each recording from the common value.
-        largest: difference of the two that differ most.
-        std: standard deviation of that difference.
-        certain: whether chance hardly explains it.
-    """
-
-    name: str
-    deviations: tuple[float, ...]
-    largest: float
-    std: float
-    certain: bool
-
-
-@dataclass(frozen=True)
-class Between:
-    """How the recordings differ.
-
-    Attributes:
-        spread: standard deviation between recordings, relative, by group of parameters.
-        evidence_gain: by how much the logarithm of the evidence is higher with these differences.
-        differences: by parameter.
-    """
-
-    spread: Mapping[str, float]
-    evidence_gain: float
-    differences: tuple[DifferenceEntry, ...]
-
-
-@dataclass(frozen=True)
-class SensorNoise:
-    """Standard deviations and steps of the sensors.
-
-    Attributes:
-        pressure_std: [Pa].
-        angle_std: [rad].
-        angle_step: [rad].
-        torque_std: [N m].
-        torque_step: [N m].
-    """
-
-    pressure_std: float
-    angle_std: float
-    angle_step: float
-    torque_std: float
-    torque_step: float
-
-    @classmethod
-    def of(cls, rig: Rig) -> SensorNoise:
-        """Those of a rig."""
-        s = rig.sensors
-        return cls(*(float(v) for v in (s.pressure_std, s.angle_std, s.angle_step, s.torque_std, s.torque_step)))
-
-
-@dataclass(frozen=True)
-class Noise:
-    """The sensors' noise.
-
-    Attributes:
-        declared: by the rig file.
-        found: in the recordings.
-    """
-
-    declared: SensorNoise
-    found: SensorNoise
-
-
-@dataclass(frozen=True)
-class RelativeChange:
-    """A parameter and its relative change.
-
-    Attributes:
-        name: of the parameter.
-        relative: change over value.
-    """
-
-    name: str
-    relative: float
-
-
-@dataclass(frozen=True)
-class DirectionEntry:
-    """Parameters that are uncertain together, one standard deviation of them.
-
-    Attributes:
-        name: of the direction.
-        angle_deg: by how much it moves the angle [deg].
-        torque_nm: by how much it moves the torque [N m].
-        share: of the whole effect of all directions.
-        largest: parameters that change most.
-    """
-
-    name: str
-    angle_deg: float
-    torque_nm: float
-    share: float
-    largest: tuple[RelativeChange, ...]
-
-
-@dataclass(frozen=True)
-class TuningEntry:
-    """The filter's tuning; variances in squared SI units of the states and readings.
-
-    Attributes:
-        process: diagonal of Q.
-        process_before: the same of the rig file.
-        measurement: diagonal of R.
-        measurement_before: the same of the rig file.
-        log_likelihood_a_sample: mean of the innovations' log likelihood.
-        evaluations: how many Q were tried.
-        scale: factor of all directions.
-        scale_from_reference: whether a measured reference gave it.
-        directions: in which the filter carries the parameters as uncertain.
-    """
-
-    process: tuple[float, ...]
-    process_before: tuple[float, ...]
-    measurement: tuple[float, ...]
-    measurement_before: tuple[float, ...]
-    log_likelihood_a_sample: Change
-    evaluations: int
-    scale: float
-    scale_from_reference: bool
-    directions: tuple[DirectionEntry, ...]
-
-
-@dataclass(frozen=True)
-class RecordingEntry:
-    """A recording that was used.
-
-    Attributes:
-        sha256: of the bag's files.
-        topics: by quantity.
-        issues: found while it was read.
-        name: of the recording.
-        condition: ``free`` or ``locked``.
-        lock_angle_rad: where a locked joint was held [rad]; None of a free one.
-        source: where the condition is from.
-        samples: of it.
-        duration_s: its length [s].
-        fitted_until_s: end of the fitted part [s].
-    """
-
-    sha256: str
-    topics: Mapping[str, str]
-    issues: tuple[str, ...]
-    name: str
-    condition: str
-    lock_angle_rad: float | None
-    source: str
-    samples: int
-    duration_s: float
-    fitted_until_s: float
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What was asked.
-
-    Attributes:
-        rig: its name.
-        free: parameters that were to be free besides.
-        frozen: parameters that were to stay.
-        holdout: share of each recording that was held out.
-        starts: of the joint refinement.
-        seed: of these starts.
-    """
-
-    rig: str
-    free: tuple[str, ...]
-    frozen: tuple[str, ...]
-    holdout: float
-    starts: int
-    seed: int
-
-
-@dataclass(frozen=True)
-class IdentifyReport:
-    """All numbers of an identification.
-
-    Attributes:
-        held_out: errors on the part of each recording that was not fitted.
-        coverage95: share of all measured angles and torques of the held-out parts in the identified rig's 95 %
-            interval: one mean over channels and recordings; NaN where nothing was measured.
-        coverage95_own: the same with each recording's own values; NaN of a single recording.
-        parameters: that were free.
-        stages: steps.
-        correlations: the strong ones.
-        profiles: of the parameters that matter most.
-        between: how the recordings differ; None of a single one.
-        noise: of the sensors.
-        tuning: of the filter.
-        starts: of the joint refinement.
-        recordings: that were used.
-        warnings: what the user should know.
-        settings: what was asked.
-        software: versions.
-    """
-
-    held_out: tuple[HeldOut, ...]
-    coverage95: float
-    coverage95_own: float
-    parameters: tuple[ParameterEntry, ...]
-    stages: tuple[StageEntry, ...]
-    correlations: tuple[Pair, ...]
-    profiles: tuple[ProfileEntry, ...]
-    between: Between | None
-    noise: Noise
-    tuning: TuningEntry
-    starts: tuple[Start, ...]
-    recordings: tuple[RecordingEntry, ...]
-    warnings: tuple[str, ...]
-    settings: Settings
-    software: Mapping[str, str]
 
 
 def report(recordings: Sequence[Given], found: Identified, judged: Sequence[Judged]) -> IdentifyReport:

@@ -13,7 +13,7 @@ from pam_antagonist.report import identify_figures as drawn
 from pam_antagonist.report.channels import CHANNELS
 from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import Judged, held_out_table
-from pam_antagonist.report.identify import IdentifyReport, StageEntry
+from pam_antagonist.report.identify_entries import IdentifyReport, StageEntry
 from pam_antagonist.report.identify_findings import DEFINITIONS, findings, verdict
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of

@@ -26,7 +26,7 @@ from pam_antagonist.report.figure import (
     Series,
 )
 from pam_antagonist.report.held_out import Judged
-from pam_antagonist.report.identify import ParameterEntry
+from pam_antagonist.report.identify_entries import ParameterEntry
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.style import BAND, ESTIMATE, FAINT, MEASURED, MODEL, PALETTE, PAPER, QUIET, SECOND
 from pam_antagonist.rig import Reading

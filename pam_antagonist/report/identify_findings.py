@@ -7,7 +7,7 @@ import math
 from pam_antagonist.report.channels import CHANNELS
 from pam_antagonist.report.document import Finding
 from pam_antagonist.report.held_out import HeldOut
-from pam_antagonist.report.identify import IdentifyReport
+from pam_antagonist.report.identify_entries import IdentifyReport
 from pam_antagonist.report.table import number, percent
 
 _LOW, _HIGH = 0.92, 0.98

@@ -11,7 +11,7 @@ from pam_antagonist.identification.sealed import SealedIdentified
 from pam_antagonist.report import html
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import HeldOut, Judged, held_out_table
-from pam_antagonist.report.identify import Change
+from pam_antagonist.report.identify_entries import Change
 from pam_antagonist.report.identify_findings import DEFINITIONS
 from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.table import MISSING, Table, number, percent

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.static_table import Choice, ForceMap, read_force_map, read_volumes
+from pam_antagonist.identification.static_columns import Choice
+from pam_antagonist.identification.static_table import ForceMap, read_force_map, read_volumes
 
 ATMOSPHERE = 101_300.0
 LENGTHS = (0.150, 0.165, 0.180)
