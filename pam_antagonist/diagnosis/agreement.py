@@ -18,6 +18,7 @@ from pam_antagonist.diagnosis.candidates import Model, evidence
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.gauss_newton import Fitted, refit
@@ -119,7 +120,7 @@ def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[
 def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:
     """A rig with effects; those without size are left out, with their shapes."""
     chosen: dict[str, dict[str, float]] = {}
-    for path, value in effects.items():
+    for path, value in calibration.without(effects).items():
         _, effect, name = path.split(".")
         chosen.setdefault(effect, {})[name] = float(value)
     kept = {}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
-from pam_antagonist.inference.gauss_newton import Fitted, cost_of, prior_cost
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, prior_cost
 from pam_antagonist.inference.likelihood import Scale, Step, solve
 
 Floats = NDArray[np.float64]
@@ -189,16 +189,21 @@ def _further_price(fitted: Fitted, candidate: Candidate, simpler: Score) -> floa
     return price(fitted, len(candidate.free) - len(simpler.candidate.free))
 
 
-def as_configured(experiment: Experiment) -> Fitted:
-    """The model with its base as configured, as a place to take steps from."""
-    point = experiment.origin
+def as_configured(experiment: Experiment, fitted: Fitted) -> Fitted:
+    """The model with its base as configured, as a place to take steps from.
+
+    Args:
+        experiment: the recording.
+        fitted: a model without effects, whose calibrations are kept.
+    """
+    point = Point(experiment.origin.theta, fitted.point.effects)
     residual = experiment.residual(point)
     return Fitted(
         point=point,
-        free=(),
+        free=fitted.free,
         residual=residual,
         base=experiment.jacobian(point, residual),
-        effect=np.zeros((*residual.shape, 0)),
+        effect=effect_jacobian(experiment, point, residual, fitted.free),
         scale=Scale.of(residual, experiment.noise),
         cost=np.inf,
         covariance=np.zeros((0, 0)),

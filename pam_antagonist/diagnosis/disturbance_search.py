@@ -132,7 +132,7 @@ def beside(experiments: Sequence[Experiment], effects: Model, jobs: int) -> Expl
 def _beside_effects(disturbed: _Disturbed, effects: Model, jobs: int) -> Explanation:
     """A disturbance that was found beside effects, and these where they are still needed."""
     return _explanation(
-        disturbed, recalibrate(disturbed.experiments, jobs), Model(effects.effects, disturbed.fits), jobs
+        disturbed, recalibrate(disturbed.experiments, jobs, effects), Model(effects.effects, disturbed.fits), jobs
     )
 
 

@@ -8,13 +8,14 @@ is negative where the excess has grown.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, price
+from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, evidence, held_out_evidence, price
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted
 
@@ -102,6 +103,46 @@ def share_of(parts: Sequence[tuple[float, float]]) -> float:
     return float(gone) / float(there) if there > 0.0 else 0.0
 
 
+def with_fits(
+    candidate: TriedCandidate,
+    experiments: Sequence[Experiment],
+    first: Sequence[Residuals],
+    before: Sequence[Residuals],
+    model: Model,
+    effects: tuple[str, ...],
+    fits: Sequence[Fitted | None],
+) -> TriedCandidate:
+    """A candidate with what its fits came to. A recording in which it does not pay keeps its model.
+
+    Args:
+        candidate: that was fitted.
+        experiments: the recordings.
+        first: what the model without effects leaves.
+        before: what the model without the candidate leaves.
+        model: that model.
+        effects: names of the effects of the model with it.
+        fits: of that, None for a recording in which it was not fitted.
+    """
+    chosen, total, held_out = [], 0.0, 0.0
+    for (experiment, old), new in zip(zip(experiments, model.fits, strict=True), fits, strict=True):
+        gain = evidence(experiment, old, new) if new is not None else 0.0
+        gains = new is not None and gain > 0.0
+        chosen.append(new if new is not None and gains else old)
+        total += max(gain, 0.0)
+        held_out += held_out_evidence(experiment, old, new) if new is not None and gains else 0.0
+    extended = Model(effects, tuple(chosen))
+    after = remaining_residuals(experiments, extended.fits)
+    held = held_share(experiments, before, after)
+    return replace(
+        candidate,
+        delta_bic=total,
+        held_out_evidence=held_out,
+        shares=(held, fitted_share(experiments, before, after)),
+        model=extended,
+        share=further_share(experiments, first, before, after),
+    )
+
+
 def is_worth_taking(tried: TriedCandidate) -> bool:
     """Whether a fitted candidate goes into the model.
 
@@ -122,6 +163,34 @@ def is_worth_taking(tried: TriedCandidate) -> bool:
     else:
         removes = (tried.share or 0.0) >= thresholds.FURTHER_SHARE
     return tried.standing >= enough and removes
+
+
+def near(best: TriedCandidate, others: Sequence[TriedCandidate]) -> tuple[str, ...]:
+    """Candidates that do as well as the best one, by evidence and on held-out data.
+
+    Args:
+        best: that was taken.
+        others: of the same round.
+    """
+    return tuple(
+        other.effect for other in others if other is not best and other.shares is not None
+        and best.standing - other.standing < thresholds.STRONG and other.shares[0] >= thresholds.FIRST_SHARE
+    )  # fmt: skip
+
+
+def evidence_of(experiments: Sequence[Experiment], without: Model, model: Model) -> float:
+    """Evidence for a model against one without some of its effects, over all recordings.
+
+    Args:
+        experiments: the recordings.
+        without: the model without these effects.
+        model: the one with them.
+    """
+    return sum(
+        evidence(experiment, old, new)
+        for experiment, old, new in zip(experiments, without.fits, model.fits, strict=True)
+        if new is not old
+    )
 
 
 def has_significant_excess(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> bool:

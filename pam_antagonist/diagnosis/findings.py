@@ -10,8 +10,8 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.candidates import Model, evidence, price
-from pam_antagonist.diagnosis.explained import further_share, remaining_residuals
+from pam_antagonist.diagnosis.candidates import Model, price
+from pam_antagonist.diagnosis.explained import evidence_of, further_share, remaining_residuals
 from pam_antagonist.diagnosis.result import FoundEffect, SizeProfile
 from pam_antagonist.diagnosis.selection import refitted_without
 from pam_antagonist.inference.experiment import Experiment, Point
@@ -273,21 +273,6 @@ def _agree(seen: Sequence[Sized]) -> bool:
     spread = float(np.ptp([s.value for s in seen]))
     near = spread <= thresholds.SIZES_DIFFER * abs(_mean(seen)[0])
     return near or spread <= thresholds.SIZES_DIFFER_STD * float(np.hypot.reduce([s.std for s in seen]))
-
-
-def evidence_of(experiments: Sequence[Experiment], without: Model, model: Model) -> float:
-    """Evidence for a model against one without some of its effects, over all recordings.
-
-    Args:
-        experiments: the recordings.
-        without: the model without these effects.
-        model: the one with them.
-    """
-    return sum(
-        evidence(experiment, old, new)
-        for experiment, old, new in zip(experiments, without.fits, model.fits, strict=True)
-        if new is not old
-    )
 
 
 def profile_sizes(

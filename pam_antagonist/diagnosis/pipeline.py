@@ -64,7 +64,7 @@ def diagnose(
         base = recalibrate(group.experiments, jobs)
         check_same_rig(group, base, jobs)
         timings.end("recalibration")
-        selection = select(group.experiments, base, jobs, settings.about(group), settings.checkpoint)
+        selection = select(group.experiments, base, jobs, settings.about(group), settings.checkpoint, calibrate=True)
         timings.end("selection")
         judged.append(judge(prepared, group, selection, settings))
         timings.end("judgement")

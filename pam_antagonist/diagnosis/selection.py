@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import explained, thresholds
+from pam_antagonist.diagnosis import calibrations, explained, thresholds
 from pam_antagonist.diagnosis.candidates import (
     Model,
     Score,
     TriedCandidate,
     as_configured,
     evidence,
-    held_out_evidence,
     score_all,
 )
 from pam_antagonist.diagnosis.checkpoint import Checkpoint, Kept, key_of
+from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import STARTS, Fitted, best_of_starts, refit, relinearised
 
@@ -39,20 +39,38 @@ class Selection:
         recalibrated: the model without effects.
         model: the one that was chosen.
         tried: every candidate of every round, in the order of evidence.
+        calibrations: every calibration of every round, likewise; it is in both models where it was taken.
+        rivals: for each effect and calibration that was taken, those that would have done as well in its place; of an
+            effect its rivals among calibrations only.
     """
 
     recalibrated: Model
     model: Model
     tried: tuple[TriedCandidate, ...]
+    calibrations: tuple[TriedCandidate, ...] = ()
+    rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-def recalibrate(experiments: Sequence[Experiment], jobs: int) -> Model:
-    """The base parameters of every recording at their most probable values."""
+def recalibrate(experiments: Sequence[Experiment], jobs: int, known: Model | None = None) -> Model:
+    """The base parameters of every recording at their most probable values.
 
-    def one(experiment: Experiment) -> Fitted:
-        return relinearised(experiment, best_of_starts(experiment, refit(experiment, experiment.origin)))
+    Args:
+        experiments: the recordings.
+        jobs: threads.
+        known: model of the recordings whose calibrations are fitted as well.
+    """
 
-    return Model((), tuple(_in_threads(jobs, (delayed(one)(experiment) for experiment in experiments))))
+    def one(experiment: Experiment, like: Fitted | None) -> Fitted:
+        if like is None:
+            point, free = experiment.origin, ()
+        else:
+            values = {path: value for path, value in like.point.effects.items() if is_calibration(path)}
+            point, free = Point(experiment.origin.theta, values), tuple(u for u in like.free if is_calibration(u.path))
+        return relinearised(experiment, best_of_starts(experiment, refit(experiment, point, free)))
+
+    fits = known.fits if known is not None else [None] * len(experiments)
+    pairs = zip(experiments, fits, strict=True)
+    return Model((), tuple(_in_threads(jobs, (delayed(one)(*pair) for pair in pairs))))
 
 
 def select(
@@ -62,8 +80,9 @@ def select(
     progress: Callable[[str], None],
     checkpoint: Checkpoint,
     before: Sequence[explained.Residuals] = (),
+    calibrate: bool = False,
 ) -> Selection:
-    """Add effects while one is worth taking.
+    """Add effects, and calibrations of the recordings, while one is worth taking.
 
     Args:
         experiments: the recordings.
@@ -73,21 +92,32 @@ def select(
         checkpoint: keeps finished candidates.
         before: what was left before an effect that is in the experiments already, and is the first one then; default:
             what the recalibrated model leaves.
+        calibrate: whether zeros, scales and late stamps may be found as well.
     """
-    begin = 2 if before else 1
-    model, tried = base, []
+    model, tried, weighed = base, list[TriedCandidate](), list[TriedCandidate]()
+    rivals: dict[str, tuple[str, ...]] = {}
     first = before or explained.remaining_residuals(experiments, base.fits)
-    for number in range(begin, thresholds.MOST_EFFECTS + 1):
+    while (number := len(model.effects) + (2 if before else 1)) <= thresholds.MOST_EFFECTS:
         if explained.at_noise(experiments, model):
             break
         found = _round(experiments, first, model, number, jobs, progress, checkpoint)
-        tried += found
-        best = next((candidate for candidate in found if explained.is_worth_taking(candidate)), None)
+        # Where a calibration was taken, its round was without it.
+        tried = [*(candidate for candidate in tried if candidate.round != number), *found]
+        others = calibrations.tried(experiments, first, model, number, jobs) if calibrate else []
+        worth = [candidate for candidate in (*found, *others) if explained.is_worth_taking(candidate)]
+        best = max(worth, key=lambda candidate: candidate.standing, default=None)
+        weighed += [replace(candidate, taken=candidate is best) for candidate in others]
         if best is None or best.model is None:
             break
-        model = shared(experiments, _relinearised(experiments, best.model, jobs), jobs)
+        rivals[best.effect] = explained.near(best, others if best in found else (*found, *others))
+        if best in found:
+            model = shared(experiments, _relinearised(experiments, best.model, jobs), jobs)
+        else:
+            base, model = calibrations.taken(experiments, base, model, best.model, best.effect, jobs)
+            first = explained.remaining_residuals(experiments, base.fits)
         progress(f"{best.effect} added")
-    return Selection(base, model, tuple(tried))
+    base, model = calibrations.needed(experiments, base, model, jobs)
+    return Selection(base, model, tuple(tried), tuple(weighed), rivals)
 
 
 def refitted_without(
@@ -205,7 +235,8 @@ def _round(
         candidate = TriedCandidate(name, number, scored[name].total, muscles=scored[name].muscles)
         if name in wanted:
             fits = [done.get((name, r)) for r in range(len(experiments))]
-            candidate = _with_fits(candidate, experiments, first, before, model, fits)
+            effects = (*model.effects, name)
+            candidate = explained.with_fits(candidate, experiments, first, before, model, effects, fits)
         tried.append(candidate)
     tried.sort(key=lambda candidate: (-candidate.standing, -candidate.score))
     return tried
@@ -224,42 +255,13 @@ def _scored(experiments: Sequence[Experiment], model: Model, jobs: int) -> dict[
 
 def _score_tasks(experiment: Experiment, fitted: Fitted) -> Iterator[Any]:
     yield delayed(lambda: (score_all(experiment, fitted), fitted))()
-    if not fitted.free:
+    if all(is_calibration(free.path) for free in fitted.free):
 
         def far() -> tuple[dict[str, Score], Fitted]:
-            start = as_configured(experiment)
+            start = as_configured(experiment, fitted)
             return score_all(experiment, fitted, start), start
 
         yield delayed(far)()
-
-
-def _with_fits(
-    candidate: TriedCandidate,
-    experiments: Sequence[Experiment],
-    first: Sequence[explained.Residuals],
-    before: Sequence[explained.Residuals],
-    model: Model,
-    fits: Sequence[Fitted | None],
-) -> TriedCandidate:
-    """A candidate with what its fits came to. A recording in which it does not pay keeps its model."""
-    chosen, total, held_out = [], 0.0, 0.0
-    for (experiment, old), new in zip(_pairs(experiments, model), fits, strict=True):
-        gain = evidence(experiment, old, new) if new is not None else 0.0
-        gains = new is not None and gain > 0.0
-        chosen.append(new if new is not None and gains else old)
-        total += max(gain, 0.0)
-        held_out += held_out_evidence(experiment, old, new) if new is not None and gains else 0.0
-    extended = Model((*model.effects, candidate.effect), tuple(chosen))
-    after = explained.remaining_residuals(experiments, extended.fits)
-    held = explained.held_share(experiments, before, after)
-    return replace(
-        candidate,
-        delta_bic=total,
-        held_out_evidence=held_out,
-        shares=(held, explained.fitted_share(experiments, before, after)),
-        model=extended,
-        share=explained.further_share(experiments, first, before, after),
-    )
 
 
 def _fits(

@@ -10,13 +10,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.inference import calibration
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, values_along
 from pam_antagonist.inference.likelihood import ERROR_S, Scale, in_decibels, solve
 from pam_antagonist.inference.split import Split
@@ -37,7 +38,7 @@ class Point:
 
     Attributes:
         theta: amounts of the free directions (K,), then the start's deviations in standard deviations (S,).
-        effects: values of the effects' parameters by dotted path.
+        effects: values of the effects' parameters, and of calibrations, by dotted path.
     """
 
     theta: Floats
@@ -142,6 +143,14 @@ class Experiment(ABC):
             taken: values of the model's effects' parameters, by dotted path.
         """
 
+    def calibrations(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+        """Calibrations that this recording can show, beside those that a model has already; by default none.
+
+        Args:
+            taken: values of the model's parameters, by dotted path.
+        """
+        return ()
+
     # What may differ, with what holds for most.
 
     @property
@@ -225,6 +234,18 @@ class Experiment(ABC):
         """Precision of the prior of each base coordinate (K + S,)."""
         return np.array([direction.prior**-2 for direction in self.directions] + [1.0] * len(self.start_std))
 
+    def corrected(self, point: Point) -> tuple[Experiment, Point]:
+        """The recording as calibrated sensors would have shown it, and the model of it without its calibrations.
+
+        Args:
+            point: the model.
+        """
+        values = calibration.values_of(point.effects)
+        if not values:
+            return self, point
+        trial = calibration.corrected(self.trial, values)
+        return replace(self, trial=trial), Point(point.theta, calibration.without(point.effects))
+
     def start_shift(self, point: Point) -> Floats:
         """Deviations of the start from what the sensors showed first (S,) [rad, Pa, Pa]."""
         return np.asarray(point.theta[len(self.directions) :] * self.start_std)
@@ -238,7 +259,7 @@ class Experiment(ABC):
         p = self.vector.copy()
         for name, value in self.changes(point).items():
             p[par.INDEX[name]] = value
-        return par.changed(p, point.effects)
+        return par.changed(p, calibration.without(point.effects))
 
     def residual(self, point: Point, whole: bool = False) -> Floats:
         """Measured minus simulated block means (B, C), 0 where nothing was measured.

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.likelihood import Scale, Step, solve
@@ -234,7 +235,7 @@ def relinearised(experiment: Experiment, fitted: Fitted) -> Fitted:
 
 def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list[Fitted]:
     """Fits from other starts: after a few steps the best of those that are drawn, to its end if it may get there."""
-    if not fitted.free or starts == 0:
+    if starts == 0 or all(is_calibration(parameter.path) for parameter in fitted.free):
         return []
     # Each model has draws of its own, whatever was fitted before it and on which thread.
     name = zlib.crc32(" ".join(parameter.path for parameter in fitted.free).encode())
@@ -254,6 +255,8 @@ def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:
     effects = dict(fitted.point.effects)
     for parameter in fitted.free:
         value, item = effects.get(parameter.path, parameter.item.neutral), parameter.item
+        if is_calibration(parameter.path):
+            continue
         if item.is_size:
             drawn = (value if value and rng.random() < 0.5 else item.scale) * float(np.exp(rng.normal()))
             drawn = -drawn if item.low < 0.0 and rng.random() < 0.25 else drawn

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, base_directions, candidates
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
@@ -90,6 +91,24 @@ class ValveDriven(Experiment):
         """
         return candidates(taken)
 
+    def calibrations(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+        """Zeros, scales and late stamps that could be wrong, beside those that a model has already.
+
+        Args:
+            taken: values of the model's parameters, by dotted path.
+        """
+        return calibration.candidates(self.trial, self.channels, taken)
+
+    def start_shift(self, point: Point) -> Floats:
+        """Deviations of the start from what the sensors showed first (3,) [rad, Pa, Pa], with the encoder's zero."""
+        shift = super().start_shift(point)
+        zero = calibration.values_of(point.effects).get("encoder_zero", 0.0)
+        return shift - np.array([zero if self.trial.joint != "locked" or self._lock_measured else 0.0, 0.0, 0.0])
+
+    @cached_property
+    def _lock_measured(self) -> bool:
+        return calibration.is_lock_measured(self.trial)
+
     def depends_on(self, k: int) -> bool:
         """Whether anything that is compared depends on a base coordinate."""
         if self.trial.joint != "locked":
@@ -101,15 +120,20 @@ class ValveDriven(Experiment):
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """What the sensors would show (N, 4): in the part that is fitted, or in all of the recording."""
         trial = self.trial if whole else self._part
-        return predict(trial, self.parameters(point), self.first, self.start_shift(point), self._before(point))
+        return self._shown(trial, point)
 
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """States (N, n) and torques (N,) [N m] of the model over all of the recording."""
         return run(self.trial, self.parameters(point), self.first, self.start_shift(point), self._before(point))
 
+    def _shown(self, trial: Trial, point: Point) -> Floats:
+        """What the sensors would show (N, 4), calibrations included, in the steps of a trial."""
+        exact = predict(trial, self.parameters(point), self.first, self.start_shift(point), self._before(point))
+        return calibration.readings(exact, trial.dt, calibration.values_of(point.effects))
+
     def _before(self, point: Point) -> Before | None:
         """What the model is until its effects begin to act."""
-        if self.onset is None or not point.effects:
+        if self.onset is None or not calibration.without(point.effects):
             return None
         return Before(self.onset, self.parameters(Point(point.theta)))
 
@@ -157,8 +181,7 @@ class ValveDriven(Experiment):
 
     def _coarse_residual(self, point: Point, coarse: Trial) -> Floats:
         """The residual (B, C) of the blocks that may be fitted, simulated in longer steps."""
-        shift, before = self.start_shift(point), self._before(point)
-        simulated = predict(coarse, self.parameters(point), self.first, shift, before)[:, list(self.channels)]
+        simulated = self._shown(coarse, point)[:, list(self.channels)]
         stride = round(coarse.dt / self.trial.dt)
         means = stride_blocks(simulated, stride, self.fitted // self.trial.block, self.trial.block)
         return self.fitted_rows(self.residual_of(means))

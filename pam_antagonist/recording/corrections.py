@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,13 @@ class Corrections:
         flip_angle: the encoder counts in the other direction.
         torque_unit: unit of the measured torque; it is read as N m.
         flip_torque: the torque meter counts in the other direction.
+        encoder_zero: by how much the encoder reads too high [rad].
+        torque_zero: by how much the torque meter reads too high [N m].
+        torque_scale: the torque meter reads so many times the torque, beside its zero.
         delay_voltage: by how much the voltages are stamped too early against everything else [s].
+        delay_angle: by how much the angle is stamped too early [s].
+        delay_torque: by how much the torque is stamped too early [s].
+        delay_pressure: by how much both pressures are stamped too early [s].
     """
 
     pressure_unit: str = "Pa"
@@ -48,14 +54,25 @@ class Corrections:
     flip_angle: bool = False
     torque_unit: str = "N m"
     flip_torque: bool = False
+    encoder_zero: float = 0.0
+    torque_zero: float = 0.0
+    torque_scale: float = 1.0
     delay_voltage: float = 0.0
+    delay_angle: float = 0.0
+    delay_torque: float = 0.0
+    delay_pressure: float = 0.0
 
     def __post_init__(self) -> None:
         for quantity in ("pressure", "angle", "torque"):
             name = f"{quantity}_unit"
             object.__setattr__(self, name, canonical(_option(name), quantity, getattr(self, name)))
-        if not abs(self.delay_voltage) <= LARGEST_DELAY:
-            raise BadInput(f"--delay-voltage {1e3 * self.delay_voltage:g} ms: expected within ±{1e3 * LARGEST_DELAY:g}")
+        for name, (low, high) in _BOUNDS.items():
+            value, typed = getattr(self, name), _TYPED[name]
+            if not low <= value <= high:
+                raise BadInput(
+                    f"{_option(name)} {value / typed.factor:g}: expected {low / typed.factor:g} to "
+                    f"{high / typed.factor:g} {typed.unit}".rstrip()
+                )
 
     def pressure(self, values: Floats) -> Floats:
         """Absolute pressure [Pa] of recorded values (N,)."""
@@ -64,14 +81,18 @@ class Corrections:
 
     def angle(self, values: Floats) -> Floats:
         """Angle [rad] of recorded values (N,)."""
-        return np.asarray(values * (UNITS["angle"][self.angle_unit] * (-1.0 if self.flip_angle else 1.0)))
+        turned = values * (UNITS["angle"][self.angle_unit] * (-1.0 if self.flip_angle else 1.0))
+        return np.asarray(turned - self.encoder_zero)
 
     def torque(self, values: Floats) -> Floats:
         """Torque [N m] of recorded values (N,)."""
-        return np.asarray(values * (UNITS["torque"][self.torque_unit] * (-1.0 if self.flip_torque else 1.0)))
+        turned = values * (UNITS["torque"][self.torque_unit] * (-1.0 if self.flip_torque else 1.0))
+        return np.asarray((turned - self.torque_zero) / self.torque_scale)
 
     def arranged(self, recording: Recording) -> Recording:
-        """A recording with its columns exchanged and its voltages delayed as asked; values keep their units.
+        """A recording with its columns exchanged and its channels delayed as asked; values keep their units.
+
+        Angle and torque are NaN where a delay leaves them without a value; voltages and pressures keep their first one.
 
         Args:
             recording: as read.
@@ -86,7 +107,15 @@ class Corrections:
             late = recording.stamp_ns - round(self.delay_voltage * 1e9)
             source = np.searchsorted(recording.stamp_ns, late, side="left")
             voltage = voltage[np.clip(source, 0, len(recording) - 1)]
-        return replace(recording, pressure=pressure, voltage=voltage)
+        if self.delay_pressure:
+            held = (_later(recording, column, self.delay_pressure, hold=True) for column in pressure.T)
+            pressure = np.column_stack(list(held))
+        angle, torque = recording.angle, recording.torque
+        if self.delay_angle and angle is not None:
+            angle = _later(recording, angle, self.delay_angle)
+        if self.delay_torque and torque is not None:
+            torque = _later(recording, torque, self.delay_torque)
+        return replace(recording, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
 
     def applied(self, recording: Recording) -> Recording:
         """A recording that was read as it is, corrected as a whole.
@@ -113,10 +142,50 @@ class Corrections:
             if isinstance(value, bool):
                 out.append(_option(item.name))
             elif isinstance(value, float):
-                out.append(f"{_option(item.name)} {1e3 * value:.3g}")
+                out.append(f"{_option(item.name)} {value / _TYPED[item.name].factor:.4g}")
             else:
                 out.append(f"{_option(item.name)} {value!r}" if " " in value else f"{_option(item.name)} {value}")
         return out
+
+
+class _Typed(NamedTuple):
+    """How a number is typed: its name in the help, its unit, and that unit in SI units."""
+
+    metavar: str
+    unit: str
+    factor: float
+
+
+_MILLISECONDS = _Typed("MS", "ms", 1e-3)
+_TYPED = {
+    "encoder_zero": _Typed("DEG", "deg", np.pi / 180.0),
+    "torque_zero": _Typed("NM", "N m", 1.0),
+    "torque_scale": _Typed("FACTOR", "", 1.0),
+    "delay_voltage": _MILLISECONDS,
+    "delay_angle": _MILLISECONDS,
+    "delay_torque": _MILLISECONDS,
+    "delay_pressure": _MILLISECONDS,
+}
+_BOUNDS = {
+    "encoder_zero": (-np.pi, np.pi),
+    "torque_zero": (-1e3, 1e3),
+    "torque_scale": (0.1, 10.0),
+    **{name: (-LARGEST_DELAY, LARGEST_DELAY) for name in _TYPED if name.startswith("delay_")},
+}
+
+
+def _later(recording: Recording, values: Floats, delay: float, hold: bool = False) -> Floats:
+    """Values (N,) as they were so many seconds before each stamp, between samples on a straight line.
+
+    Args:
+        recording: whose stamps they have.
+        values: to be delayed.
+        delay: [s].
+        hold: whether the first and the last value stand for what was not recorded; else NaN.
+    """
+    time = recording.time_s
+    ends = {} if hold else {"left": np.nan, "right": np.nan}
+    return np.interp(time - delay, time, values, **ends)
 
 
 def _option(name: str) -> str:
@@ -132,7 +201,13 @@ _HELP = {
     "flip_angle": "the encoder counts in the other direction",
     "torque_unit": "unit of the measured torque (default: N m)",
     "flip_torque": "the torque meter counts in the other direction",
+    "encoder_zero": "the encoder reads so many degrees too high",
+    "torque_zero": "the torque meter reads so many N m too high",
+    "torque_scale": "the torque meter reads so many times the torque (default: 1)",
     "delay_voltage": "the voltages are stamped so many milliseconds too early",
+    "delay_angle": "the angle is stamped so many milliseconds too early",
+    "delay_torque": "the torque is stamped so many milliseconds too early",
+    "delay_pressure": "the pressures are stamped so many milliseconds too early",
 }
 
 
@@ -142,13 +217,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     Args:
         parser: takes them.
     """
-    group = parser.add_argument_group("corrections of a recording (`check` says which ones it needs)")
+    group = parser.add_argument_group("corrections of a recording (`check` and `close_loop` say which ones it needs)")
     for item in fields(Corrections):
         option: dict[str, Any] = {"help": _HELP[item.name], "default": item.default}
         if isinstance(item.default, bool):
             option["action"] = "store_true"
+        elif isinstance(item.default, float):
+            typed = _TYPED[item.name]
+            option |= {"metavar": typed.metavar, "type": float, "default": item.default / typed.factor}
         else:
-            option |= {"metavar": "MS", "type": float} if isinstance(item.default, float) else {"metavar": "UNIT"}
+            option["metavar"] = "UNIT"
         group.add_argument(_option(item.name), **option)
 
 
@@ -159,7 +237,7 @@ def from_options(arguments: argparse.Namespace) -> Corrections:
         arguments: of a parser with :func:`add_options`.
 
     Raises:
-        BadInput: a unit that does not exist, or a delay that is none.
+        BadInput: a unit that does not exist, or a number that cannot be.
     """
     values = {item.name: getattr(arguments, item.name) for item in fields(Corrections)}
-    return Corrections(**{**values, "delay_voltage": values["delay_voltage"] / 1e3})
+    return Corrections(**{**values, **{name: values[name] * typed.factor for name, typed in _TYPED.items()}})

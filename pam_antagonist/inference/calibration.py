@@ -1,0 +1,174 @@
+"""Calibrations of a recording: zeros and a scale of its sensors, and stamps that are early. They are no effects.
+
+A calibration changes what the sensors show of a joint and not the joint. The model's readings are changed by it: a zero
+is added, a scale multiplies, and a channel whose stamps are late or early is read at another time. A fit moves
+calibrations as it moves the numbers of effects, so that both are weighed by the same evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.model.effects import EffectParameter
+
+Floats = NDArray[np.float64]
+
+_PREFIX = "calibration."
+_CLOCKS = ("voltage", "pressure", "angle", "torque")
+_CHANNELS = MappingProxyType({"angle": (ANGLE,), "torque": (TORQUE,), "pressure": (PRESSURE_1, PRESSURE_1 + 1)})
+
+
+def _item(name: str, unit: str, largest: float, scale: float, meaning: str) -> EffectParameter:
+    return EffectParameter(name, unit, 0.0, -largest, largest, scale, meaning)
+
+
+CALIBRATIONS: Mapping[str, EffectParameter] = MappingProxyType(
+    {
+        item.name: item
+        for item in (
+            _item("encoder_zero", "rad", 0.35, 5e-3, "so much too high the encoder reads"),
+            _item("torque_zero", "N m", 20.0, 0.05, "so much too high the torque meter reads"),
+            _item("torque_scale", "-", 0.9, 0.03, "by this share too much the torque meter reads"),
+            _item("delay_voltage", "s", 1.0, 4e-3, "so much too early the voltages are stamped"),
+            _item("delay_angle", "s", 1.0, 4e-3, "so much too early the angle is stamped"),
+            _item("delay_torque", "s", 1.0, 4e-3, "so much too early the torque is stamped"),
+            _item("delay_pressure", "s", 1.0, 4e-3, "so much too early the pressures are stamped"),
+        )
+    }
+)
+"""All calibrations by name, with units, bounds and scales."""
+
+
+def path(name: str) -> str:
+    """Dotted path of a calibration in a :class:`~pam_antagonist.inference.experiment.Point`."""
+    return _PREFIX + name
+
+
+def is_calibration(dotted: str) -> bool:
+    """Whether a dotted path is that of a calibration, and not that of an effect's parameter."""
+    return dotted.startswith(_PREFIX)
+
+
+def values_of(effects: Mapping[str, float]) -> dict[str, float]:
+    """The calibrations of a point, by name.
+
+    Args:
+        effects: a point's values by dotted path.
+    """
+    return {dotted[len(_PREFIX) :]: value for dotted, value in effects.items() if is_calibration(dotted)}
+
+
+def without(effects: Mapping[str, float]) -> dict[str, float]:
+    """The values of a point that belong to effects.
+
+    Args:
+        effects: a point's values by dotted path.
+    """
+    return {dotted: value for dotted, value in effects.items() if not is_calibration(dotted)}
+
+
+@dataclass(frozen=True)
+class CalibrationCandidate(Candidate):
+    """A calibration as an explanation, beside the effects; its name stands in the place of an effect's."""
+
+    @property
+    def free(self) -> tuple[FreeEffectParameter, ...]:
+        """Its one number."""
+        return (FreeEffectParameter((path(self.effect),), CALIBRATIONS[self.effect]),)
+
+    def grid(self) -> list[dict[str, float]]:
+        """It has no shapes."""
+        return [{}]
+
+
+def candidates(trial: Trial, channels: Iterable[int], taken: Mapping[str, float]) -> tuple[CalibrationCandidate, ...]:
+    """Calibrations that a recording can show, beside those that a model has already.
+
+    Args:
+        trial: the recording.
+        channels: that are compared.
+        taken: values of the model's parameters, by dotted path.
+    """
+    there = set(channels)
+    # One clock of all is the reference.
+    clocks = sum(name.startswith("delay_") for name in values_of(taken))
+    late = clocks < sum(name == "voltage" or not there.isdisjoint(_CHANNELS[name]) for name in _CLOCKS) - 1
+    shown = {
+        "encoder_zero": ANGLE in there or is_lock_measured(trial),
+        "torque_zero": TORQUE in there,
+        "torque_scale": TORQUE in there,
+        "delay_voltage": late,
+        "delay_angle": late and ANGLE in there,
+        "delay_torque": late and TORQUE in there,
+        "delay_pressure": late and len(there) > 2,
+    }
+    return tuple(CalibrationCandidate(name) for name, can in shown.items() if can and path(name) not in taken)
+
+
+def is_lock_measured(trial: Trial) -> bool:
+    """Whether the angle at which a joint is locked is what its encoder showed."""
+    angle = trial.measured[:, ANGLE]
+    known = angle[np.isfinite(angle)]
+    return trial.joint == "locked" and len(known) > 0 and abs(float(np.median(known)) - trial.lock_angle) < _AS_READ
+
+
+_AS_READ = 2e-3
+"""[rad] A lock angle is rounded to 0.1°."""
+
+
+def readings(simulated: Floats, dt: float, values: Mapping[str, float]) -> Floats:
+    """What sensors with these calibrations show of what a model does.
+
+    Args:
+        simulated: exact sensors' readings (N, 4), in the order of ``CHANNELS``.
+        dt: sample period [s].
+        values: calibrations by name.
+
+    Returns:
+        (N, 4), NaN where a late or early channel shows what was before the first sample or comes after the last.
+    """
+    if not values:
+        return simulated
+    out = simulated.copy()
+    out[:, ANGLE] += values.get("encoder_zero", 0.0)
+    out[:, TORQUE] = values.get("torque_zero", 0.0) + (1.0 + values.get("torque_scale", 0.0)) * out[:, TORQUE]
+    time = np.arange(len(out)) * dt
+    for name, columns in _CHANNELS.items():
+        early = values.get(f"delay_{name}", 0.0) - values.get("delay_voltage", 0.0)
+        if early:
+            for column in columns:
+                out[:, column] = np.interp(time + early, time, out[:, column], left=np.nan, right=np.nan)
+    return out
+
+
+def corrected(trial: Trial, values: Mapping[str, float]) -> Trial:
+    """A recording as sensors without these calibrations would have shown it.
+
+    Args:
+        trial: the recording.
+        values: calibrations by name.
+    """
+    if not values:
+        return trial
+    measured, time = trial.measured.copy(), trial.time
+    zero = values.get("encoder_zero", 0.0)
+    measured[:, ANGLE] -= zero
+    measured[:, TORQUE] = (measured[:, TORQUE] - values.get("torque_zero", 0.0)) / (
+        1.0 + values.get("torque_scale", 0.0)
+    )
+    for name, columns in _CHANNELS.items():
+        if values.get(f"delay_{name}"):
+            for column in columns:
+                measured[:, column] = np.interp(time - values[f"delay_{name}"], time, measured[:, column])
+    voltage = trial.voltage
+    if values.get("delay_voltage"):
+        voltage = np.column_stack([np.interp(time - values["delay_voltage"], time, u) for u in voltage.T])
+    lock = trial.lock_angle - (zero if is_lock_measured(trial) else 0.0)
+    return replace(trial, measured=measured, voltage=voltage, lock_angle=lock)
