@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.recording import bag_name, recording_hash
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import terminal
 from pam_antagonist.report.close_loop_document import summary, write_report
@@ -34,17 +35,19 @@ class DiagnoseResult(Diagnosis):
         hashes: SHA-256 of each recording, those held out as a whole behind the others.
         seed: as asked.
         kept: share of each recording that was held out, or names of the recordings that were.
+        typed: corrections with which the recordings were read.
     """
 
     start: Rig
     hashes: tuple[str, ...]
     seed: int
     kept: float | tuple[str, ...]
+    typed: Corrections = field(default_factory=Corrections)
 
     @property
     def report(self) -> numbers.CloseLoopReport:
         """The numbers of ``report.json``."""
-        return numbers.report(self, self.start, self.hashes, self.seed, self.kept)
+        return numbers.report(self, self.start, self.hashes, self.seed, self.kept, self.typed)
 
     def summary(self) -> str:
         """The tables that the command prints."""

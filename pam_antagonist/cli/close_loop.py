@@ -19,7 +19,7 @@ from pam_antagonist.cli import recordings as given
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
-from pam_antagonist.recording import Recording, bag_hash, bag_name
+from pam_antagonist.recording import Recording, bag_hash, bag_name, corrections
 from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
@@ -103,7 +103,8 @@ def _main(argv: Sequence[str] | None) -> int:
         if not store.finished():
             shutil.rmtree(kept, ignore_errors=True)
         raise
-    found = replace(found, warnings=(*given.damage(arguments, recordings), *found.warnings))
+    damage = given.damage(arguments, recordings)
+    found = replace(found, warnings=(*damage, *found.warnings), typed=corrections.from_options(arguments))
     found.save(arguments.out, figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
     print(found.summary())

@@ -13,7 +13,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model, evidence
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect
@@ -95,7 +95,7 @@ def common_point(experiments: Sequence[Experiment], model: Model, effects: Mappi
         information += weight
         pull += weight @ fitted.point.theta[:count]
     theta[:count] = np.linalg.solve(information, pull)
-    return Point(theta, dict(effects))
+    return Point(theta, {**effects, **calibrations.common(model)})
 
 
 def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, float] | None:

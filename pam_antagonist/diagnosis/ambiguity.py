@@ -20,12 +20,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect
 from pam_antagonist.diagnosis.selection import Selection
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
+from pam_antagonist.inference.calibration import CALIBRATIONS
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
@@ -72,17 +73,24 @@ def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) ->
 
 
 def distinguishing_experiments(
-    found: Sequence[str], ambiguous: Sequence[str], conditions: Collection[str]
+    found: Sequence[str], ambiguous: Sequence[str], conditions: Collection[str], calibrated: Sequence[str] = ()
 ) -> dict[str, str]:
-    """For each effect that is as likely as a found one, what to record.
+    """For each effect and calibration that is as likely as a found one, what to record.
 
     Args:
         found: effects in the model.
         ambiguous: effects that do as well.
         conditions: of the joint in the recordings at hand.
+        calibrated: calibrations that have rivals.
     """
     out = {}
     for other in ambiguous:
+        if other in CALIBRATIONS:
+            out[other] = calibrations.experiment(other)
+            continue
+        if not found and calibrated:
+            out[other] = calibrations.experiment(calibrated[0])
+            continue
         effect = CATALOGUE[other]
         if DRIVEN in conditions:
             out[other] = effect.sealed.experiment or effect.experiment

@@ -189,21 +189,22 @@ def _further_price(fitted: Fitted, candidate: Candidate, simpler: Score) -> floa
     return price(fitted, len(candidate.free) - len(simpler.candidate.free))
 
 
-def as_configured(experiment: Experiment, fitted: Fitted) -> Fitted:
+def as_configured(experiment: Experiment, fitted: Fitted | None = None) -> Fitted:
     """The model with its base as configured, as a place to take steps from.
 
     Args:
         experiment: the recording.
-        fitted: a model without effects, whose calibrations are kept.
+        fitted: a model without effects, whose calibrations are kept; default: none.
     """
-    point = Point(experiment.origin.theta, fitted.point.effects)
+    point = experiment.origin if fitted is None else Point(experiment.origin.theta, fitted.point.effects)
+    free = () if fitted is None else fitted.free
     residual = experiment.residual(point)
     return Fitted(
         point=point,
-        free=fitted.free,
+        free=free,
         residual=residual,
         base=experiment.jacobian(point, residual),
-        effect=effect_jacobian(experiment, point, residual, fitted.free),
+        effect=effect_jacobian(experiment, point, residual, free),
         scale=Scale.of(residual, experiment.noise),
         cost=np.inf,
         covariance=np.zeros((0, 0)),

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import ambiguity, held_out, splits, warnings
+from pam_antagonist.diagnosis import ambiguity, calibrations, held_out, splits, warnings
 from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
+from pam_antagonist.diagnosis.calibrations import FoundCalibration
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.findings import profile_sizes
-from pam_antagonist.diagnosis.preparation import Prepared, Settings, Timings
+from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings
 from pam_antagonist.diagnosis.remaining import describe as describe_remaining
 from pam_antagonist.diagnosis.result import (
     Ambiguity,
@@ -25,9 +27,11 @@ from pam_antagonist.diagnosis.result import (
 )
 from pam_antagonist.identification.sealed import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
+from pam_antagonist.inference.calibration import CALIBRATIONS
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
+_T = TypeVar("_T")
 _TUNINGS = 25
 """Tunings of the estimator that are tried for each model, from the rig file's."""
 
@@ -51,6 +55,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     )
     effects = _effects(prepared, judged, rivals)
     ambiguous = _ambiguous(judged, rivals)
+    calibrated = tuple(_named(prepared, j, item) for j in judged for item in j.calibrations)
     profiles = [
         item
         for j in judged
@@ -77,6 +82,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         sentence=sentence(
             verdict,
             _in_words(prepared, judged, effects),
+            [calibrations.in_words(item) for item in calibrated],
             splits.in_words({name: firm for j in judged for name, firm in j.firmness.items()}),
             ambiguous,
             share,
@@ -86,11 +92,13 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
             prepared.angle_driven,
         ),
         effects=effects,
+        calibrations=calibrated,
         ambiguous_with=ambiguous,
         experiment=ambiguity.distinguishing_experiments(
             [name for j in judged for name in j.model.effects],
             ambiguous,
             {trial.joint for trial in prepared.trials[: prepared.fitted]},
+            [item.name for item in calibrated if item.rivals],
         ),
         ambiguities=rivals,
         ranking=ranking,
@@ -144,14 +152,21 @@ def _effects(prepared: Prepared, judged: Sequence[Judged], rivals: Sequence[Ambi
     """What was found in all groups, with the recordings' own names."""
     out = []
     for j in judged:
-        names = {
-            experiment.trial.name: prepared.trials[number].name
-            for experiment, number in zip(j.group.experiments, j.group.numbers, strict=True)
-        }
         for effect in j.effects:
-            known = replace(effect, recordings=tuple(names[name] for name in effect.recordings))
+            known = replace(effect, recordings=tuple(_own_names(prepared, j.group, dict.fromkeys(effect.recordings))))
             out.append(ambiguity.with_compared_size(known, rivals))
     return tuple(out)
+
+
+def _own_names(prepared: Prepared, group: Group, values: Mapping[str, _T]) -> dict[str, _T]:
+    """Values by the names of the recordings, of values by the names of a group's experiments."""
+    numbers = {e.trial.name: number for e, number in zip(group.experiments, group.numbers, strict=True)}
+    return {prepared.trials[numbers[name]].name: value for name, value in values.items()}
+
+
+def _named(prepared: Prepared, judged: Judged, item: FoundCalibration) -> FoundCalibration:
+    """A calibration with the recordings' own names."""
+    return replace(item, by_recording=_own_names(prepared, judged.group, item.by_recording))
 
 
 def _in_words(prepared: Prepared, judged: Sequence[Judged], effects: Sequence[FoundEffect]) -> list[str]:
@@ -167,7 +182,11 @@ def _in_words(prepared: Prepared, judged: Sequence[Judged], effects: Sequence[Fo
 def _ambiguous(judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[str, ...]:
     """Effects that would do as well as a found one."""
     near = [name for j in judged if j.verdict == "effect" for name in ambiguity.near_candidates(j.selection)]
-    found = {name for j in judged for name in j.model.effects}
+    near += [
+        name for j in judged if j.verdict == "effect" for e in j.effects for name in j.selection.rivals.get(e.name, ())
+    ]
+    near += [name for j in judged for item in j.calibrations for name in item.rivals]
+    found = {name for j in judged for name in (*j.model.effects, *(item.name for item in j.calibrations))}
     names = (*near, *(rival.other for rival in rivals if rival.ambiguous))
     return tuple(name for name in dict.fromkeys(names) if name not in found)
 
@@ -249,6 +268,7 @@ def in_words(effect: FoundEffect, sealed: bool = False) -> str:
 def sentence(
     verdict: Verdict,
     effects: Sequence[str],
+    calibrated: Sequence[str],
     firmness: str,
     ambiguous: Sequence[str],
     share: float,
@@ -262,6 +282,7 @@ def sentence(
     Args:
         verdict: on the joint.
         effects: what was found, each in words.
+        calibrated: calibrations that the recordings need, each in words.
         firmness: what the splits say of them.
         ambiguous: names of the effects that would do as well.
         share: of the held-out excess that the effects remove.
@@ -271,10 +292,14 @@ def sentence(
         mean_pressure: whether the mean of the pressures is what the model is compared by, not each of them.
     """
     recalibrated, extended = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
+    beside = f" The recordings need a calibration: {'; '.join(calibrated)}." if calibrated else ""
+    others = "; ".join(_instead(name) for name in ambiguous)
+    doubts = f" These recordings do not exclude another cause: {others}." if others else ""
     if verdict == "none":
         return (
-            "The model lacks nothing that these recordings show. After recalibration its errors are as small as the "
-            f"sensors' noise allows ({recalibrated} on held-out data)."
+            f"The model lacks nothing that these recordings show.{beside} After {'calibration and ' if beside else ''}"
+            "recalibration its errors are as small as the sensors' noise allows "
+            f"({recalibrated} on held-out data).{doubts}"
         )
     if verdict == "effect":
         what = " ".join(f"{words[0].upper()}{words[1:]}." for words in effects)
@@ -283,11 +308,10 @@ def sentence(
             f"fall from {recalibrated} to {extended}: {100 * share:.0f} % of the excess over the sensors' noise is "
             "explained."
         )
-        text += f" {firmness}." if firmness else ""
+        text += beside + (f" {firmness}." if firmness else "")
         if reference is not None:
             text += f" A straight-line map of angle and pressures errs by {reference['angle_and_pressures']:.2g} N m."
-        doubts = "; ".join(_instead(name) for name in ambiguous)
-        return text + (f" These recordings do not exclude another cause: {doubts}." if doubts else "")
+        return text + doubts
     tried = [item for item in ranking if item.shares is not None and item.round == 1]
     best = max(tried, key=lambda item: item.shares[0] if item.shares else 0.0, default=None)
     closest = ""
@@ -296,11 +320,13 @@ def sentence(
         closest = f" The effect that comes closest, {best.effect}, explains {gone} of that, which is not enough."
     return (
         "The model lacks something, and no effect of the catalogue explains it. After recalibration its errors on "
-        f"held-out data are {recalibrated}, well above the sensors' noise.{closest}"
+        f"held-out data are {recalibrated}, well above the sensors' noise.{closest}{beside}"
     )
 
 
 def _instead(name: str) -> str:
+    if name in CALIBRATIONS:
+        return f"{calibrations.alternative(name)} would do as well"
     effect = CATALOGUE[name]
     return effect.sealed.instead or f"{effect.title} would do as well"
 

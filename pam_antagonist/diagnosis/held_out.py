@@ -12,7 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import residual_statistics
+from pam_antagonist.diagnosis import calibrations, residual_statistics
 from pam_antagonist.diagnosis.agreement import common_point, own_rig, with_tuning
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.errors import Errors, Innovations, ModelErrors, Sliding, errors_of, total_of
@@ -20,6 +20,7 @@ from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared
 from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison, RecordingEntry
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics
 from pam_antagonist.identification.tuning import innovation_likelihood
+from pam_antagonist.inference import calibration
 from pam_antagonist.inference.angle_driven import sweeps
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE
@@ -126,7 +127,7 @@ def _entry(
     }
     ukf = None
     if estimator:
-        runs = {model: estimator_errors(recording, rigs[model], experiment) for model in MODELS}
+        runs = {model: estimator_errors(*_calibrated(recording, first, model), rigs[model]) for model in MODELS}
         ukf = ModelErrors(*(runs[model].errors for model in MODELS))
         for model, rows in residuals.items():
             run = runs[model]
@@ -205,13 +206,20 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
     return run, np.asarray(late)
 
 
-def estimator_errors(recording: Recording, rig: Rig, experiment: Experiment) -> EstimatorErrors:
+def _calibrated(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
+    """A recording as the sensors of a model, once calibrated, would have shown it; as read, and on its even grid."""
+    point = part.points[model]
+    corrections = calibrations.corrections(calibration.values_of(point.effects))
+    return corrections.applied(recording), part.experiment.corrected(point)[0]
+
+
+def estimator_errors(recording: Recording, experiment: Experiment, rig: Rig) -> EstimatorErrors:
     """Errors of the estimator, which knows pressures and voltages only, on the samples that were held out.
 
     Args:
         recording: as read; the filter runs over all of it.
-        rig: whose default tuning is used.
         experiment: the recording on its even grid: condition of the joint, measurements, what was held out.
+        rig: whose default tuning is used.
     """
     run, late = _estimated(recording, rig, experiment)
     rows, index = run.rows[late], run.index[late]
@@ -278,7 +286,8 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
 
     def of(part: HeldOutComparison, model: str) -> float:
         rig = own_rig(part.experiment, part.points[model])
-        run, late = _estimated(prepared.recordings[part.number], rig, part.experiment)
+        recording, experiment = _calibrated(prepared.recordings[part.number], part, model)
+        run, late = _estimated(recording, rig, experiment)
         return innovation_likelihood(run, int(np.argmax(late)))[0] if late.any() else 0.0
 
     tasks = [

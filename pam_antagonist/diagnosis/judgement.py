@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from pam_antagonist.diagnosis import (
     agreement,
+    calibrations,
     disturbance_search,
     explained,
     findings,
@@ -32,6 +33,14 @@ def judge(prepared: Prepared, group: Group, selection: Selection, settings: Sett
         selection: what was tried on them.
         settings: of the diagnosis.
     """
+    judged = _judged(prepared, group, selection, settings)
+    found = calibrations.found(
+        group.experiments, (judged.model, selection.model), selection.calibrations, selection.rivals
+    )
+    return replace(judged, calibrations=found, warnings=(*judged.warnings, *calibrations.differences(found)))
+
+
+def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
     jobs, progress = settings.jobs, settings.progress
     verdict, share = _verdict(group, selection)
     late = onset.search(group, selection.recalibrated, selection.model, jobs, progress, settings.checkpoint)

@@ -188,15 +188,16 @@ class RemainingResidual:
 def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingResidual]:
     """What is above the noise: of the equations of each recording, then of its sensors."""
     out = []
-    for experiment, fitted in zip(experiments, model.fits, strict=True):
-        over = experiment.times_noise(fitted.residual)
+    for recorded, fitted in zip(experiments, model.fits, strict=True):
+        over = recorded.times_noise(fitted.residual)
         if np.max(over) < thresholds.AT_NOISE:
             continue
-        around = surroundings(experiment, fitted.point)
+        experiment, point = recorded.corrected(fitted.point)
+        around = surroundings(experiment, point)
         if isinstance(experiment, ValveDriven):
-            out += _of_equations(experiment, fitted.point, around)
+            out += _of_equations(experiment, point, around)
         first = -(-experiment.errors_from // experiment.trial.block)
-        whole = experiment.residual(fitted.point, whole=True)[: len(experiment.measured)]
+        whole = experiment.residual(point, whole=True)[: len(experiment.measured)]
         late = np.arange(len(whole)) >= first
         for k, channel in enumerate(experiment.titles):
             if over[k] >= thresholds.AT_NOISE:

@@ -146,6 +146,7 @@ def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
         experiment: the recording.
         point: the model.
     """
+    experiment, point = experiment.corrected(point)
     given = signals(experiment, point)
     first = -(-experiment.errors_from // experiment.trial.block)
     step = experiment.trial.block_s
@@ -181,6 +182,7 @@ def of_innovations(experiment: Experiment, point: Point, time: Floats, innovatio
         time: of each held-out sample since the recording's first (M,) [s].
         innovation: of the pressures there, in standard deviations (M, 2).
     """
+    experiment, point = experiment.corrected(point)
     given = signals(experiment, point)
     step = experiment.trial.block_s
     block = (time / step).astype(np.int64)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
+from pam_antagonist.diagnosis.calibrations import FoundCalibration
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.preparation import Group
@@ -110,6 +111,7 @@ class Judged:
         values: of their parameters for one rig, by dotted path.
         warnings: what the user should know.
         firmness: what the splits say of each effect, by its name; empty where they were not asked.
+        calibrations: of sensors and clocks, that the recordings need.
     """
 
     group: Group
@@ -122,6 +124,7 @@ class Judged:
     values: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     firmness: Mapping[str, Firmness] = field(default_factory=dict)
+    calibrations: tuple[FoundCalibration, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +223,8 @@ class Diagnosis:
         verdict: ``effect``, ``none`` or ``unexplained``.
         sentence: the verdict with its evidence, for people.
         effects: what was found; empty but for ``effect``.
-        ambiguous_with: effects that the recordings cannot tell from the found ones.
+        calibrations: of sensors and clocks, that the recordings need; they are no effects.
+        ambiguous_with: effects and calibrations that the recordings cannot tell from the found ones.
         experiment: what would tell them apart, by effect.
         ambiguities: comparisons of found effects with others on equal terms.
         ranking: all candidates of all rounds, with their models.
@@ -247,6 +251,7 @@ class Diagnosis:
     verdict: Verdict
     sentence: str
     effects: tuple[FoundEffect, ...]
+    calibrations: tuple[FoundCalibration, ...]
     ambiguous_with: tuple[str, ...]
     experiment: Mapping[str, str]
     ambiguities: tuple[Ambiguity, ...]

@@ -61,11 +61,9 @@ def recalibrate(experiments: Sequence[Experiment], jobs: int, known: Model | Non
     """
 
     def one(experiment: Experiment, like: Fitted | None) -> Fitted:
-        if like is None:
-            point, free = experiment.origin, ()
-        else:
-            values = {path: value for path, value in like.point.effects.items() if is_calibration(path)}
-            point, free = Point(experiment.origin.theta, values), tuple(u for u in like.free if is_calibration(u.path))
+        effects = {} if like is None else like.point.effects
+        point = Point(experiment.origin.theta, {path: value for path, value in effects.items() if is_calibration(path)})
+        free = () if like is None else tuple(free for free in like.free if is_calibration(free.path))
         return relinearised(experiment, best_of_starts(experiment, refit(experiment, point, free)))
 
     fits = known.fits if known is not None else [None] * len(experiments)

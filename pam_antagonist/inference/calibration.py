@@ -164,9 +164,10 @@ def corrected(trial: Trial, values: Mapping[str, float]) -> Trial:
         1.0 + values.get("torque_scale", 0.0)
     )
     for name, columns in _CHANNELS.items():
-        if values.get(f"delay_{name}"):
-            for column in columns:
-                measured[:, column] = np.interp(time - values[f"delay_{name}"], time, measured[:, column])
+        # By whole samples: between them noise would be averaged, and look smaller than it is.
+        late = round(values.get(f"delay_{name}", 0.0) / trial.dt)
+        source = np.clip(np.arange(len(time)) - late, 0, len(time) - 1)
+        measured[:, columns] = measured[source][:, columns]
     voltage = trial.voltage
     if values.get("delay_voltage"):
         voltage = np.column_stack([np.interp(time - values["delay_voltage"], time, u) for u in voltage.T])

@@ -132,6 +132,21 @@ class Corrections:
             )
         )
 
+    def followed_by(self, further: Corrections) -> Corrections:
+        """These corrections with zeros, a scale and delays that were found in what they had corrected.
+
+        Args:
+            further: what was found; of its other corrections none counts.
+        """
+        delays = {name: getattr(self, name) + getattr(further, name) for name in _TYPED if name.startswith("delay_")}
+        return replace(
+            self,
+            encoder_zero=self.encoder_zero + further.encoder_zero,
+            torque_zero=self.torque_zero + self.torque_scale * further.torque_zero,
+            torque_scale=self.torque_scale * further.torque_scale,
+            **delays,
+        )
+
     def options(self) -> list[str]:
         """What to type for these corrections."""
         out = []

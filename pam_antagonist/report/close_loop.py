@@ -9,10 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis import calibrations, thresholds
+from pam_antagonist.diagnosis.calibrations import FoundCalibration
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.result import Ambiguity, Diagnosis, FoundEffect, RecordingEntry, SizeProfile
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
@@ -91,6 +93,38 @@ class Effect:
 
 
 @dataclass(frozen=True)
+class Calibration:
+    """A calibration of a sensor or a clock that the recordings need.
+
+    Attributes:
+        name: ``encoder_zero``, ``torque_zero``, ``torque_scale``, or ``delay_`` and what is stamped early.
+        value: in the unit; positive where a sensor reads too much, or stamps are early.
+        std: its standard deviation.
+        unit: of both.
+        sentence: the same in words.
+        delta_bic: evidence for it.
+        recordings: that show it, each with its own value.
+        ambiguous_with: effects and calibrations that the recordings cannot distinguish from it.
+    """
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    sentence: str
+    delta_bic: float
+    recordings: Mapping[str, Size]
+    ambiguous_with: tuple[str, ...]
+
+    @classmethod
+    def of(cls, found: FoundCalibration) -> Calibration:
+        """The entry of a calibration."""
+        each = {name: Size(value, std, found.unit) for name, (value, std) in found.by_recording.items()}
+        words = calibrations.in_words(found)
+        return cls(found.name, found.value, found.std, found.unit, words, found.delta_bic, each, found.rivals)
+
+
+@dataclass(frozen=True)
 class Candidate:
     """A candidate in one round.
 
@@ -161,8 +195,10 @@ class CloseLoopReport:
         verdict: ``effect``, ``none`` or ``unexplained``.
         sentence: the verdict with its evidence.
         effects: that were found.
-        ambiguous_with: effects that the recordings cannot distinguish from these.
-        experiments: by effect, what would distinguish it.
+        calibration: zeros, scales and late stamps that the recordings need; they are no effects.
+        corrections: options to type for this calibration, with those that were typed already.
+        ambiguous_with: effects and calibrations that the recordings cannot distinguish from what was found.
+        experiments: by effect or calibration, what would distinguish it.
         ambiguities: effects that were compared with a found one under equal conditions.
         share_explained: share of the held-out excess over noise that the effects explain.
         parts: the verdict on each part of the joint that was judged by itself.
@@ -185,6 +221,8 @@ class CloseLoopReport:
     verdict: Verdict
     sentence: str
     effects: tuple[Effect, ...]
+    calibration: tuple[Calibration, ...]
+    corrections: tuple[str, ...]
     ambiguous_with: tuple[str, ...]
     experiments: Mapping[str, str]
     ambiguities: tuple[Ambiguity, ...]
@@ -217,7 +255,12 @@ def _least(effects: Sequence[FoundEffect]) -> Splits | None:
 
 
 def report(
-    found: Diagnosis, rig: Rig, hashes: Sequence[str], seed: int, holdout: float | Sequence[str]
+    found: Diagnosis,
+    rig: Rig,
+    hashes: Sequence[str],
+    seed: int,
+    holdout: float | Sequence[str],
+    typed: Corrections | None = None,
 ) -> CloseLoopReport:
     """The numbers of a diagnosis.
 
@@ -227,11 +270,15 @@ def report(
         hashes: SHA-256 of each bag, those held out as a whole behind the others.
         seed: as asked.
         holdout: share of each recording that was held out, or names of the recordings that were.
+        typed: corrections with which the recordings were read; default: none.
     """
+    further = calibrations.corrections({item.name: item.value for item in found.calibrations})
     return CloseLoopReport(
         verdict=found.verdict,
         sentence=found.sentence,
         effects=tuple(map(Effect.of, found.effects)),
+        calibration=tuple(map(Calibration.of, found.calibrations)),
+        corrections=tuple((typed or Corrections()).followed_by(further).options()) if found.calibrations else (),
         ambiguous_with=tuple(found.ambiguous_with),
         experiments=dict(found.experiment),
         ambiguities=tuple(found.ambiguities),

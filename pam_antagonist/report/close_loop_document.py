@@ -13,7 +13,13 @@ from pam_antagonist.report import close_loop_residuals as residuals
 from pam_antagonist.report import html
 from pam_antagonist.report.channels import CHANNELS, TORQUE
 from pam_antagonist.report.close_loop import CloseLoopReport
-from pam_antagonist.report.close_loop_findings import assumed, definitions, findings, sentence
+from pam_antagonist.report.close_loop_findings import (
+    assumed,
+    calibration_findings,
+    definitions,
+    findings,
+    sentence,
+)
 from pam_antagonist.report.document import (
     Block,
     Definitions,
@@ -47,7 +53,14 @@ def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_f
 def summary(report: CloseLoopReport) -> tuple[Block, ...]:
     """What the terminal shows."""
     said = (*(Finding("warn", sentence(text)) for text in report.warnings), *_unseen(report))
-    return Text(report.sentence), Findings(said), errors_table(report), sizes_table(report), ranking_table(report)
+    return (
+        Text(report.sentence),
+        Findings((*calibration_findings(report), *said)),
+        errors_table(report),
+        sizes_table(report),
+        calibration_table(report),
+        ranking_table(report),
+    )
 
 
 def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = True) -> Document:
@@ -65,6 +78,8 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
     title = _TITLES[report.verdict]
     if report.effects:
         title = "Found: " + ", ".join(dict.fromkeys(effect.name.replace("_", " ") for effect in report.effects))
+    elif report.calibration and report.verdict == "none":
+        title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in report.calibration)
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(report.sentence, "verdict"),
@@ -73,12 +88,14 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
     parts += [
         *before_and_after[:1],
         Tiles(_tiles(report)),
-        Findings(findings(report)),
+        Findings((*calibration_findings(report), *findings(report))),
         errors_table(report),
     ]
     if before_and_after[1:]:
         others = "Residuals before and after, other recordings"
         parts.append(Section(others, before_and_after[1:], 2, "residual"))
+    if report.calibration:
+        parts.append(Section("Calibration", (calibration_table(report),), 2, "calibration"))
     if report.effects:
         figures = drawn.profiles(report.profiles) if with_figures else ()
         parts.append(Section("Size of the effect", (sizes_table(report), *_laws(report), *figures), 2, "parameters"))
@@ -183,6 +200,22 @@ def sizes_table(report: CloseLoopReport) -> Table:
         for unit in [readable(size.unit)]
     )
     return Table(("Parameter", "value", "std. error"), rows, "What was found")
+
+
+def calibration_table(report: CloseLoopReport) -> Table:
+    """Zeros, scales and late stamps of the recordings."""
+    rows = tuple(
+        (
+            f"{item.name} [{item.unit}]",
+            number(item.value),
+            number(item.std, 2),
+            number(item.delta_bic, 2),
+            " · ".join(f"{name}: {number(size.value)}" for name, size in item.recordings.items()),
+        )
+        for item in report.calibration
+    )
+    caption = "Too much that a sensor reads, or too early that stamps are. No effect: nothing is wrong with the joint."
+    return Table(("Calibration", "value", "std. error", "ΔBIC", "by recording"), rows, caption)
 
 
 def _tiles(report: CloseLoopReport) -> tuple[Tile, ...]:

@@ -75,6 +75,15 @@ def findings(report: CloseLoopReport) -> tuple[Finding, ...]:
     return (*out, *_of_parts(report))
 
 
+def calibration_findings(report: CloseLoopReport) -> tuple[Finding, ...]:
+    """The calibrations that the recordings need, and what to type."""
+    if not report.calibration:
+        return ()
+    what = "; ".join(item.sentence for item in report.calibration)
+    text = f"{what[0].upper()}{what[1:]}. To correct that, give every command `{' '.join(report.corrections)}`"
+    return (Finding("warn", f"{text} beside the recordings."),)
+
+
 def _title(name: str) -> str:
     return name.replace("_", " ").capitalize()
 

@@ -1,0 +1,79 @@
+"""Zeros, scales and late stamps: what sensors show with them, and what they would have shown without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pam_antagonist.inference import calibration
+from pam_antagonist.inference.experiment import Point
+from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+
+DT = 1e-3
+ALL = {
+    "encoder_zero": 0.01, "torque_zero": -0.2, "torque_scale": 0.03, "delay_voltage": 0.0304, "delay_torque": -0.002,
+}  # fmt: skip
+
+
+def waves(time: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.sin(2.0 * time + k) for k in range(4)])
+
+
+def test_sensors_show_zeros_scales_and_what_was_earlier_or_later() -> None:
+    time = np.arange(3000) * DT
+    shown = calibration.readings(waves(time), DT, ALL)
+    inside = slice(100, -100)
+    assert shown[inside, ANGLE] == pytest.approx(waves(time - 0.0304)[inside, ANGLE] + 0.01, abs=1e-6)
+    assert shown[inside, PRESSURE_1] == pytest.approx(waves(time - 0.0304)[inside, PRESSURE_1], abs=1e-6)
+    assert shown[inside, TORQUE] == pytest.approx(1.03 * waves(time - 0.0324)[inside, TORQUE] - 0.2, abs=1e-6)
+    # The model says nothing of the time before it starts.
+    assert np.isnan(shown[:31, ANGLE]).all() and np.isfinite(shown[31:, ANGLE]).all()
+
+
+def test_a_corrected_trial_is_that_of_exact_sensors() -> None:
+    time = np.arange(3000) * DT
+    values = {**ALL, "delay_angle": 0.005}
+    # Voltages that are stamped early hold what they will be.
+    shown = calibration.readings(waves(time), DT, {k: v for k, v in values.items() if k != "delay_voltage"})
+    trial = Trial("one", "free", 0.0, DT, waves(time + 0.0304)[:, :2], shown)
+    back = calibration.corrected(trial, values)
+    inside = slice(100, -100)
+    assert back.measured[inside] == pytest.approx(waves(time)[inside], abs=1e-5)
+    assert back.voltage[inside] == pytest.approx(waves(time)[inside, :2], abs=1e-5)
+
+
+def test_the_angle_of_a_locked_joint_moves_with_the_zero_of_its_encoder() -> None:
+    measured = np.tile([np.radians(3.02), 0.0, 4e5, 4e5], (100, 1))
+    trial = Trial("one", "locked", np.radians(3.0), DT, np.zeros((100, 2)), measured)
+    assert calibration.is_lock_measured(trial)
+    assert calibration.corrected(trial, {"encoder_zero": 0.01}).lock_angle == pytest.approx(np.radians(3.0) - 0.01)
+    told = Trial("one", "locked", 0.0, DT, np.zeros((100, 2)), measured)
+    assert not calibration.is_lock_measured(told)
+    assert calibration.corrected(told, {"encoder_zero": 0.01}).lock_angle == 0.0
+
+
+def test_only_what_a_recording_can_show_is_a_candidate(experiment_of, recorded) -> None:
+    locked = experiment_of(recorded("none", joint="locked", seconds=10.0), "locked")
+    names = [candidate.effect for candidate in locked.calibrations({})]
+    assert names == ["encoder_zero", "torque_zero", "torque_scale", "delay_voltage", "delay_torque", "delay_pressure"]
+    # Two of three clocks say all: the third is what they are compared with.
+    late = {calibration.path("delay_voltage"): 0.01, calibration.path("delay_torque"): 0.01}
+    assert not any(candidate.effect.startswith("delay") for candidate in locked.calibrations(late))
+
+
+def test_a_fit_finds_calibrations_beside_the_base_parameters(experiment_of, recorded) -> None:
+    experiment = experiment_of(recorded("none", joint="locked", seconds=15.0), "locked")
+    values = {"torque_zero": 1.0, "delay_voltage": 0.012}
+    shown = calibration.readings(experiment.trial.measured, DT, values)
+    wrong = replace(experiment, trial=replace(experiment.trial, measured=shown))
+    free = tuple(one for candidate in wrong.calibrations({}) if candidate.effect in values for one in candidate.free)
+    point = Point(wrong.origin.theta, {one.path: 0.0 for one in free})
+    fitted = refit(wrong, point, free)
+    found = calibration.values_of(fitted.point.effects)
+    assert found["delay_voltage"] == pytest.approx(0.012, abs=1e-3)
+    # The force map has a prior, and gives way a little.
+    assert found["torque_zero"] == pytest.approx(1.0, abs=0.3)
+    assert np.max(wrong.times_noise(fitted.residual)) < 1.2
