@@ -195,8 +195,6 @@ class CloseLoopReport:
         verdict: ``effect``, ``none`` or ``unexplained``.
         sentence: the verdict with its evidence.
         effects: that were found.
-        calibration: zeros, scales and late stamps that the recordings need; they are no effects.
-        corrections: options to type for this calibration, with those that were typed already.
         ambiguous_with: effects and calibrations that the recordings cannot distinguish from what was found.
         experiments: by effect or calibration, what would distinguish it.
         ambiguities: effects that were compared with a found one under equal conditions.
@@ -216,13 +214,13 @@ class CloseLoopReport:
         timing: what took how long [s].
         software: versions.
         splits: of the effect that the fewest splits support; None where no splits were asked.
+        calibration: zeros, scales and late stamps that the recordings need; they are no effects.
+        corrections: options to type for this calibration, with those that were typed already.
     """
 
     verdict: Verdict
     sentence: str
     effects: tuple[Effect, ...]
-    calibration: tuple[Calibration, ...]
-    corrections: tuple[str, ...]
     ambiguous_with: tuple[str, ...]
     experiments: Mapping[str, str]
     ambiguities: tuple[Ambiguity, ...]
@@ -242,6 +240,8 @@ class CloseLoopReport:
     timing: Mapping[str, float]
     software: Mapping[str, str]
     splits: Splits | None = None
+    calibration: tuple[Calibration, ...] = ()
+    corrections: tuple[str, ...] = ()
 
     @property
     def driven(self) -> bool:
