@@ -51,12 +51,12 @@ def test_a_report_says_the_calibration_and_what_to_type(late, rig) -> None:
 
 
 def test_errors_are_those_of_the_calibrated_recording(late) -> None:
-    errors = {name: late.errors[name]["pressure"]["rmse_pa"][0] for name in late.errors}
-    assert errors["extended"] == errors["recalibrated"] < 0.7 * errors["as_configured"]
-    rows = late.by_recording[0]["residuals"]["recalibrated"]
-    assert all(np.isfinite(row["rms"]) for row in rows)
-    torque = late.by_recording[0]["ukf"]
-    assert torque["recalibrated"]["torque"]["rmse_nm"] < torque["as_configured"]["torque"]["rmse_nm"]
+    configured, recalibrated = late.errors.as_configured, late.errors.recalibrated
+    assert late.errors.extended == recalibrated
+    assert recalibrated.rmse_pa[0] < 0.7 * configured.rmse_pa[0]
+    (entry,) = late.by_recording
+    assert all(np.isfinite(row.rms) for row in entry.residuals["recalibrated"])
+    assert entry.ukf.recalibrated.torque.rmse < entry.ukf.as_configured.torque.rmse
 
 
 def test_the_zero_of_an_encoder_is_no_effect(rig, recorded) -> None:
