@@ -70,6 +70,8 @@ def _main(argv: Sequence[str] | None) -> int:
         results[str(bag)] = check(recording, rig, arguments.joint, lock_angle)
         if arguments.json != "-":
             print(_text(bag, recording, rig, results[str(bag)]))
+    if arguments.json != "-" and not any(checked.wrong for checked in results.values()):
+        print(f"\n{common.next_command('replay', arguments.bags, f'--rig {arguments.rig} --out DIR')}")
     if arguments.json:
         _write(arguments.json, results)
     return common.BAD_INPUT if any(checked.wrong for checked in results.values()) else common.DONE

@@ -16,6 +16,7 @@ from pam_antagonist import __version__
 from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
+from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, announce, planned
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
@@ -42,7 +43,6 @@ examples:
   {run} close_loop free_bag locked_bag --holdout another_bag --rig my_rig.yaml --out found
   {run} replay another_bag --rig found/rig_extended.yaml --out check
 """
-_STEPS = 14
 _SHARE = 1.0 / 3.0
 
 
@@ -109,6 +109,7 @@ def _main(argv: Sequence[str] | None) -> int:
     shutil.rmtree(kept, ignore_errors=True)
     print(found.summary())
     given.announce_output(arguments, "rig_extended.yaml")
+    print(common.next_command("replay", arguments.bags, f"--rig {arguments.out / 'rig_extended.yaml'} --out DIR"))
     return common.DONE
 
 
@@ -152,12 +153,9 @@ def _diagnosed(
     share: float,
     store: Checkpoint,
 ) -> DiagnoseResult:
-    with common.progress(_STEPS, "close_loop", "steps") as bar:
-
-        def progress(text: str) -> None:
-            bar.set_description(f"close_loop: {text}")
-            bar.update(1)
-
+    plan = SEALED_CLOSE_LOOP if rig.valves.sealed else CLOSE_LOOP
+    expected = announce("close_loop", [*fitted, *held_out], plan)
+    with planned("close_loop", expected, plan) as progress:
         return diagnose(
             fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=held_out,
             jobs=arguments.jobs, seed=arguments.seed, progress=progress, store=store,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import shlex
 import signal
 import sys
 import traceback
@@ -17,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import available, install
@@ -216,24 +217,19 @@ def announce_report(arguments: argparse.Namespace, folder: Path) -> None:
         webbrowser.open(page.absolute().as_uri())
 
 
+def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
+    """A line with the command that usually comes next.
+
+    Args:
+        words: the command's name.
+        bags: that it takes.
+        rest: further arguments.
+    """
+    return f"next: {typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
+
+
 def only_available_figures(arguments: argparse.Namespace) -> None:
     """Where the library of a page's figures is missing, say so and go on as with ``--no-figures``."""
     if not (arguments.no_figures or available("plotly")):
         print(f"report.html gets no figures: plotly is not installed; to get it: {install('reports')}", file=sys.stderr)
         arguments.no_figures = True
-
-
-def progress(total: int, what: str, unit: str = "samples") -> Any:
-    """A progress bar on stderr, shown only on a terminal and only for what takes more than two seconds.
-
-    Args:
-        total: units to do.
-        what: label.
-        unit: what is counted.
-
-    Returns:
-        A ``tqdm`` bar, to be used as a context manager.
-    """
-    from tqdm import tqdm
-
-    return tqdm(total=total, desc=what, unit=f" {unit}", unit_scale=True, delay=2.0, leave=False, disable=None)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.control import FAST_GAINS, PUBLISHED_GAINS, Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain, ros_arguments
@@ -159,13 +160,14 @@ def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> No
     recording = read_bag(out / "bag")
     read_seconds = time.perf_counter() - begin
     joint, lock_angle = ("free", None) if mode is Mode.ANGLE else ("locked", 0.0)
-    with common.progress(len(recording.stamp_ns), "replay") as bar:
-        done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=bar.update)
+    with counted(len(recording.stamp_ns), "replay") as advance:
+        done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=advance)
     judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), arguments.gains)
     print(f"\n{terminal.render(demo.summary(judged))}\n")
     demo.write_report(out, judged, with_figures=not arguments.no_figures)
     print(f"recording: {out / 'bag'}")
     common.announce_report(arguments, out)
+    print(common.next_command("replay", [out / "bag"], f"--rig {arguments.rig} --out DIR"))
 
 
 def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) -> None:
@@ -223,6 +225,7 @@ def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], d
                 shown = index
                 time.sleep(_LOOP)
             bar.n = duration
+            bar.refresh()
 
 
 def _since_start() -> float:

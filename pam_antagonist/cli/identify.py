@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from pam_antagonist.api.identify import identify
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
+from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, announce, planned
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.sealed import STEPS as SEALED_STEPS
-from pam_antagonist.identification.session import steps
 from pam_antagonist.report import terminal
 from pam_antagonist.rig import load_rig
 
@@ -75,13 +74,9 @@ def _main(argv: Sequence[str] | None) -> int:
     damage = given.damage(arguments, recordings)
     if damage:
         print(terminal.warnings(damage))
-    count = SEALED_STEPS if rig.valves.sealed else steps(arguments.starts) + 2 * len(recordings)
-    with common.progress(count, "identify", "steps") as bar:
-
-        def progress(text: str) -> None:
-            bar.set_description(f"identify: {text}")
-            bar.update(1)
-
+    plan = SEALED_IDENTIFY if rig.valves.sealed else IDENTIFY
+    expected = announce("identify", recordings, plan)
+    with planned("identify", expected, plan) as progress:
         found = identify(
             recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, free=arguments.free,
             freeze=arguments.freeze, holdout=arguments.holdout, starts=arguments.starts, seed=arguments.seed,
@@ -90,6 +85,7 @@ def _main(argv: Sequence[str] | None) -> int:
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
     given.announce_output(arguments)
+    print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE
 
 

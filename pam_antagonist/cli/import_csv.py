@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, write_bag
@@ -84,8 +85,8 @@ def _check_given(arguments: argparse.Namespace) -> None:
 
 def _read(path: Path, mapping: CsvMap) -> Recording:
     size = path.stat().st_size if path.is_file() else 0
-    with common.progress(size, f"read {path.name}", "B") as bar:
-        return read_csv(path, mapping, progress=bar.update)
+    with counted(size, f"read {path.name}") as done:
+        return read_csv(path, mapping, progress=done)
 
 
 def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespace) -> str:
@@ -112,7 +113,7 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
         lines.append(
             "the rig file for this bag has to say that the chambers are sealed: valve voltages mean nothing in it"
         )
-    lines.append(f"{typed('replay')} {arguments.out} --rig RIG --out DIR   tells what the estimator makes of it")
+    lines.append(common.next_command("check", [arguments.out], "--rig RIG"))
     return "\n".join(lines)
 
 

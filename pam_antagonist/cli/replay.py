@@ -11,6 +11,7 @@ from pathlib import Path
 from pam_antagonist.api.replay import ReplayResult, replay
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import corrections, read_bag
 from pam_antagonist.replays.table import check_estimate
@@ -92,6 +93,7 @@ def _main(argv: Sequence[str] | None) -> int:
         replays[0].save(arguments.save)
         print(f"estimate: {arguments.save}")
     common.announce_report(arguments, arguments.out)
+    print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
     return common.DONE
 
 
@@ -108,8 +110,8 @@ def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Name
     )
     given.refuse_wrong(recording, rig, arguments)
     read_seconds = time.perf_counter() - begin
-    with common.progress(len(recording.stamp_ns), f"replay {bag.name}") as bar:
-        return replay(recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, bar.update, read_seconds)
+    with counted(len(recording.stamp_ns), f"replay {bag.name}") as done:
+        return replay(recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, done, read_seconds)
 
 
 if __name__ == "__main__":

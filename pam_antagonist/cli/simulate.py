@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
-from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation import excitation
@@ -69,10 +69,10 @@ def _main(argv: Sequence[str] | None) -> int:
         raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     angle = common.lock_angle(arguments) or 0.0
     voltage = _voltages(arguments, rig)
-    with common.progress(len(voltage), "simulate") as bar:
+    with counted(len(voltage), "simulate") as done:
         recording = simulate(
             rig, voltage, joint=arguments.joint, lock_angle=angle, seed=arguments.seed, mismatch=arguments.mismatch,
-            noise=not arguments.no_noise, path=arguments.out, progress=bar.update,
+            noise=not arguments.no_noise, path=arguments.out, progress=done,
         )  # fmt: skip
     with common.output_folder(arguments.out, make=False) as folder:
         write_bag(folder, recording, pressure_variance=rig.sensors.pressure_std**2)
@@ -107,7 +107,7 @@ def _summary(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> s
         f"{arguments.out}: {len(recording.stamp_ns)} samples of rig {rig.name}, joint {arguments.joint}\n"
         f"  pressures {span(recording.pressure[:, 0], 1e-3, 'kPa')} and {span(recording.pressure[:, 1], 1e-3, 'kPa')}\n"
         f"  angle {span(recording.angle, np.degrees(1.0), 'deg')}, torque {span(recording.torque, 1.0, 'N m')}\n"
-        f"{typed('replay')} {arguments.out} --rig {arguments.rig} --out DIR   tells what the estimator makes of it"
+        f"{common.next_command('replay', [arguments.out], f'--rig {arguments.rig} --out DIR')}"
     )
 
 

@@ -117,6 +117,8 @@ def _main(argv: Sequence[str] | None) -> int:
     if result.fitted is not None:
         print(f"rig: {arguments.out / 'rig.yaml'}")
     common.announce_report(arguments, arguments.out)
+    if result.fitted is not None:
+        print(common.next_command("identify", (), f"BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE
 
 

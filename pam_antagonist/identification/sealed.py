@@ -240,8 +240,6 @@ def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
 
 
 _EVALUATIONS = 50
-STEPS = 3 + _EVALUATIONS + 2
-"""How often :func:`identify_sealed` tells about its progress, at most."""
 _LEAST_MOVE = 0.05
 """[V] Valves that move more are not those of sealed chambers."""
 _BOUNDS = ((2.0, 8.0), (-3.0, 4.0), (-2.0, 1.0))

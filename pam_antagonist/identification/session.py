@@ -122,11 +122,6 @@ class Identified:
     options: Options
 
 
-def steps(starts: int) -> int:
-    """How often :func:`identify` tells about its progress, about, with so many starts."""
-    return 14 + 5 * (starts - 1) + _MOST_PROFILES
-
-
 def identify(
     recordings: Sequence[tuple[Recording, JointCondition, str]],
     rig: Rig,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.report import terminal
@@ -93,11 +94,11 @@ def _main(argv: Sequence[str] | None) -> int:
         return _bags(mine, arguments)
     folder = _folder(arguments.out)
     waiting = [(k, case) for k, case in mine if outcomes.load(folder, k, case, arguments.duration) is None]
-    with common.progress(len(waiting), "battery", "cases") as bar:
+    with counted(len(waiting), "battery") as advance:
         for number, case in waiting:
             outcome = outcomes.judge(case, _diagnosis(case, arguments.jobs), arguments.duration, arguments.jobs)
             outcomes.save(folder, number, outcome)
-            bar.update(1)
+            advance(1)
     done = [outcomes.load(folder, k, case, arguments.duration) for k, case in every]
     known = {**remainders.known(), **remainders.load(folder / remainders.FILE)}
     finished = [outcome for outcome in done if outcome is not None]
@@ -176,11 +177,11 @@ def _remainders(folder: Path) -> int:
     path = folder / remainders.FILE
     found = remainders.load(path)
     waiting = [form for form in remainders.with_law() if form.name not in found]
-    with common.progress(len(waiting), "battery", "forms") as bar:
+    with counted(len(waiting), "battery") as advance:
         for form in waiting:
             found[form.name] = remainders.remainder(form)
             remainders.save(path, found)
-            bar.update(1)
+            advance(1)
     print(terminal.table(page.remainders_table(found), indent=""))
     return common.DONE
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.report import terminal
@@ -72,7 +73,7 @@ def _main(argv: Sequence[str] | None) -> int:
     if "pipeline" in parts:
         needs_ros("benchmark --only pipeline")
     figures: list[Figure] = []
-    with common.progress(len(parts), "benchmark", "parts") as bar:
+    with counted(len(parts), "benchmark") as done:
         for part in parts:
             if part == "kernels":
                 from pam_antagonist.validation.benchmark import kernels
@@ -86,7 +87,7 @@ def _main(argv: Sequence[str] | None) -> int:
                 from pam_antagonist.validation.benchmark import pipeline
 
                 figures += pipeline.measure(arguments.rig, arguments.duration)
-            bar.update(1)
+            done(1)
     _report(figures, arguments.json)
     return common.DONE
 
@@ -102,8 +103,8 @@ def _soak(arguments: argparse.Namespace) -> int:
     needs_ros("benchmark --soak")
     from pam_antagonist.validation.benchmark import soak
 
-    with common.progress(round(arguments.soak), "soak", "s") as bar:
-        result = soak.measure(arguments.rig, arguments.soak, bar.update)
+    with counted(arguments.soak, "soak") as done:
+        result = soak.measure(arguments.rig, arguments.soak, done)
     series: dict[str, object] = {
         "time_s": result.usage.time.round(3).tolist(),
         "resident_mb": {name: values.round(3).tolist() for name, values in result.usage.resident.items()},

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
 
@@ -70,12 +71,11 @@ def _main(argv: Sequence[str] | None) -> int:
     load_rig(arguments.rig)
     rig = str(Path(arguments.rig).resolve()) if arguments.rig.endswith((".yaml", ".yml")) else arguments.rig
     print(table.HEADER, flush=True)
-    with common.progress(len(faults), "faults", "faults") as bar:
+    with counted(len(faults), "faults") as advance:
 
         def done(outcome: Outcome) -> None:
-            bar.clear()
             print(table.line(outcome), flush=True)
-            bar.update(1)
+            advance(1)
 
         outcomes = run_faults(faults, rig, done)
     print(f"\n{table.summary(outcomes)}")

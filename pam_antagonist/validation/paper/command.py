@@ -11,6 +11,7 @@ from pathlib import Path
 
 from pam_antagonist import strict_json
 from pam_antagonist.cli import common
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import ProcessFailed
 from pam_antagonist.optional import available, install
@@ -87,8 +88,8 @@ def _main(argv: Sequence[str] | None) -> int:
     with common.output_folder(arguments.out) as folder:
         with tempfile.TemporaryDirectory(prefix="live.", dir=folder) as recordings:
             try:
-                with common.progress(len(options.seeds), "virtual rigs", "rigs") as bar:
-                    results, took = run(scenario, options, Path(recordings), bar.update, _print_line)
+                with counted(len(options.seeds), "virtual rigs") as done:
+                    results, took = run(scenario, options, Path(recordings), done, _print_line)
             except ProcessFailed as error:
                 print(f"error: {error}", file=sys.stderr)
                 return common.FAILED

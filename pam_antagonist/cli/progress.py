@@ -1,0 +1,279 @@
+"""How far a long command is: a bar on a terminal, a line every ten seconds elsewhere.
+
+What is done is counted (samples, bytes), or comes in phases whose shares of the time are known from other recordings.
+The time that is left is estimated from the expected time and from how much slower or faster than that it went so far.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from pam_antagonist.recording import Recording
+
+_DELAY = 2.0
+"""What takes less than this [s] shows no bar."""
+_TICK, _LINES = 0.5, 10.0
+"""Time between two changes of the bar, and between two lines off a terminal [s]."""
+_TRUST = 0.2
+"""Part of the expected time after which the measured pace counts as much as the expected one."""
+_SMOOTH = 0.2
+"""Part of a change of the time left that is shown at the next tick."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a command does, as far as its progress is concerned.
+
+    Attributes:
+        low: least time that it takes for a second of a recording [s], measured on two cores.
+        high: largest time, likewise.
+        phases: in their order: words that a phase's report contains, and its share of the time, in any unit.
+    """
+
+    low: float
+    high: float
+    phases: Mapping[str, float]
+
+    @property
+    def middle(self) -> float:
+        """Expected time for a second of a recording [s]."""
+        return math.sqrt(self.low * self.high)
+
+
+# Times of the recordings of rig A (1 kHz, 2 x 60 s) and of the sealed joint; shares from examples/recordings.
+CLOSE_LOOP = Plan(0.18, 0.5, {
+    "recalibrating": 4, "round 1: score": 16, "round 1: refitting": 13, "round 2: score": 8, "round 2: refitting": 15,
+    "round 3": 6, "something begins": 2, "disturbance torque": 2, "effects are needed": 4, "splits agree": 8,
+    "profile": 3, "errors before and after": 20,
+})  # fmt: skip
+IDENTIFY = Plan(0.6, 1.6, {
+    "force map": 10, "valve curve": 1, "flow": 12, "joint refinement": 12, "profile": 3, "inner fit": 2,
+    "uncertain directions": 22, "process noise": 9, "scale of the uncertainty": 6, "own values": 21, "held-out": 3,
+})  # fmt: skip
+SEALED_CLOSE_LOOP = Plan(0.3, 0.8, {
+    "recalibrating": 20, "round 1": 10, "round 2": 5, "effects are needed": 5, "profile": 6, "tuning": 40, "errors": 8,
+})  # fmt: skip
+SEALED_IDENTIFY = Plan(0.3, 0.8, {
+    "closed chamber of muscle 1": 1, "closed chamber of muscle 2": 1, "balance": 2, "tuning": 8,
+})  # fmt: skip
+
+
+class Counted:
+    """Progress that is counted.
+
+    Args:
+        total: units to do.
+    """
+
+    text = ""
+
+    def __init__(self, total: float) -> None:
+        self._total = max(total, 1e-9)
+        self._done = 0.0
+
+    def add(self, amount: float) -> None:
+        """So much more is done, in units."""
+        self._done = min(self._done + amount, self._total)
+
+    def fraction(self, elapsed: float) -> float:
+        """Part that is done, 0 to 1, after `elapsed` seconds."""
+        return self._done / self._total
+
+    def left(self, elapsed: float) -> float:
+        """Time that is left after `elapsed` seconds [s]; NaN as long as nothing is done."""
+        done = self.fraction(elapsed)
+        return elapsed * (1.0 - done) / done if done else math.nan
+
+
+class Planned:
+    """Progress through phases, some of which may be left out or repeated.
+
+    Within a phase the fraction grows with time and does not leave the phase's share before the next one begins.
+
+    Args:
+        expected: time for all of it [s].
+        plan: of the command.
+    """
+
+    def __init__(self, expected: float, plan: Plan) -> None:
+        whole = sum(plan.phases.values())
+        self._expected, self._names = expected, list(plan.phases)
+        self._shares = [share / whole for share in plan.phases.values()]
+        self._phase, self._begun, self._pace = -1, 0.0, 1.0
+        self.text = ""
+
+    def begin(self, text: str, elapsed: float) -> None:
+        """A phase begins, or another part of the present one, after `elapsed` seconds; `text` says which."""
+        self.text = text
+        for number in range(self._phase + 1, len(self._names)):
+            if self._names[number] in text:
+                self._phase, self._begun = number, elapsed
+                self._pace = self._slower(sum(self._shares[:number]), elapsed)
+                return
+
+    def _slower(self, done: float, elapsed: float) -> float:
+        """Times as long as expected it takes, by what is done after `elapsed` seconds."""
+        return (elapsed / self._expected + _TRUST) / (done + _TRUST)
+
+    def fraction(self, elapsed: float) -> float:
+        """Part that is done, 0 to 1, after `elapsed` seconds."""
+        if self._phase < 0:
+            return 0.0
+        share = self._shares[self._phase]
+        part = (elapsed - self._begun) / max(share * self._expected * self._pace, 1e-9)
+        # A phase that takes longer than expected creeps through the last tenth of its share.
+        within = 0.9 * part if part < 1.0 else 1.0 - 0.1 * math.exp(1.0 - part)
+        return sum(self._shares[: self._phase]) + share * within
+
+    def left(self, elapsed: float) -> float:
+        """Time that is left after `elapsed` seconds [s]."""
+        done = self.fraction(elapsed)
+        return self._expected * (1.0 - done) * self._slower(done, elapsed)
+
+
+class Steady:
+    """A time that is left, smoothed: it counts down, and changes of the estimate come in slowly."""
+
+    def __init__(self) -> None:
+        self._end = math.nan
+
+    def left(self, now: float, estimate: float) -> float:
+        """The time left [s].
+
+        Args:
+            now: of a clock [s].
+            estimate: of the time left [s]; NaN: not known.
+        """
+        if math.isnan(estimate):
+            return estimate
+        end = now + estimate
+        self._end = end if math.isnan(self._end) else self._end + _SMOOTH * (end - self._end)
+        return max(self._end - now, 0.0)
+
+
+def in_words(seconds: float) -> str:
+    """A time for people: 8 s, 40 s, 3 min, 1.5 h."""
+    if seconds < 10.0:
+        return f"{max(seconds, 1.0):.0f} s"
+    if seconds < 90.0:
+        return f"{5.0 * round(seconds / 5.0):.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+class _Shown:
+    """Draws progress from a thread of its own, so that it goes on while a fit computes."""
+
+    def __init__(self, what: str, state: Counted | Planned) -> None:
+        self._what, self._state = what, state
+        self._start, self._steady, self._stop = time.monotonic(), Steady(), threading.Event()
+        self._bar: Any = None
+        self._line = _LINES
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def elapsed(self) -> float:
+        return time.monotonic() - self._start
+
+    def end(self, complete: bool) -> None:
+        self._stop.set()
+        self._thread.join()
+        if self._bar is not None:
+            if complete:
+                self._bar.n = 100.0
+                self._bar.set_description_str(self._what, refresh=False)
+                self._bar.set_postfix_str(in_words(self.elapsed()), refresh=True)
+            self._bar.close()
+
+    def _run(self) -> None:
+        terminal = sys.stderr.isatty()
+        while not self._stop.wait(_TICK):
+            elapsed = self.elapsed()
+            done = self._state.fraction(elapsed)
+            left = self._steady.left(elapsed, self._state.left(elapsed))
+            rest = "" if math.isnan(left) else f"about {in_words(left)} left"
+            if terminal and elapsed >= _DELAY:
+                self._draw(100.0 * done, rest)
+            elif not terminal and elapsed >= self._line:
+                self._line += _LINES
+                said = ", ".join(part for part in (f"{100.0 * done:.0f} %", self._state.text, rest) if part)
+                print(f"{self._what}: {said}", file=sys.stderr, flush=True)
+
+    def _draw(self, percent: float, rest: str) -> None:
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=100.0, bar_format="{desc} {percentage:3.0f} % |{bar:24}| {postfix}", leave=True)
+        said = f"{self._what}: {self._state.text}" if self._state.text else self._what
+        self._bar.n = percent
+        self._bar.set_description_str(said, refresh=False)
+        self._bar.set_postfix_str(rest, refresh=True)
+
+
+@contextmanager
+def _shown(what: str, state: Counted | Planned) -> Iterator[_Shown]:
+    shown = _Shown(what, state)
+    complete = False
+    try:
+        yield shown
+        complete = True
+    finally:
+        shown.end(complete)
+
+
+@contextmanager
+def counted(total: float, what: str) -> Iterator[Callable[[float], None]]:
+    """Progress that is counted.
+
+    Args:
+        total: units to do.
+        what: is done.
+
+    Yields:
+        Takes how many units more are done.
+    """
+    state = Counted(total)
+    with _shown(what, state):
+        yield state.add
+
+
+@contextmanager
+def planned(what: str, expected: float, plan: Plan) -> Iterator[Callable[[str], None]]:
+    """Progress through phases.
+
+    Args:
+        what: is done.
+        expected: time for all of it [s].
+        plan: of the command.
+
+    Yields:
+        Takes what begins now.
+    """
+    state = Planned(expected, plan)
+    with _shown(what, state) as shown:
+        yield lambda text: state.begin(text, shown.elapsed())
+
+
+def announce(what: str, recordings: Sequence[Recording], plan: Plan) -> float:
+    """Say how long a command will take, from the length of its recordings, where that is more than a few seconds.
+
+    Args:
+        what: the command.
+        recordings: that it takes.
+        plan: of the command.
+
+    Returns:
+        The expected time [s].
+    """
+    seconds = sum(recording.duration_s for recording in recordings)
+    if plan.high * seconds >= _LINES:
+        one = "1 recording" if len(recordings) == 1 else f"{len(recordings)} recordings"
+        about = f"about {in_words(plan.low * seconds)} to {in_words(plan.high * seconds)} on two cores"
+        print(f"{what}: {one} of {in_words(seconds)} together, {about}", file=sys.stderr, flush=True)
+    return plan.middle * seconds

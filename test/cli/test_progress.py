@@ -1,0 +1,100 @@
+"""Progress of long commands: it reaches the end, does not go back, and the time that is left does not jump."""
+
+from __future__ import annotations
+
+import math
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from pam_antagonist.cli import progress
+from pam_antagonist.cli.progress import CLOSE_LOOP, IDENTIFY, Counted, Plan, Planned, Steady, in_words
+
+PLAN = Plan(1.0, 4.0, {"first": 1.0, "second": 2.0, "third": 1.0})
+
+
+@pytest.mark.parametrize("slowness", [0.5, 1.0, 3.0])
+def test_phases_take_their_share_and_never_more(slowness: float) -> None:
+    state, seen = Planned(40.0, PLAN), []
+    for k in range(int(400 * slowness)):
+        elapsed = 0.1 * k
+        for name, begin in (("first", 0.0), ("second", 10.0), ("third", 30.0)):
+            if abs(elapsed - slowness * begin) < 0.05:
+                state.begin(f"now the {name} phase", elapsed)
+        seen.append(state.fraction(elapsed))
+    assert all(after >= before for before, after in zip(seen, seen[1:], strict=False))
+    assert seen[int(99 * slowness)] <= 0.25 and seen[int(299 * slowness)] <= 0.75 and 0.85 < seen[-1] < 1.0
+
+
+def test_a_phase_that_is_left_out_or_comes_again_does_not_take_progress_back() -> None:
+    state = Planned(40.0, PLAN)
+    state.begin("second", 1.0)
+    before = state.fraction(5.0)
+    state.begin("first of another group", 5.0)
+    assert state.text == "first of another group"
+    assert state.fraction(5.0) == before >= 0.25
+
+
+@pytest.mark.parametrize("slowness", [0.5, 1.0, 3.0])
+def test_the_time_that_is_left_counts_down_without_jumps(slowness: float) -> None:
+    state, steady, shown = Planned(40.0, PLAN), Steady(), []
+    end = 40.0 * slowness
+    for k in range(int(2 * end)):
+        elapsed = 0.5 * k
+        for name, begin in (("first", 0.0), ("second", 10.0), ("third", 30.0)):
+            if math.isclose(elapsed, slowness * begin):
+                state.begin(name, elapsed)
+        shown.append(steady.left(elapsed, state.left(elapsed)))
+    # From one half second to the next, never more than a tenth of what was expected or came.
+    assert max(abs(after - before) for before, after in zip(shown, shown[1:], strict=False)) < 0.1 * max(end, 40.0)
+    # From the middle on, it is right to a quarter of that.
+    for k in range(len(shown) // 2, len(shown)):
+        assert shown[k] == pytest.approx(end - 0.5 * k, abs=max(end, 40.0) / 4)
+
+
+def test_what_is_counted_ends_at_one() -> None:
+    state = Counted(10.0)
+    assert math.isnan(state.left(3.0))
+    state.add(4.0)
+    assert state.fraction(2.0) == 0.4 and state.left(2.0) == pytest.approx(3.0)
+    state.add(8.0)
+    assert state.fraction(3.0) == 1.0 and state.left(3.0) == 0.0
+
+
+def test_off_a_terminal_there_are_lines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(progress, "_TICK", 0.01)
+    monkeypatch.setattr(progress, "_LINES", 0.1)
+    with progress.planned("close_loop", 1.0, PLAN) as report:
+        report("second phase")
+        time.sleep(0.25)
+    lines = capsys.readouterr().err.splitlines()
+    assert 1 <= len(lines) <= 3
+    assert lines[0].startswith("close_loop: ") and "second phase" in lines[0] and lines[0].endswith(" left")
+
+
+def test_on_a_terminal_the_bar_reaches_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "_TICK", 0.01)
+    monkeypatch.setattr(progress, "_DELAY", 0.02)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with progress.counted(100, "replay") as advance:
+        advance(30)
+        time.sleep(0.2)
+    said = capsys.readouterr().err
+    assert " 30 %" in said and "100 %" in said
+
+
+def test_how_long_it_takes_is_said_first_from_the_recordings_length(capsys: pytest.CaptureFixture[str]) -> None:
+    long, short = SimpleNamespace(duration_s=600.0), SimpleNamespace(duration_s=2.0)
+    expected = progress.announce("close_loop", [long, long], CLOSE_LOOP)  # type: ignore[list-item]
+    assert CLOSE_LOOP.low * 1200.0 < expected < CLOSE_LOOP.high * 1200.0
+    said = capsys.readouterr().err
+    assert said.startswith("close_loop: 2 recordings of 20 min together, about ") and said.count("\n") == 1
+    progress.announce("identify", [short], IDENTIFY)  # type: ignore[list-item]
+    assert capsys.readouterr().err == ""
+
+
+def test_times_for_people() -> None:
+    assert [in_words(value) for value in (0.2, 7.6, 38.0, 200.0, 9000.0)] == ["1 s", "8 s", "40 s", "3 min", "2.5 h"]
