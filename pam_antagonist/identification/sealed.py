@@ -25,13 +25,13 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
 from pam_antagonist.inference.free_parameters import Direction, moved, values_along
+from pam_antagonist.inference.trial import BLOCK_S
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
-_BLOCK_S = 0.02
 _CLUSTER_S = 1.0
 """[s] Residuals closer than this are taken to depend on each other."""
 _LEAST_RANGE = np.radians(1.0)
@@ -90,6 +90,9 @@ class SealedStage:
 def sealed_trial(recording: Recording, name: str, share: float = 1.0) -> SealedTrial:
     """Prepare the first ``share`` of a recording.
 
+    Blocks are those of the stamps, not of the samples of an even grid as :class:`~pam_antagonist.inference.trial.Trial`
+    has them: nothing is simulated over time here, so that a gap is no harm.
+
     Args:
         recording: of a sealed joint.
         name: for messages.
@@ -101,7 +104,7 @@ def sealed_trial(recording: Recording, name: str, share: float = 1.0) -> SealedT
     if recording.angle is None or not np.isfinite(recording.angle).any():
         raise BadInput(f"{name}: no measured angle; a sealed joint tells its volume only together with one")
     time = (recording.stamp_ns - recording.stamp_ns[0]) * 1e-9
-    block = np.floor(time / _BLOCK_S).astype(np.int64)
+    block = np.floor(time / BLOCK_S).astype(np.int64)
     kept = time < share * time[-1] + 1e-9
     columns = [time, recording.angle, recording.pressure[:, 0], recording.pressure[:, 1]]
     if recording.external_torque is not None:
@@ -110,8 +113,8 @@ def sealed_trial(recording: Recording, name: str, share: float = 1.0) -> SealedT
     good = np.isfinite(values).all(axis=1)
     number, place = np.unique(block[kept][good], return_inverse=True)
     if len(number) < _FEWEST_BLOCKS:
-        raise BadInput(f"{name}: {len(number) * _BLOCK_S:.1f} s with angle and pressures, expected at least "
-                       f"{_FEWEST_BLOCKS * _BLOCK_S:g} s")  # fmt: skip
+        raise BadInput(f"{name}: {len(number) * BLOCK_S:.1f} s with angle and pressures, expected at least "
+                       f"{_FEWEST_BLOCKS * BLOCK_S:g} s")  # fmt: skip
     means = np.zeros((len(number), values.shape[1]))
     np.add.at(means, place, values[good])
     means /= np.bincount(place)[:, None]
@@ -186,8 +189,8 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
     count = int(sum(mask.sum() for mask in sliding))
     if count < _FEWEST_BLOCKS:
         raise BadInput(
-            f"{count * _BLOCK_S:.1f} s of sliding under a known torque, expected at least "
-            f"{_FEWEST_BLOCKS * _BLOCK_S:g} s: record measured/external_torque while the joint is driven to and fro"
+            f"{count * BLOCK_S:.1f} s of sliding under a known torque, expected at least "
+            f"{_FEWEST_BLOCKS * BLOCK_S:g} s: record measured/external_torque while the joint is driven to and fro"
         )
     names = ("joint.stiffness", "joint.viscous_friction", "friction.shaft")
     forces = {f"muscle_{number}.force.w2": way for number, way in ((1, 1.0), (2, -1.0))}
@@ -221,14 +224,14 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
         spread,
         float(np.sqrt(np.mean(solution.fun**2))),
         "N m",
-        f"over {count * _BLOCK_S:.1f} s in which the joint slides; where it sticks, friction may be anything up to its "
+        f"over {count * BLOCK_S:.1f} s in which the joint slides; where it sticks, friction may be anything up to its "
         "bound",
     )
 
 
 def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
     """Standard deviations that allow for residuals which depend on each other over a cluster of time."""
-    length = max(1, round(_CLUSTER_S / _BLOCK_S))
+    length = max(1, round(_CLUSTER_S / BLOCK_S))
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     scores = [
         jacobian[first : first + length].T @ residual[first : first + length]

@@ -1,6 +1,8 @@
 """The most probable parameters of one rig from several recordings, by Gauss-Newton, and what the answer is worth.
 
-The recordings may deviate from each other a little. How far they do shows whether they are of one rig at all.
+The recordings may deviate from each other a little. How far they do shows whether they are of one rig at all. This is
+another routine than :func:`~pam_antagonist.inference.gauss_newton.refit`: there one recording is fitted some hundred
+times, and keeps its derivatives; here all are fitted once, within bounds, and share their channels' errors and spread.
 """
 
 from __future__ import annotations
@@ -335,6 +337,9 @@ def differences(found: JointFit, ways: tuple[Variation, ...]) -> list[Difference
 
 def check_same_rig(found: JointFit, ways: tuple[Variation, ...]) -> None:
     """Refuse recordings that cannot be of one rig.
+
+    The spread between the recordings is known here, so that the bound is closer than a diagnosis's, which compares fits
+    of single recordings whose effects have not been found yet (:mod:`pam_antagonist.diagnosis.agreement`).
 
     Args:
         found: a fit in which trials may deviate.

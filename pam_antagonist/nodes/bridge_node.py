@@ -22,7 +22,6 @@ from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
 from pam_antagonist.nodes import bridge_health, wire
 from pam_antagonist.nodes.bridge import PARAMETERS
 from pam_antagonist.nodes.health import Health
-from pam_antagonist.nodes.messages import set_stamp
 from pam_antagonist.nodes.node import JOINT_NAME, PamNode
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
@@ -217,7 +216,7 @@ class JointOutput:
         if sample.angle is not None and sample.torque is not None:
             self._both.send(sample.stamp_ns, *self._values(sample.angle, sample.torque))
         elif sample.angle is not None or sample.torque is not None:
-            set_stamp(self._message.header.stamp, sample.stamp_ns)
+            wire.set_stamp(self._message.header.stamp, sample.stamp_ns)
             self._message.position = [] if sample.angle is None else [sample.angle]
             self._message.effort = [] if sample.torque is None else [sample.torque]
             self._both.publisher.publish(self._message)

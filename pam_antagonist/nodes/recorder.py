@@ -12,7 +12,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.program import typed
-from pam_antagonist.recording.limits import Limits
+from pam_antagonist.recording.bag_files import Limits
 
 if TYPE_CHECKING:
     from pam_antagonist.nodes.recorder_node import RecorderNode

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from pam_antagonist.nodes import qos
 
 if TYPE_CHECKING:
+    from builtin_interfaces.msg import Time
     from rclpy.node import Node
 
 Body = Sequence[tuple[str, int]]
@@ -121,3 +122,8 @@ class Incoming:
         frame_bytes = int.from_bytes(data[12:16], "little" if order == "<" else "big")
         unpacked = layout(self._body, frame_bytes, order).unpack_from(data)
         return (unpacked[1] * _SECOND + unpacked[2], *unpacked[5:])
+
+
+def set_stamp(stamp: Time, time_ns: int) -> None:
+    """Write a time [ns] into the stamp of a message object, where speed does not matter."""
+    stamp.sec, stamp.nanosec = divmod(time_ns, _SECOND)

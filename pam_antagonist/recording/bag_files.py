@@ -12,6 +12,7 @@ import os
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +20,6 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from . import metadata
-from .limits import Limits
 from .messages import typestore
 
 Storage = Literal["mcap", "sqlite3"]
@@ -32,6 +32,24 @@ MODES = {
     "message": CompressionMode.MESSAGE,
     "file": CompressionMode.FILE,
 }
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When to begin the next file of a bag; the file is looked at with every batch of messages.
+
+    Attributes:
+        size: as large as this, or by one chunk (1 MB) more [bytes]; None: never.
+        duration: that long after its first message [s]; None: never.
+    """
+
+    size: int | None = None
+    duration: float | None = None
+
+    @property
+    def split(self) -> bool:
+        """Whether there may be more than one file."""
+        return self.size is not None or self.duration is not None
 
 
 class _File(Writer):

@@ -18,12 +18,14 @@ from .corrections import Corrections
 from .naming import READ_TOPICS, choose_topics
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
-from .rigs import rig_texts
 from .stamps import Restarts
 from .storage import RawBag, read_raw, unpack_messages
 from .topics import SAMPLE_TOPICS, TOPICS
 
 Floats = NDArray[np.float64]
+
+_MOST_RIGS = 100  # restarts of nodes in a recording; beyond, the last ones count
+_TEXT_HEAD = 8  # of a std_msgs/String in CDR: the encoding, and the length of the text with its closing zero [bytes]
 
 
 @dataclass
@@ -131,7 +133,7 @@ def _read(
         received_ns={name: topic.arrival for name, topic in chosen.items()},
         topics={name: topic.actual for name, topic in chosen.items()},
         issues=tuple(bag.issues),
-        rigs=rig_texts(bag, chosen["valve_state"].actual),
+        rigs=_rig_texts(bag, chosen["valve_state"].actual),
     )
 
 
@@ -306,3 +308,31 @@ def _estimate(topic: _Topic) -> RecordedEstimate:
 
 def _reference(topic: _Topic) -> RecordedReference:
     return RecordedReference(topic.arrival.stamp_ns, topic.values("mode"), topic.values("value"))
+
+
+def _rig_texts(bag: RawBag, valve_state: str) -> tuple[str, ...]:
+    """Texts of the topic ``rig``, in the order of reception; none where it is missing or not readable: they only help.
+
+    Args:
+        bag: the bag.
+        valve_state: name of that topic in it, beside which ``rig`` stands.
+    """
+    topic = TOPICS["rig"]
+    raw = bag.topics.get(valve_state.rpartition("/")[0] + f"/{topic.relative}")
+    if raw is None or raw.channel.msgtype != topic.type or raw.channel.encoding != "cdr":
+        return ()
+    try:
+        payloads = unpack_messages(raw).payloads
+    except CompressionError:
+        return ()
+    if payloads is None:
+        return ()
+    texts: dict[str, None] = {}
+    stop = payloads.length.cumsum().tolist()
+    for k in raw.log_ns.argsort(kind="stable")[-_MOST_RIGS:].tolist():
+        message = payloads.data[stop[k] - int(payloads.length[k]) : stop[k]].tobytes()
+        order = "little" if message[1:2] == b"\x01" else "big"
+        size = int.from_bytes(message[4:_TEXT_HEAD], order)  # type: ignore[arg-type]
+        if 0 < size <= len(message) - _TEXT_HEAD:
+            texts[message[_TEXT_HEAD : _TEXT_HEAD + size - 1].decode(errors="replace")] = None
+    return tuple(texts)

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from .bag_files import MODES, PLUGINS, BagFiles, Compression, Storage
+from .bag_files import MODES, PLUGINS, BagFiles, Compression, Limits, Storage
 from .cdr import encode
-from .limits import Limits
 from .messages import typestore
 from .recording import ESTIMATE_SHAPES, RecordedEstimate, Recording
 from .topics import DEFAULT_NAMESPACE, TOPICS

@@ -49,7 +49,7 @@ def send(node: Any, stamp_ns: int, p1: float | None, p2: float | None, voltage: 
     from rclpy.serialization import serialize_message
     from sensor_msgs.msg import FluidPressure
 
-    from pam_antagonist.nodes.messages import set_stamp
+    from pam_antagonist.nodes.wire import set_stamp
     from pam_antagonist_msgs.msg import ValveCommand
 
     for value, callback in ((p1, node._on_pressure_1), (p2, node._on_pressure_2)):

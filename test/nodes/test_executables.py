@@ -173,7 +173,7 @@ def test_recorder_ends_by_itself_and_leaves_a_readable_bag(tmp_path: Path, domai
     from probe import Probe
     from sensor_msgs.msg import FluidPressure
 
-    from pam_antagonist.nodes.messages import set_stamp
+    from pam_antagonist.nodes.wire import set_stamp
     from pam_antagonist.recording import read_bag
 
     with Processes(tmp_path) as processes, Probe() as probe:

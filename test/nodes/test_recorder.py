@@ -33,7 +33,7 @@ def publish(probe: Any, first: int, count: int) -> None:
     """Samples at 1 kHz, like a rig's."""
     from sensor_msgs.msg import FluidPressure
 
-    from pam_antagonist.nodes.messages import set_stamp
+    from pam_antagonist.nodes.wire import set_stamp
 
     begin = time.monotonic()
     for k in range(first, first + count):

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import BagWriter, read_bag, writer
-from pam_antagonist.recording.limits import Limits
+from pam_antagonist.recording.bag_files import Limits
 from pam_antagonist.recording.mcap import MAGIC
 
 DEEP = bool(os.environ.get("PAM_PROOF"))
@@ -102,7 +102,7 @@ RECORDER = """
 import sys, time
 sys.path[:0] = {path!r}
 import pam_antagonist.recording.writer as writer
-from pam_antagonist.recording.limits import Limits
+from pam_antagonist.recording.bag_files import Limits
 from fake_bags import FakeRig
 writer._FLUSH_S = 0.02
 rig = FakeRig(3000)

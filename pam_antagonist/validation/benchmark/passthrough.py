@@ -9,21 +9,29 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from sensor_msgs.msg import FluidPressure
+from sensor_msgs.msg import FluidPressure, JointState
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import Health, Level
-from pam_antagonist.nodes.messages import joint_state, set_stamp
 from pam_antagonist.nodes.node import JOINT_NAME, PamNode
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
+from pam_antagonist.nodes.wire import set_stamp
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
 
 ROLES = ("plant", "estimator", "controller")
 _PERIOD = Parameter("sample_period", 0.001, "time between two samples [s]", 1e-4, 0.1)
 _BURST = 25
+
+
+def _joint_state(*fields: str) -> JointState:
+    message = JointState(name=[JOINT_NAME])
+    message.header.frame_id = "joint"
+    for field in fields:
+        setattr(message, field, [0.0])
+    return message
 
 
 class _Relay(PamNode):
@@ -62,7 +70,7 @@ class _Source(_Relay):
         for topic in ("pressure_1", "pressure_2"):
             self._output(topic, FluidPressure(fluid_pressure=4e5))
         self._output("valve_state", ValveCommand())
-        self._output("measured_joint_states", joint_state(JOINT_NAME, "joint", "position", "effort"))
+        self._output("measured_joint_states", _joint_state("position", "effort"))
         self.create_subscription(ValveCommand, TOPICS["valve_command"].relative, self._drop, qos.COMMAND)
         self._period = round(self.values["sample_period"] * 1e9)
         self._next: int | None = None
@@ -83,7 +91,7 @@ class _Estimator(_Relay):
     def __init__(self, role: str) -> None:
         super().__init__(role)
         self._output("joint_estimate", JointEstimate())
-        self._output("joint_states", joint_state(JOINT_NAME, "joint", "position", "velocity", "effort"))
+        self._output("joint_states", _joint_state("position", "velocity", "effort"))
         for topic in ("pressure_1", "pressure_2"):
             self.create_subscription(FluidPressure, TOPICS[topic].relative, self._drop, qos.STREAM)
         # The last message of a sample: by then the others have come.
