@@ -109,7 +109,8 @@ def _main(argv: Sequence[str] | None) -> int:
     shutil.rmtree(kept, ignore_errors=True)
     print(found.summary())
     given.announce_output(arguments, "rig_extended.yaml")
-    print(common.next_command("replay", arguments.bags, f"--rig {arguments.out / 'rig_extended.yaml'} --out DIR"))
+    if (arguments.out / "rig_extended.yaml").exists():
+        print(common.next_command("replay", arguments.bags, f"--rig {arguments.out / 'rig_extended.yaml'} --out DIR"))
     return common.DONE
 
 

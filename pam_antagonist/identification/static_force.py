@@ -270,7 +270,8 @@ def _fitted(table: ForceMap, form: str, rest_length: float) -> tuple[Solution, l
         covariance = np.insert(np.insert(held.covariance, curved, 0.0, axis=0), curved, 0.0, axis=1)
         name = COEFFICIENTS[form][curved]
         note = (
-            f"the measured lengths do not tell the exponent {name}: held at {exponent:.3g}, the end of what was tried"
+            f"the measured lengths do not determine the exponent {name}; it was held at {exponent:.3g}, the end of its "
+            "range"
         )
         return replace(held, coefficients=np.insert(held.coefficients, curved, exponent), covariance=covariance), [note]
     low, high = tried[best - 1], tried[best + 1]

@@ -22,6 +22,7 @@ from pam_antagonist.report.style import DARK
 
 _UNIT = re.compile(r"(?<=[0-9]) (?=(%|N|kPa|Pa|s|ms|min|h|V|Hz|mm|cm|kg|×)(\W|$|²|³))")
 """The space between a number and its unit."""
+_OPTION = re.compile(r"(?<!\S)--[a-z][a-z-]*")
 _CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
 
 
@@ -71,10 +72,11 @@ def _environment() -> Environment:
 
 
 def _unbroken(text: str) -> Markup:
-    """No line ends between a number and its unit or within a unit; a checksum may end one after each eighth of it."""
+    """No line ends between a number and its unit, within a unit or an option; one may end within a checksum."""
     text = text.replace("N m", "N\u00a0m").replace("N mm", "N\u00a0mm")
     text = _UNIT.sub("\u00a0", text)
-    return Markup(_CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), str(escape(text))))
+    shown = _CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), str(escape(text)))
+    return Markup(_OPTION.sub(r'<span class="option">\g<0></span>', shown))
 
 
 def _json(value: Any) -> str:

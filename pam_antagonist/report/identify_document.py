@@ -14,7 +14,7 @@ from pam_antagonist.report.channels import CHANNELS
 from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import Judged, held_out_table
 from pam_antagonist.report.identify_entries import IdentifyReport, StageEntry
-from pam_antagonist.report.identify_findings import DEFINITIONS, findings, verdict
+from pam_antagonist.report.identify_findings import DEFINITIONS, findings, undetermined, verdict
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
@@ -104,9 +104,10 @@ def _held_out(report: IdentifyReport, found: Identified, judged: Sequence[Judged
 def _parameters(report: IdentifyReport, found: Identified, with_figures: bool) -> Section:
     content: list[Block] = [drawn.parameters_figure(report.parameters)] if with_figures else []
     content.append(parameters_table(report, "All free parameters"))
-    left = tuple((item.name, item.record) for item in report.parameters if item.record is not None)
+    left = undetermined(report)
     if left:
-        content.append(Table(("Not determined", "What to record to determine it"), left, prose=True))
+        rows = tuple((", ".join(names), text) for text, names in left.items())
+        content.append(Table(("Not determined", "What to record to determine it"), rows, prose=True))
     if report.correlations:
         pairs = tuple((pair.first, pair.second, f"{pair.correlation:+.3f}") for pair in report.correlations)
         content.append(Table(("Parameter", "with", "correlation"), pairs, "Strongly correlated parameters"))

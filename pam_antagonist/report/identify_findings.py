@@ -12,6 +12,8 @@ from pam_antagonist.report.table import number, percent
 
 _LOW, _HIGH = 0.92, 0.98
 """Shares of measured values between which a 95 % interval is called honest on held-out data."""
+_WORSE = 1.2
+"""Ratio of errors on held-out data from which the identified rig is called worse than the one it began with."""
 _LISTED = 4
 
 DEFINITIONS = (
@@ -71,8 +73,24 @@ def findings(report: IdentifyReport) -> tuple[Finding, ...]:
     """What a reader should take from the numbers."""
     out = [Finding("warn", text) for text in report.warnings]
     for entry in report.held_out:
-        out += _of_recording(entry)
+        out += [*_worse(entry), *_of_recording(entry)]
     return (*out, *_coverage(report), _differences(report), *_undetermined(report), *_pairs(report))
+
+
+def _worse(entry: HeldOut) -> list[Finding]:
+    """Channels in which the filter got worse: the fit followed something that the model lacks."""
+    out = []
+    for channel in CHANNELS:
+        before, now, *_ = entry.known(channel) or (None, None)
+        if before is not None and now is not None and now.rmse > _WORSE * before.rmse:
+            errors = f"{channel.write(now.rmse)}, as configured {channel.write(before.rmse)}"
+            text = (
+                f"{entry.name}, held-out part: the filter's {channel.name} is worse with the identified rig "
+                f"({errors}). "
+                "The model may lack an effect, which the parameters cannot replace: close_loop looks for it."
+            )
+            out.append(Finding("warn", text))
+    return out
 
 
 def _of_recording(entry: HeldOut) -> list[Finding]:
@@ -124,11 +142,17 @@ def _differences(report: IdentifyReport) -> Finding:
     )
 
 
-def _undetermined(report: IdentifyReport) -> list[Finding]:
+def undetermined(report: IdentifyReport) -> dict[str, list[str]]:
+    """Parameters that the recordings do not determine, by what to record for them."""
     records: dict[str, list[str]] = {}
     for item in report.parameters:
         if item.record is not None:
             records.setdefault(item.record, []).append(item.name)
+    return records
+
+
+def _undetermined(report: IdentifyReport) -> list[Finding]:
+    records = undetermined(report)
     if not records:
         return [Finding("good", "The recordings determine every free parameter.")]
     return [

@@ -17,6 +17,7 @@ from pam_antagonist.report.document import Block, Document, Finding, Findings, T
 from pam_antagonist.report.static_entries import FORCE_UNITS, VOLUME_UNITS, StaticReport
 from pam_antagonist.report.static_figures import static_figures
 from pam_antagonist.report.table import MISSING, Table, number
+from pam_antagonist.report.units import readable
 
 Forms = Mapping[str, ForceFit | Undetermined]
 Floats = NDArray[np.float64]
@@ -116,8 +117,10 @@ def _rows(
     part: str, names: Sequence[str], units: Sequence[str], values: Floats, std: Floats, width: float
 ) -> list[tuple[str, ...]]:
     return [
-        (f"{part}.{name}", number(value, 5), number(own), number(width * own), unit)
-        for name, value, own, unit in zip(names, values, std, units, strict=True)
+        (f"{part}.{name}", number(value, 5), number(own), number(width * own), shown.name)
+        for name, si, deviation, unit in zip(names, values, std, units, strict=True)
+        for shown in [readable(unit)]
+        for value, own in [(si * shown.scale, deviation * shown.scale)]
     ]
 
 
@@ -158,9 +161,10 @@ def document(result: StaticResult, with_figures: bool = True) -> Document:
             "--muscle 2 on the rig that came out."
         )
         findings.append(Finding("note", text))
+    figures = static_figures(result) if with_figures else ()
     parts: list[Block] = [
-        Text(lede, "lede"), Text(verdict(result), "verdict"), Tiles(_tiles(result)), Findings(tuple(findings)),
-        coefficients_table(result),
+        Text(lede, "lede"), Text(verdict(result), "verdict"), *figures[:1], Tiles(_tiles(result)),
+        Findings(tuple(findings)), coefficients_table(result),
     ]  # fmt: skip
     if result.force_map is not None:
         parts += [forms_table(result.forms, result.form), lengths_table(result.forms)]
@@ -169,8 +173,7 @@ def document(result: StaticResult, with_figures: bool = True) -> Document:
         for name, fit in result.forms.items():
             if isinstance(fit, ForceFit) and name != result.form:
                 parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
-    if with_figures:
-        parts += static_figures(result)
+    parts += figures[1:]
     parts += background(DEFINITIONS, _provenance(result))
     return Document("Static data of a pneumatic muscle", names, tuple(parts))
 

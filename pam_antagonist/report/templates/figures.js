@@ -49,10 +49,14 @@
     Promise.all(todo).then(free, free);
   }
 
+  // On a phone a long legend has rows of its own; it takes no height from the curves.
   function fit(plot) {
     const narrow = plot.clientWidth < 560;
     const layout = plot.layout;
+    const rows = narrow ? Math.max(Math.ceil(Number(plot.dataset.named) / 2) - 1, 0) : 0;
     layout.width = plot.clientWidth;
+    layout.height = Number(plot.dataset.height) + 19 * rows;
+    plot.style.height = layout.height + "px";
     layout.margin.l = narrow ? 54 : 66;
     layout.font.size = narrow ? 11 : 12;
   }
@@ -148,6 +152,8 @@
   function show(plot) {
     const figure = figureOf(colored(plot.source));
     const before = plot.layout;
+    plot.dataset.height = figure.layout.height;
+    plot.dataset.named = new Set(figure.data.filter((trace) => trace.showlegend).map((trace) => trace.name)).size;
     plot.layout = figure.layout;
     fit(plot);
     // What was zoomed stays so when the colours change.
@@ -197,7 +203,8 @@
       if (!plot._fullLayout || plot.clientWidth === 0 || Math.abs(plot._fullLayout.width - plot.clientWidth) <= 1) { return; }
       fit(plot);
       Plotly.relayout(plot, {
-        width: plot.layout.width, margin: plot.layout.margin, "font.size": plot.layout.font.size
+        width: plot.layout.width, height: plot.layout.height, margin: plot.layout.margin,
+        "font.size": plot.layout.font.size
       });
     });
   });
