@@ -1,4 +1,4 @@
-"""What can be wrong with the input, said once and in one line."""
+"""What can be wrong with the input, in one place and in one line."""
 
 from __future__ import annotations
 

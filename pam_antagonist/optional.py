@@ -1,4 +1,4 @@
-"""Libraries that not everybody installs: what a missing one is told as, in one line that says what to type."""
+"""Libraries that not everybody installs: a missing one is reported in one line that says what to type."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ def _units_by_size(recording: Recording) -> tuple[Corrections, list[Finding]]:
 
 
 def _still(recording: Recording, now: Corrections, rig: Rig) -> list[Finding]:
-    """Channels that never move: nothing can be told from them."""
+    """Channels that never move: nothing can be learned from them."""
     out = []
     for muscle in (0, 1):
         if not rig.valves.sealed and range_of(recording.voltage[:, muscle]) < _STILL_VOLTAGE:

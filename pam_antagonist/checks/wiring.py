@@ -59,7 +59,7 @@ class Finding:
 
 
 def arrangement(recording: Recording, model: Prediction) -> tuple[list[Finding], bool | None]:
-    """Whether each pressure goes with its own valve or with the other one; None where that cannot be told."""
+    """Whether each pressure goes with its own valve or with the other one; None where that does not show."""
     straight, crossed = (
         min(correlation(recording.pressure[model.rows, (i + shift) % 2], model.pressure[:, i]) for i in (0, 1))
         for shift in (0, 1)

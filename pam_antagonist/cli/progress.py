@@ -202,17 +202,17 @@ class _Shown:
                 self._draw(100.0 * done, rest)
             elif not terminal and elapsed >= self._line:
                 self._line += _LINES
-                said = ", ".join(part for part in (f"{100.0 * done:.0f} %", self._state.text, rest) if part)
-                print(f"{self._what}: {said}", file=sys.stderr, flush=True)
+                text = ", ".join(part for part in (f"{100.0 * done:.0f} %", self._state.text, rest) if part)
+                print(f"{self._what}: {text}", file=sys.stderr, flush=True)
 
     def _draw(self, percent: float, rest: str) -> None:
         if self._bar is None:
             from tqdm import tqdm
 
             self._bar = tqdm(total=100.0, bar_format="{desc} {percentage:3.0f} % |{bar:24}| {postfix}", leave=True)
-        said = f"{self._what}: {self._state.text}" if self._state.text else self._what
+        text = f"{self._what}: {self._state.text}" if self._state.text else self._what
         self._bar.n = percent
-        self._bar.set_description_str(said, refresh=False)
+        self._bar.set_description_str(text, refresh=False)
         self._bar.set_postfix_str(rest, refresh=True)
 
 

@@ -21,10 +21,10 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import Judged
 from pam_antagonist.diagnosis.selection import Selection, select
+from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.diagnosis.stretches import clearest
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit, relinearised
-from pam_antagonist.inference.split import in_turn
 from pam_antagonist.inference.valve_driven import ValveDriven
 
 Floats = NDArray[np.float64]

@@ -310,7 +310,7 @@ def period(residual: Floats, step: float) -> float:
 
 
 def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundings] | None = None) -> Form:
-    """Few terms that explain a residual: forward, each kept only while it pays by the Bayesian criterion.
+    """Few terms that explain a residual: forward, each kept only while the Bayesian criterion falls.
 
     Args:
         residual: (N,).

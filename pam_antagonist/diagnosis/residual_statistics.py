@@ -45,7 +45,7 @@ EQUATIONS = (
 SPAN = 10
 """[blocks] How long the model runs from a measurement."""
 _NEAR = 2
-"""[blocks] To either side, from which the velocity is told."""
+"""[blocks] To either side, from which the velocity is taken."""
 _PROBES = 12
 _REACH = 2.0
 """[s] Largest lag: pressures and joint have answered a command by then."""

@@ -1,7 +1,9 @@
 """How firm a found effect is: whether it is supported wherever a recording is split.
 
 The recording is held out in five parts in turn. In each split the model with the effect and the model without it are
-fitted again to what is not held out, from where they were. What is held out then decides between them.
+fitted again to what is not held out, from where they were. What is held out then decides between them. Between the two
+lies a buffer as long as the memory of the residual: what is next to a fitted block is no prediction (Burman, Chow and
+Nolan 1994).
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model, held_out_evidence
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, refit
-from pam_antagonist.inference.split import Split, in_turn
+from pam_antagonist.inference.trial import Split
 
 Floats = NDArray[np.float64]
 
@@ -28,6 +30,32 @@ _MOST_BUFFER = 3.0
 """[s] Between what is fitted and what is held out, however long the residual's memory is."""
 _ROUNDS = 4
 """Of fits that start next to their ends; the derivatives by the base parameters are those of all data."""
+
+
+def in_turn(
+    count: int, splits: int, length: float, buffer: int, errors_from: int, edges: Sequence[int] = ()
+) -> tuple[Split, ...]:
+    """Splits that hold out blocks in turn, so that each part of a recording is held out once.
+
+    Args:
+        count: how many block means the recording has (B).
+        splits: how many splits.
+        length: of what is held out at once, about [block means].
+        buffer: block means on either side of what is held out that are neither fitted nor held out.
+        errors_from: sample from which on errors are shown in a report.
+        edges: where the recording changes; every part between them is split by itself.
+    """
+    turn = np.zeros(count, dtype=int)
+    bounds = [0, *(edge for edge in edges if splits <= edge <= count - splits), count]
+    for begin, end in zip(bounds[:-1], bounds[1:], strict=True):
+        pieces = splits * max(round((end - begin) / (splits * length)), 1)
+        turn[begin:end] = np.arange(end - begin) * pieces // (end - begin) % splits
+    out = []
+    for number in range(splits):
+        held = turn == number
+        near = np.convolve(held, np.ones(2 * buffer + 1), mode="full")[buffer : buffer + count] > 0.0
+        out.append(Split(~near, held, errors_from))
+    return tuple(out)
 
 
 @dataclass(frozen=True)

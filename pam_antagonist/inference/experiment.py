@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, values_along
 from pam_antagonist.inference.likelihood import ERROR_S, Scale, in_decibels, solve
-from pam_antagonist.inference.split import Split
-from pam_antagonist.inference.trial import Trial
+from pam_antagonist.inference.trial import Split, Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 

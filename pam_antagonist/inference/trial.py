@@ -36,6 +36,21 @@ _SLOW_S = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
+class Split:
+    """Which blocks of a recording are fitted and which are held out, where that is not its first part and its end.
+
+    Attributes:
+        fitted: blocks that may be fitted (B,).
+        held: blocks that are held out (B,).
+        errors_from: sample from which on errors are shown in a report.
+    """
+
+    fitted: NDArray[np.bool_]
+    held: NDArray[np.bool_]
+    errors_from: int
+
+
+@dataclass(frozen=True, eq=False)
 class Trial:
     """One recording on an even grid.
 

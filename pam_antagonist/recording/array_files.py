@@ -69,8 +69,8 @@ def read_columns(path: Path, kind: str, columns: Mapping[str, int | str], most: 
         out = {quantity: _column(path, quantity, name, arrays) for quantity, name in names.items()}
     lengths = {len(values) for values in out.values()}
     if len(lengths) > 1:
-        said = ", ".join(f"{names[quantity]} {len(values)}" for quantity, values in out.items())
-        raise BadInput(f"{path}: columns of different lengths ({said}), expected as many rows in each")
+        each = ", ".join(f"{names[quantity]} {len(values)}" for quantity, values in out.items())
+        raise BadInput(f"{path}: columns of different lengths ({each}), expected as many rows in each")
     return out
 
 

@@ -97,7 +97,7 @@ def _of_arrays(path: Path, kind: str, layout: Layout, columns: Mapping[str, Name
 
 
 def _check_size(path: Path, rows: int, done: int, size: int) -> None:
-    """Refuse what is too long as soon as that can be told."""
+    """Refuse what is too long as soon as that shows."""
     if rows > MAX_ROWS:
         raise BadInput(f"{path}: more than {MAX_ROWS:,} rows, expected at most that many: cut the file into parts")
     if rows >= _BLOCK // 2 and rows * (size / done) > 1.2 * MAX_ROWS:

@@ -80,7 +80,7 @@ def _detected(recording: Recording) -> tuple[str, str]:
 
 
 def _live_lock(recording: Recording) -> float | None:
-    """Angle of a live filter that was told that the joint is locked [rad], None for one that was not."""
+    """Angle of a live filter whose joint was declared locked [rad], None for any other."""
     estimate = recording.estimate
     if estimate is None or len(estimate.angle) == 0 or np.any(estimate.velocity) or np.ptp(estimate.angle) > _ROUNDING:
         return None

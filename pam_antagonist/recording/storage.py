@@ -237,7 +237,7 @@ def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str],
 
 
 def unpack_messages(raw: RawTopic) -> RawTopic:
-    """Undo rosbag2's message compression; told from the messages, since a plain one never starts like zstd.
+    """Undo rosbag2's message compression; recognised from the messages, since a plain one never starts like zstd.
 
     Raises:
         CompressionError: A packed message is damaged.

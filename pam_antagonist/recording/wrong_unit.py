@@ -1,6 +1,6 @@
 """Values that are implausible in the unit that they were declared in, and which unit they look like.
 
-What is plausible is said once, in :mod:`~pam_antagonist.recording.plausible`; here the declared unit is told apart from
+What is plausible stands once, in :mod:`~pam_antagonist.recording.plausible`; here the declared unit is compared with
 others in which the same numbers would be.
 """
 

@@ -52,10 +52,10 @@ def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_f
 
 def summary(report: CloseLoopReport) -> tuple[Block, ...]:
     """What the terminal shows."""
-    said = (*(Finding("warn", sentence(text)) for text in report.warnings), *_unseen(report))
+    notes = (*(Finding("warn", sentence(text)) for text in report.warnings), *_unseen(report))
     return (
         Text(report.sentence),
-        Findings((*calibration_findings(report), *said)),
+        Findings((*calibration_findings(report), *notes)),
         errors_table(report),
         sizes_table(report),
         calibration_table(report),

@@ -1,6 +1,6 @@
 """Who may command the valves: one commander at a time.
 
-A subscriber in ROS 2 is told neither a publisher's name nor its identifier with a message, but the number that the
+A subscriber in ROS 2 gets neither a publisher's name nor its identifier with a message, but the number that the
 publisher gave to it (``publication_sequence_number``): every publisher counts its own messages. Messages whose numbers
 go on from one another come from one publisher, and that is all that is needed to keep two of them apart.
 """

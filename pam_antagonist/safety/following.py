@@ -34,7 +34,7 @@ class Following:
         self._voltage, self._seen_ns = voltage, now_ns
 
     def on_valves(self, now_ns: int) -> tuple[float, float] | None:
-        """The voltages (2,) [V] that the valves have now [ns]; None where nobody has told lately."""
+        """The voltages (2,) [V] that the valves have now [ns]; None where that is not known."""
         if self._seen_ns is None or now_ns - self._seen_ns > _OLD * 1e9:
             return None
         return self._voltage

@@ -192,7 +192,7 @@ class EstimateSupervision:
     100 samples that is noticed before the filter, which refuses 20 in a row, gives in and is dragged along. Too small
     innovations are no reason to stop: a tuning may be cautious.
 
-    Behind a gap of 20 samples or more nothing is counted for 40: nobody has told the filter what was on the valves
+    Behind a gap of 20 samples or more nothing is counted for 40: the filter does not know what was on the valves
     meanwhile, so that it has to refuse pressures until it gives in. Whoever acts on estimates should not act on these.
 
     Args:

@@ -68,7 +68,7 @@ def measure(rig: str, duration: float, progress: Callable[[float], object] = lam
     Args:
         rig: name or path.
         duration: [s].
-        progress: is told the time that has passed since it was told last [s].
+        progress: called with the time that has passed since the last call [s].
 
     Raises:
         BadInput: ROS 2 is missing, a node does not start, or one ends before its time.

@@ -30,7 +30,7 @@ class AtDevice:
     order: str
 
     def begin(self, bench: Bench) -> int:
-        """Told by the device's own log."""
+        """Seen in the device's own log."""
         return bench.order(f"+{self.order}")
 
     def end(self, bench: Bench) -> Ended:
@@ -94,7 +94,7 @@ class DeviceStalled:
     _over: int = field(default=0, init=False)
 
     def begin(self, bench: Bench) -> int:
-        """Told by the device's own log; it is over when this returns."""
+        """Seen in the device's own log; it is over when this returns."""
         begin = bench.order("+stall")
         time.sleep(max(0.0, self.seconds - (time.time_ns() - begin) * 1e-9))
         self._over = bench.order("-stall")
@@ -273,7 +273,7 @@ class Beside:
         """What the other one's valves did meanwhile.
 
         Raises:
-            ProcessFailed: they did not become safe in time, or nobody said so.
+            ProcessFailed: they did not become safe in time, or no status shows it.
         """
         second = bench.second
         assert second is not None

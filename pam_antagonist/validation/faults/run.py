@@ -28,7 +28,7 @@ def run_faults(
     Args:
         faults: in this order; those that need the same pipeline follow one another.
         rig: name or path.
-        done: told each outcome as soon as it is there.
+        done: called with each outcome as soon as it is there.
 
     Raises:
         BadInput: a pipeline does not start.

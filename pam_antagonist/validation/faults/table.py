@@ -111,7 +111,7 @@ Machine: {cores} cores, {machine}, not idle otherwise; {month}.
 Each line is a fault that was made on purpose in a running pipeline: device emulator, bridge, estimator and controller
 as processes of their own at 1 kHz, with a reference of 10°. Times are those of the device's own log of what its valves
 had: from the fault to the safe voltages that lasted until it was over or, after a stop, until that was cleared. Whose
-safe voltages they were is told by their values. A voltage is wrong if neither the controller nor any safe action can
+safe voltages they were follows from their values. A voltage is wrong if neither the controller nor any safe action can
 have meant it. Where messages are lost, twice or late, a relay stands between the nodes; where `/clock` is set back, the
 plant in simulated time stands for device and bridge. Where the machine's clock is set, the nodes add a common offset to
 it, since setting it for real would set it for everything else. Control is back when the valves have other than safe

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import refit
-from pam_antagonist.inference.split import in_turn
 
 LEAK = {"effects.leak.area_1": 3e-8}
 
