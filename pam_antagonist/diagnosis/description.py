@@ -134,7 +134,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
 def _as_judged(prepared: Prepared, judged: Sequence[Judged]) -> Prepared:
     """The recordings as they were split in the end, with all effects throughout."""
     groups = (
-        replace(j.group, experiments=tuple(replace(experiment, onset=None) for experiment in j.group.experiments))
+        replace(j.group, experiments=tuple(replace(experiment, spans={}) for experiment in j.group.experiments))
         for j in judged
     )
     return replace(prepared, groups=tuple(groups))
@@ -260,9 +260,13 @@ def in_words(effect: FoundEffect, sealed: bool = False) -> str:
     """
     values = {name: value for name, (value, _, _) in effect.parameters.items()}
     words = CATALOGUE[effect.name].in_words(effect.muscle, values, sealed)
-    if effect.onset_s is None:
-        return words
-    return f"{words}, from {effect.onset_s:.1f} ± {max(effect.onset_std_s or 0.0, 0.1):.1f} s on"
+    begin, end = (
+        None if time is None else f"{time:.1f} ± {max(std or 0.0, 0.1):.1f} s"
+        for time, std in ((effect.onset_s, effect.onset_std_s), (effect.end_s, effect.end_std_s))
+    )
+    if begin is None:
+        return words if end is None else f"{words}, until {end}"
+    return f"{words}, from {begin} on" if end is None else f"{words}, from {begin} to {end}"
 
 
 def sentence(

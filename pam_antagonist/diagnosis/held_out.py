@@ -117,7 +117,8 @@ def _entry(
         trial.joint,
         trial.lock_angle if trial.joint == "locked" else None,
         first.role,
-        experiment.errors_from * trial.dt if first.judges else None,
+        experiment.held_parts[0].begin_s if first.judges else None,
+        held_out_s=tuple((part.begin_s, part.end_s) for part in experiment.held_parts) if first.judges else None,
     )
     if not first.judges:
         return entry
@@ -154,7 +155,7 @@ def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
         rig: its own rig with that model.
     """
     experiment = part.experiment
-    held = slice(experiment.errors_from, None)
+    held = experiment.held_samples
     measured, shown = experiment.trial.measured[held], experiment.shown(part.points[model], rig)[held]
     found = errors_of(measured, shown, experiment.judged_channels)
     if experiment.slides is None or found.torque is None:
@@ -174,7 +175,7 @@ def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[Record
         entries: of :func:`by_recording`.
     """
     held = [(part.number, part.experiment) for part in compared if part.judges]
-    samples = {number: len(experiment.trial) - experiment.errors_from for number, experiment in held}
+    samples = {number: int(experiment.held_samples.sum()) for number, experiment in held}
     known = [(errors, samples[number]) for number in sorted(samples) if (errors := entries[number].errors) is not None]
     by_model = zip(*(errors.all for errors, _ in known), strict=True)
     return ModelErrors(*(total_of(parts, [count for _, count in known]) for parts in by_model))
@@ -202,8 +203,9 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
     run = Estimator(rig, joint=joint, lock_angle=trial.lock_angle).run(
         recording.stamp_ns, recording.pressure, recording.voltage
     )
-    late = recording.stamp_ns[run.index] >= recording.stamp_ns[0] + round(experiment.errors_from * trial.dt * 1e9)
-    return run, np.asarray(late)
+    held = experiment.held_samples
+    sample = np.rint((recording.stamp_ns[run.index] - recording.stamp_ns[0]) * 1e-9 / trial.dt).astype(np.int64)
+    return run, held[np.minimum(sample, len(held) - 1)]
 
 
 def _calibrated(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:

@@ -43,7 +43,8 @@ def judge(prepared: Prepared, group: Group, selection: Selection, settings: Sett
 def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
     jobs, progress = settings.jobs, settings.progress
     verdict, share = _verdict(group, selection)
-    late = onset.search(group, selection.recalibrated, selection.model, jobs, progress, settings.checkpoint)
+    search = onset.search(group, selection.recalibrated, selection.model, jobs, progress, settings.checkpoint)
+    late = search.found
     if late is not None and _verdict(late.group, late.selection)[0] == "effect":
         group, selection = late.group, late.selection
         verdict, share = _verdict(group, selection)
@@ -68,6 +69,8 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
     if verdict == "effect":
         judged = _by_effects(prepared, group, selection, share, about_base, settings)
         return judged if late is None else onset.dated(judged, late)
+    if verdict == "unexplained" and not stretches:
+        about_base = (*warnings.changes(search.above_noise), *about_base)
     return Judged(group, base, selection, verdict, share, base, warnings=about_base)
 
 

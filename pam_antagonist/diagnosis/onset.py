@@ -1,36 +1,32 @@
-"""Effects that begin during a recording: when, and which.
+"""Effects that begin or end during a recording: which, and when.
 
-A recording is a candidate if its base model is at the noise up to some time and not afterwards. That time is a change
-point of the residual's likelihood. The effects are then selected with that onset, on blocks that are held out in turn,
-since what begins late lies in a part that would not be fitted otherwise. The likelihood of the chosen model refines it.
+Where a part of a recording is above noise (:mod:`change_point`), effects are selected that act in that part only. They
+are selected on blocks that are held out in turn, since what begins late lies where nothing would be fitted otherwise.
+The likelihood of all data then refines begin and end. What is still above noise gets the same again, beside them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis import explained, thresholds
+from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
+from pam_antagonist.diagnosis.change_point import first_change, is_noise
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.preparation import Group
-from pam_antagonist.diagnosis.result import Judged
+from pam_antagonist.diagnosis.result import FoundEffect, Judged
 from pam_antagonist.diagnosis.selection import Selection, select
 from pam_antagonist.diagnosis.splits import in_turn
-from pam_antagonist.diagnosis.stretches import clearest
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit, relinearised
 from pam_antagonist.inference.valve_driven import ValveDriven
 
-Floats = NDArray[np.float64]
-
-_FIRST_PART = 0.25
-"""Share of a recording on which a base model is tried that nothing has bent yet."""
 _THIRDS = 3
 """Blocks of such a recording that are counted in turn; the last of each three is held out in the selection."""
 _HELD_LENGTH = 5.0
@@ -38,44 +34,71 @@ _HELD_LENGTH = 5.0
 _BUFFER = 1.0
 """[s] Between what is fitted and what is held out: one independent error."""
 _STEP, _LEAST_STEP = 0.8, 0.02
-"""[s] Of the search for the onset: the first, and the last."""
+"""[s] Of the search for an edge: the first, and the last."""
+_WIDEST = 0.1
+"""Share of a recording: an edge is not known to less."""
 _ROUNDS = 4
+_SAME = 3.0
+"""Standard deviations: edges of two recordings that differ by less are one."""
 
 
-class Onset(NamedTuple):
-    """When an effect begins to act.
+class Dated(NamedTuple):
+    """When an effect acts in a recording, and how exactly that is known.
 
     Attributes:
-        time_s: since the first sample [s].
-        std_s: its standard deviation [s].
+        span: begin and end.
+        std_s: standard deviations of both [s]; 0 of one that lies beyond the recording.
     """
 
-    time_s: float
-    std_s: float
+    span: Span
+    std_s: tuple[float, float]
+
+    def is_like(self, other: Dated) -> bool:
+        """Whether another recording shows the same begin and end."""
+        near = [
+            a == b or abs(a - b) <= _SAME * float(np.hypot(one, two))
+            for a, b, one, two in zip(self.span, other.span, self.std_s, other.std_s, strict=True)
+        ]
+        return all(near)
 
 
-_Refined = tuple[Experiment, Fitted, "Onset | None"]
+class _Refined(NamedTuple):
+    experiment: Experiment
+    fitted: Fitted
+    dated: Dated | None
 
 
 @dataclass(frozen=True, eq=False)
-class Late:
+class Changing:
     """A selection in recordings that change.
 
     Attributes:
-        group: the recordings, each with its onset and with blocks held out in turn.
+        group: the recordings, each with the spans of its effects and with blocks held out in turn.
         selection: what was tried on them.
-        onsets: of each recording; None where it does not change.
+        dates: of each recording, when each effect acts that begins or ends, by its name.
     """
 
     group: Group
     selection: Selection
-    onsets: tuple[Onset | None, ...]
+    dates: tuple[Mapping[str, Dated], ...]
+
+
+class Search(NamedTuple):
+    """What a search came to.
+
+    Attributes:
+        found: effects that begin or end; None where there are none.
+        above_noise: the part of each recording in which it leaves its noise, by its name; without those that do not.
+    """
+
+    found: Changing | None
+    above_noise: Mapping[str, Span]
 
 
 def search(
     group: Group, base: Model, chosen: Model, jobs: int, progress: Callable[[str], None], checkpoint: Checkpoint
-) -> Late | None:
-    """Effects that begin during the recordings, where these explain what others do not; else None.
+) -> Search:
+    """Effects that begin or end during the recordings, where these explain what others do not.
 
     Args:
         group: the recordings.
@@ -87,215 +110,268 @@ def search(
     """
     experiments = group.experiments
     if group.held_out or not all(isinstance(experiment, ValveDriven) for experiment in experiments):
-        return None
-    if all(_is_noise(e, e.residual(f.point, whole=True)) for e, f in zip(experiments, chosen.fits, strict=True)):
-        return None
-    progress("whether something begins during the recordings")
-    begun = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(first_change)(*pair) for pair in zip(experiments, base.fits, strict=True)
-    )
-    if all(change is None for change in begun):
-        return None
-    now = [change[0] if change is not None else None for change in begun]
-    starts = [fitted.point if change is None else change[1] for fitted, change in zip(base.fits, begun, strict=True)]
-    late = tuple(_late(experiment, time) for experiment, time in zip(experiments, now, strict=True))
-    quiet = _recalibrated(late, starts, jobs)
-    selection = select(late, quiet, jobs, progress, checkpoint)
-    if not selection.model.effects:
-        return None
-    progress("when it begins")
-    refined = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(_refined)(*pair) for pair in zip(late, selection.model.fits, strict=True)
-    )
-    refined = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(_best_onset)(one, start, [other for other in refined if other is not one])
-        for one, start in zip(refined, starts, strict=True)
-    )
-    late = tuple(experiment for experiment, _, _ in refined)
-    model = Model(selection.model.effects, tuple(fitted for _, fitted, _ in refined))
-    quiet = _recalibrated(late, [fitted.point for fitted in quiet.fits], jobs)
-    if not _better(experiments, chosen, late, model):
-        return None
-    changed = replace(group, experiments=late)
-    return Late(changed, Selection(quiet, model, selection.tried), tuple(onset for _, _, onset in refined))
+        return Search(None, {})
+    if _at_noise(experiments, chosen):
+        return Search(None, {})
+    progress("whether something begins or ends during the recordings")
+    best = None
+    above_noise: dict[str, Span] = {}
+    # Something may begin beside what acts throughout; but what begins bends the choice of what acts throughout.
+    for start in (base, chosen) if chosen.effects else (base,):
+        found, first = _beside(group, start, jobs, progress, checkpoint)
+        above_noise = above_noise or first
+        if found is None or not _better(experiments, chosen, found):
+            continue
+        if _at_noise(found.group.experiments, found.selection.model):
+            return Search(found, above_noise)
+        best = found if best is None else best
+    return Search(best, above_noise)
 
 
-def first_change(experiment: Experiment, fitted: Fitted) -> tuple[float, Point] | None:
-    """When a recording leaves its noise [s], and its base model until then; None where it does not, or is never at it.
+def _beside(
+    group: Group, start: Model, jobs: int, progress: Callable[[str], None], checkpoint: Checkpoint
+) -> tuple[Changing | None, dict[str, Span]]:
+    """Effects that begin or end beside a model, one part of the recordings after the other; None where there are none.
+
+    Also the first part of each recording that is above noise, by the recording's name.
 
     Args:
-        experiment: the recording.
-        fitted: its recalibrated model.
+        group: the recordings.
+        start: the model, whose effects act throughout.
+        jobs: threads.
+        progress: is called with what is being done.
+        checkpoint: keeps finished candidates.
     """
-    block = experiment.trial.block
-    part = round(_FIRST_PART * (len(experiment.trial) // block))
-    point = fitted.point
-    if not _is_noise(experiment, experiment.residual(point, whole=True)[: -(-experiment.fitted // block)]):
-        point = refit(replace(experiment, fitted=part * block), point).point
-    found = None
-    for _ in range(2):
-        residual = experiment.residual(point, whole=True)
-        if not _is_noise(experiment, residual[:part]) or _is_noise(experiment, residual):
-            return found
-        change = change_point(residual, experiment.noise)
-        found = change * experiment.trial.block_s, point
-        # All that is before the change may be fitted, which shows the change more clearly.
-        part = max(change - round(_BUFFER / experiment.trial.block_s), part)
-        before = replace(experiment, fitted=part * block)
-        point = refit(before, point, rounds=_ROUNDS, renewals=2, blocks_per_error=1.0).point
-    return found
+    in_threads = Parallel(n_jobs=jobs, prefer="threads")
+    throughout = dict.fromkeys(start.effects, THROUGHOUT)
+    now = [replace(experiment, spans=throughout) for experiment in group.experiments]
+    model, dates = start, [dict[str, Dated]() for _ in now]
+    tried: list[TriedCandidate] = []
+    found, parts = None, dict[str, Span]()
+    while len(model.effects) < thresholds.MOST_EFFECTS:
+        changes = in_threads(delayed(first_change)(*pair) for pair in zip(now, model.fits, strict=True))
+        if not any(changes):
+            break
+        parts = parts or {e.trial.name: c.span for e, c in zip(now, changes, strict=True) if c is not None}
+        starts = [f.point if c is None else c.point for f, c in zip(model.fits, changes, strict=True)]
+        now = [_parted(e, THROUGHOUT if c is None else c.span, model) for e, c in zip(now, changes, strict=True)]
+        quiet = _fitted(now, [Point(point.theta) for point in starts], [() for _ in now], jobs)
+        before = quiet if not model.effects else _fitted(now, starts, [fitted.free for fitted in model.fits], jobs)
+        first = explained.remaining_residuals(now, quiet.fits) if model.effects else ()
+        selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first)
+        new = selection.model.effects[len(model.effects) :]
+        if not new:
+            break
+        progress("when it begins and ends")
+        refined = in_threads(delayed(_refined)(*pair) for pair in zip(now, selection.model.fits, strict=True))
+        refined = in_threads(
+            delayed(_best_of_recordings)(one, point, [other for other in refined if other is not one])
+            for one, point in zip(refined, starts, strict=True)
+        )
+        now = [
+            replace(one.experiment, spans={**one.experiment.spans, **dict.fromkeys(new, one.experiment.span)},
+                    span=THROUGHOUT)
+            for one in refined
+        ]  # fmt: skip
+        model = Model(selection.model.effects, tuple(one.fitted for one in refined))
+        for known, one in zip(dates, refined, strict=True):
+            known.update({} if one.dated is None else dict.fromkeys(new, one.dated))
+        tried += selection.tried
+        base = _fitted(now, [fitted.point for fitted in quiet.fits], [() for _ in now], jobs)
+        changed = replace(group, experiments=tuple(now))
+        found = Changing(changed, Selection(base, model, tuple(tried)), tuple(dict(known) for known in dates))
+    return found, parts
 
 
-def change_point(residual: Floats, noise: Floats) -> int:
-    """Block from which on a residual is most likely more than noise.
-
-    Before it the residual is noise; from it on its variance is each channel's own.
-
-    Args:
-        residual: (B, C).
-        noise: standard deviation of each channel (C,).
-    """
-    squares = (residual / noise) ** 2
-    before = np.concatenate([[0.0], np.cumsum(squares.sum(axis=1))[:-1]])
-    left = np.arange(len(squares), 0, -1)[:, None]
-    variances = np.maximum(np.cumsum(squares[::-1], axis=0)[::-1] / left, 1.0)
-    after = (left * np.log(variances) + np.cumsum(squares[::-1], axis=0)[::-1] / variances).sum(axis=1)
-    return int(np.argmin(before + after))
+def _at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
+    """Whether no stretch of any recording is above noise."""
+    pairs = zip(experiments, model.fits, strict=True)
+    return all(is_noise(experiment, experiment.residual(fitted.point, whole=True)) for experiment, fitted in pairs)
 
 
-def _is_noise(experiment: Experiment, residual: Floats) -> bool:
-    return clearest(experiment, residual) is None
+def _parted(experiment: Experiment, span: Span, model: Model) -> Experiment:
+    """A recording with a span for further effects, and with blocks held out in turn on either side of every edge."""
+    trial = experiment.trial
+    now = replace(experiment, span=span)
+    edges = [round(edge / trial.block_s) for edge in sorted({*now.edges(model.effects), *span.edges})]
+    length, buffer = _HELD_LENGTH / trial.block_s, round(_BUFFER / trial.block_s)
+    count = len(trial) // trial.block
+    split = in_turn(count, _THIRDS, length, buffer, experiment.errors_from, edges)[-1]
+    return replace(now, fitted=count * trial.block, split=split)
 
 
-def _late(experiment: Experiment, time: float | None) -> Experiment:
-    """A recording with an onset, and blocks held out in turn on either side of it."""
-    block = experiment.trial.block_s
-    count = len(experiment.trial) // experiment.trial.block
-    edges = () if time is None else (round(time / block),)
-    split = in_turn(count, _THIRDS, _HELD_LENGTH / block, round(_BUFFER / block), experiment.fitted, edges)[-1]
-    return replace(experiment, fitted=count * experiment.trial.block, split=split, onset=time)
+def _fitted(
+    experiments: Sequence[Experiment],
+    starts: Sequence[Point],
+    free: Sequence[Sequence[FreeEffectParameter]],
+    jobs: int,
+) -> Model:
+    """Models without new effects, from points nearby."""
 
+    def one(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter]) -> Fitted:
+        return relinearised(experiment, refit(experiment, point, free))
 
-def _recalibrated(experiments: Sequence[Experiment], starts: Sequence[Point], jobs: int) -> Model:
-    """The models without effects, from points nearby."""
-    fits = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(lambda e, p: relinearised(e, refit(e, p)))(*pair) for pair in zip(experiments, starts, strict=True)
-    )
-    return Model((), tuple(fits))
+    tasks = zip(experiments, starts, free, strict=True)
+    return Model((), tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*task) for task in tasks)))
 
 
 def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
-    """The most likely onset of one recording's effects, by the likelihood with all else fitted again.
+    """The most likely begin and end of one recording's new effects, by the likelihood with all else fitted again.
+
+    All data count: an edge within what is held out would be anywhere there.
 
     Args:
-        experiment: with the onset of the change point.
+        experiment: with the span of the change.
         fitted: its model.
     """
-    if experiment.onset is None or not fitted.free:
-        return experiment, fitted, None
+    acting = any(experiment.span_of(path.split(".")[1]) == experiment.span for path in fitted.point.effects)
+    if not experiment.span.edges or not acting:
+        return _Refined(experiment, fitted, None)
+    whole = replace(experiment, split=None)
+    pace = fitted.scale.blocks_per_error
+    base = whole.jacobian(fitted.point, whole.residual(fitted.point))
+    best = refit(whole, fitted.point, fitted.free, base, _ROUNDS, 0, pace, careful=2)
+    span, stds = experiment.span, [0.0, 0.0]
+    for k, edge in enumerate(span):
+        if np.isfinite(edge):
+            span, best, stds[k] = _edge(whole, span, k, best, base)
+    moved = replace(experiment, span=span)
+    again = refit(moved, best.point, best.free, rounds=_ROUNDS, renewals=1, blocks_per_error=pace, careful=2)
+    if np.max(moved.times_noise(again.residual)) < thresholds.CLEAN and pace > 1.0:
+        finer = refit(moved, again.point, again.free, renewals=2, blocks_per_error=1.0, careful=0)
+        again = finer if np.max(moved.times_noise(finer.residual)) < thresholds.AT_NOISE else again
+    return _Refined(moved, relinearised(moved, again), Dated(span, (stds[0], stds[1])))
+
+
+def _edge(whole: Experiment, span: Span, k: int, best: Fitted, base: np.ndarray) -> tuple[Span, Fitted, float]:
+    """The most likely place of one edge of a span, the model there, and its standard deviation [s].
+
+    Args:
+        whole: the recording, all of it fitted.
+        span: where to start.
+        k: 0 for its begin, 1 for its end.
+        best: the model there.
+        base: derivatives of the residual by the base coordinates nearby.
+    """
     done: dict[float, Fitted] = {}
+    scale = best.scale
 
     def at(time: float, near: Fitted) -> Fitted:
         key = round(time / _LEAST_STEP) * _LEAST_STEP
         if key not in done:
-            moved = replace(experiment, onset=key)
-            pace = fitted.scale.blocks_per_error
-            done[key] = refit(moved, near.point, near.free, near.base, _ROUNDS, 0, pace, careful=2)
+            moved = replace(whole, span=_with(span, k, key))
+            done[key] = refit(moved, near.point, near.free, base, _ROUNDS, 0, scale.blocks_per_error, careful=2)
         return done[key]
 
-    time, step = experiment.onset, _STEP
-    best = at(time, fitted)
-    last = len(experiment.trial) * experiment.trial.dt
+    last = len(whole.trial) * whole.trial.dt
+    low, high = (0.0, min(span.end_s, last)) if k == 0 else (max(span.begin_s, 0.0), last)
+    time, step = span[k], _STEP
+    best = at(time, best)
     while step >= _LEAST_STEP:
-        around = [other for other in (time - step, time + step) if 0.0 < other < last]
-        tried = [(at(other, best).cost, other) for other in around]
-        cost, other = min(tried)
+        around = [other for other in (time - step, time + step) if low < other < high]
+        cost, other = min(((at(other, best).cost, other) for other in around), default=(np.inf, time))
         if cost < best.cost:
             time, best = other, at(other, best)
         else:
             step /= 2.0
     time = round(time / _LEAST_STEP) * _LEAST_STEP
-    scale = best.scale
+    scale, width, rise = best.scale, _LEAST_STEP, 0.0
     weights = scale.blocks_per_error / scale.length
-    width, rise = _LEAST_STEP, 0.0
-    while width < 0.1 * last:
-        each = [
-            weights @ (scale.misfits(at(time + way * width, best).residual) - scale.misfits(best.residual))
-            for way in (-1.0, 1.0)
-        ]
-        rise = float(np.mean(each))
+    while width < _WIDEST * last:
+        sides = (scale.misfits(at(time + way * width, best).residual) for way in (-1.0, 1.0))
+        rise = float(np.mean([weights @ (side - scale.misfits(best.residual)) for side in sides]))
         if rise >= 1.0:
             break
         width *= 2.0
-    std = max(width / float(np.sqrt(max(rise, 1e-3))), _LEAST_STEP)
-    moved = replace(experiment, onset=time)
-    pace = scale.blocks_per_error
-    if np.max(moved.times_noise(best.residual)) < 2.0 and pace > 1.0:
-        finer = refit(moved, best.point, best.free, renewals=2, blocks_per_error=1.0, careful=0)
-        best = finer if np.max(moved.times_noise(finer.residual)) < thresholds.AT_NOISE else best
-    return moved, relinearised(moved, best), Onset(time, std)
+    return _with(span, k, time), best, max(width / float(np.sqrt(max(rise, 1e-3))), _LEAST_STEP)
 
 
-def _best_onset(own: _Refined, start: Point, others: Sequence[_Refined]) -> _Refined:
-    """The better of a recording's own onset and those that start from what other recordings show.
+def _with(span: Span, k: int, time: float) -> Span:
+    return Span(time, span.end_s) if k == 0 else Span(span.begin_s, time)
 
-    Onset and size may stand for one another, so that a search from the change point can end beside the best.
+
+def _best_of_recordings(own: _Refined, start: Point, others: Sequence[_Refined]) -> _Refined:
+    """The better of a recording's own span and those that start from what other recordings show.
+
+    Edges and size may stand for one another, so that a search from the change can end beside the best.
 
     Args:
-        own: the recording with the onset of its own search.
-        start: its base model until the change.
+        own: the recording with the span of its own search.
+        start: its model outside of the change.
         others: the other recordings.
     """
     best = own
-    experiment, fitted, onset = own
-    for _, shown, other in others:
-        if onset is None or other is None:
+    for other in others:
+        if own.dated is None or other.dated is None:
             continue
-        moved = replace(experiment, onset=other.time_s)
-        tried = _refined(moved, refit(moved, Point(start.theta, shown.point.effects), shown.free))
-        costs = [cost_of(e, f.point, f.residual, fitted.scale) for e, f, _ in (best, tried)]
+        moved = replace(own.experiment, span=other.dated.span)
+        shown = Point(start.theta, {**start.effects, **other.fitted.point.effects})
+        tried = _refined(moved, refit(moved, shown, other.fitted.free))
+        scale = own.fitted.scale
+        costs = [cost_of(e, f.point, e.residual(f.point), scale) for e, f, _ in map(_on_all, (best, tried))]
         best = tried if costs[1] < costs[0] else best
     return best
 
 
-def _better(experiments: Sequence[Experiment], chosen: Model, late: Sequence[Experiment], model: Model) -> bool:
-    """Whether effects that begin make all data clearly more likely than effects that act throughout.
+def _on_all(one: _Refined) -> _Refined:
+    return one._replace(experiment=replace(one.experiment, split=None))
+
+
+def _better(experiments: Sequence[Experiment], chosen: Model, found: Changing) -> bool:
+    """Whether effects that begin or end make all data clearly more likely than effects that act throughout.
 
     Args:
         experiments: the recordings.
         chosen: the model with effects that act throughout, or with none.
-        late: the recordings with their onsets.
-        model: the one with effects from then on.
+        found: effects that begin or end; each edge is one more free parameter.
     """
     gain = 0.0
-    for experiment, old, changed, new in zip(experiments, chosen.fits, late, model.fits, strict=True):
+    model, known = found.selection.model, zip(found.group.experiments, found.dates, strict=True)
+    for experiment, old, new, (changed, dates) in zip(experiments, chosen.fits, model.fits, known, strict=True):
         before, after = experiment.residual(old.point, whole=True), changed.residual(new.point, whole=True)
         gain += float(np.sum(old.scale.misfits(before) - old.scale.misfits(after))) * old.scale.share
         values = max(len(before) * before.shape[1] / experiment.blocks_per_error, np.e)
-        gain -= (len(new.free) - len(old.free) + (changed.onset is not None)) * float(np.log(values))
+        edges = sum(len(span.edges) for span in {dated.span for dated in dates.values()})
+        gain -= (len(new.free) - len(old.free) + edges) * float(np.log(values))
     return gain >= thresholds.STRONG
 
 
-def dated(judged: Judged, late: Late) -> Judged:
-    """A verdict with the onset of each effect: that of the recording which shows it most exactly.
+def dated(judged: Judged, found: Changing) -> Judged:
+    """A verdict with begin and end of each effect; one that acts at several times is as many effects.
 
     Args:
-        judged: the verdict on the recordings with their onsets.
-        late: these.
+        judged: the verdict on the recordings with their spans.
+        found: these.
     """
-    by_name = {e.trial.name: onset for e, onset in zip(late.group.experiments, late.onsets, strict=True)}
-    effects = []
-    for effect in judged.effects:
-        known = [onset for name in effect.recordings if (onset := by_name[name]) is not None]
-        best = min(known, key=lambda onset: onset.std_s, default=None)
-        effects.append(effect if best is None else replace(effect, onset_s=best.time_s, onset_std_s=best.std_s))
-    if not effects:
+    by_name = {e.trial.name: dates for e, dates in zip(found.group.experiments, found.dates, strict=True)}
+    effects = [one for effect in judged.effects for one in _by_date(effect, by_name)]
+    if all(effect.onset_s is None and effect.end_s is None for effect in effects):
         return judged
-    each = "; ".join(
-        f"{name}: {onset.time_s:.2f} ± {onset.std_s:.2f} s" for name, onset in by_name.items() if onset is not None
-    )
     note = (
-        f"the effect begins during the recordings ({each}); it was fitted to blocks in turn, so that the last part of "
-        "each recording is not wholly held out"
+        "effects begin or end during the recordings; blocks in turn were held out, on either side of each change, and "
+        "errors are those on these blocks. The times themselves were fitted to all data"
     )
     return replace(judged, effects=tuple(effects), warnings=(*judged.warnings, note))
+
+
+def _by_date(effect: FoundEffect, by_name: Mapping[str, Mapping[str, Dated]]) -> list[FoundEffect]:
+    """An effect for each time at which recordings show it, with the most exact begin and end of those."""
+    groups: list[list[tuple[str, Dated | None]]] = []
+    for name in effect.recordings:
+        one = by_name[name].get(effect.name)
+        for group in groups:
+            other = group[0][1]
+            if one is other or (one is not None and other is not None and one.is_like(other)):
+                group.append((name, one))
+                break
+        else:
+            groups.append([(name, one)])
+    out = []
+    for group in groups:
+        known = [one for _, one in group if one is not None]
+        values: dict[str, Any] = {}
+        for k, (when, std) in enumerate((("onset_s", "onset_std_s"), ("end_s", "end_std_s"))):
+            best = min((one for one in known if np.isfinite(one.span[k])), key=lambda one: one.std_s[k], default=None)
+            values |= {when: None if best is None else best.span[k], std: None if best is None else best.std_s[k]}
+        out.append(replace(effect, recordings=tuple(name for name, _ in group), **values))
+    return out

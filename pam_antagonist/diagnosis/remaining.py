@@ -196,9 +196,8 @@ def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingR
         around = surroundings(experiment, point)
         if isinstance(experiment, ValveDriven):
             out += _of_equations(experiment, point, around)
-        first = -(-experiment.errors_from // experiment.trial.block)
         whole = experiment.residual(point, whole=True)[: len(experiment.measured)]
-        late = np.arange(len(whole)) >= first
+        late = experiment.held_samples[:: experiment.trial.block][: len(whole)]
         for k, channel in enumerate(experiment.titles):
             if over[k] >= thresholds.AT_NOISE:
                 values, step = whole[:, k] * channel.factor, experiment.trial.block_s
@@ -218,7 +217,7 @@ def surroundings(experiment: Experiment, point: Point) -> Surroundings:
 def _of_equations(experiment: Experiment, point: Point, around: Surroundings) -> list[RemainingResidual]:
     errors = equation_errors(experiment, point)
     windows = around.windows(errors.begin)
-    late = errors.begin + SPAN > experiment.errors_from // experiment.trial.block
+    late = experiment.held_samples[(errors.begin + SPAN - 1) * experiment.trial.block]
     out = []
     for k in errors.known:
         over = float(np.sqrt(np.mean(errors.values[~late, k] ** 2))) / errors.noise[k]

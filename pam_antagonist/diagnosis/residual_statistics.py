@@ -306,7 +306,7 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
         experiment: the recording.
         point: the model.
     """
-    trial, p = experiment.trial, experiment.parameters(point)
+    trial, p_at = experiment.trial, _vectors(experiment, point)
     states, _ = experiment.states(point)
     shown = np.full((len(experiment.measured), 4), np.nan)
     shown[:, list(experiment.channels)] = experiment.measured
@@ -319,13 +319,13 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     if moves:
         known.append(3)
     begin = np.arange(_NEAR, len(shown) - SPAN - 1, SPAN)
-    start = np.array([_measured_state(states, shown, block, trial, moves, p) for block in range(len(shown))])
-    factors = np.array([[_flow_of_rate(i, start[b], p) for i in (0, 1)] for b in begin])
+    start = np.array([_measured_state(states, shown, block, trial, moves, p_at[block]) for block in range(len(shown))])
+    factors = np.array([[_flow_of_rate(i, start[b], p_at[b]) for i in (0, 1)] for b in begin])
     seconds, size = SPAN * trial.block_s, trial.block
 
     def ends_at(block: int, x: Floats) -> Floats:
         """Pressures' readings and angle at the end of a window (3,)."""
-        first = block * size + size // 2
+        first, p = block * size + size // 2, p_at[block]
         run, _ = dynamics.course(x, trial.given[first : first + (SPAN + 1) * size], p, trial.dt, trial.substeps)
         end = run[SPAN * size - size // 2 :][:size].mean(axis=0)
         return np.array([sensor.reading(0, end[2], p), sensor.reading(1, end[3], p), end[0]])
@@ -334,7 +334,7 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     ends = np.array([ends_at(int(b), start[b]) for b in begin])
     rates = (shown[begin + SPAN][:, [PRESSURE_1, PRESSURE_1 + 1, ANGLE]] - ends) / seconds
     values[:, :2] = rates[:, :2] * factors * 1e6
-    torque = np.array([dynamics.torque(x, p) for x in start])
+    torque = np.array([dynamics.torque(x, p) for x, p in zip(start, p_at, strict=True)])
     lacking = shown[:, TORQUE] - torque
     values[:, 2] = [lacking[b : b + SPAN].mean() for b in begin]
     values[:, 3] = np.degrees(rates[:, 2])
@@ -350,7 +350,7 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
             x = start[begin[w]].copy()
             x[state] += std
             change = (ends_at(int(begin[w]), x) - ends[w]) / seconds
-            turned = dynamics.torque(x, p) - torque[begin[w]] if state != 1 else 0.0
+            turned = dynamics.torque(x, p_at[begin[w]]) - torque[begin[w]] if state != 1 else 0.0
             errors[:2] += (change[:2] * factors[w] * 1e6) ** 2
             errors[2] += turned**2 / SPAN
             errors[3] += np.degrees(change[2]) ** 2
@@ -359,6 +359,14 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     errors[2] += noise[TORQUE] ** 2 / SPAN
     errors[3] += np.degrees(noise[ANGLE] / seconds) ** 2
     return EquationErrors(begin, np.nan_to_num(values), np.sqrt(errors), tuple(known))
+
+
+def _vectors(experiment: Experiment, point: Point) -> list[Floats]:
+    """The parameter vector (P,) that holds in each block: effects may begin and end."""
+    edges = experiment.edges(point)
+    vectors = [experiment.parameters(point, time) for time in (0.0, *edges)]
+    phase = np.searchsorted(edges, np.arange(len(experiment.measured)) * experiment.trial.block_s, side="right")
+    return [vectors[k] for k in phase]
 
 
 def _measured_state(states: Floats, shown: Floats, block: int, trial: Trial, moves: bool, p: Floats) -> Floats:

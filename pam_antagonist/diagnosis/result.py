@@ -35,6 +35,8 @@ class FoundEffect:
         notes: what is to be known about it.
         onset_s: since when it acts [s]; None: throughout.
         onset_std_s: standard deviation of that [s].
+        end_s: until when it acts [s]; None: to the end of every recording that shows it.
+        end_std_s: standard deviation of that [s].
         splits: how many splits support it, and of how many; None where it was not judged so.
     """
 
@@ -47,6 +49,8 @@ class FoundEffect:
     notes: tuple[str, ...] = ()
     onset_s: float | None = None
     onset_std_s: float | None = None
+    end_s: float | None = None
+    end_std_s: float | None = None
     splits: tuple[int, int] | None = None
 
 
@@ -162,12 +166,13 @@ class RecordingEntry:
         joint: ``free``, ``locked`` or ``driven``.
         lock_angle_rad: where a locked joint was held [rad].
         role: ``fitted``, ``held out``, or ``both``: its end was held out.
-        held_out_from_s: where the held-out part begins [s].
+        held_out_from_s: where the held-out part begins, the first of them if there are several [s].
         errors: on held-out data; None where nothing was held out.
         residuals: on held-out data; None likewise.
         ukf: errors of the estimator; None where it was not run.
         sweeps: how often a driven joint slides in the fitted and in the held-out part; None of other joints.
         sha256: of the bag's files; empty where it was not read from a bag.
+        held_out_s: begin and end of every held-out part [s]; None where nothing was held out.
     """
 
     recording: str
@@ -180,6 +185,7 @@ class RecordingEntry:
     ukf: ModelErrors | None = None
     sweeps: Mapping[str, int] | None = None
     sha256: str = ""
+    held_out_s: tuple[tuple[float, float], ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Without what was not worked out."""

@@ -84,7 +84,7 @@ def select(
 
     Args:
         experiments: the recordings.
-        base: the recalibrated model.
+        base: the recalibrated model, or one with effects that stay in it.
         jobs: threads.
         progress: is called with what is being done.
         checkpoint: keeps finished candidates.
@@ -92,10 +92,12 @@ def select(
             what the recalibrated model leaves.
         calibrate: whether zeros, scales and late stamps may be found as well.
     """
+    # Experiments may have an effect in them already; a model may as well.
+    begin = 2 if before and not base.effects else 1
     model, tried, weighed = base, list[TriedCandidate](), list[TriedCandidate]()
     rivals: dict[str, tuple[str, ...]] = {}
     first = before or explained.remaining_residuals(experiments, base.fits)
-    while (number := len(model.effects) + (2 if before else 1)) <= thresholds.MOST_EFFECTS:
+    while (number := len(model.effects) + begin) <= thresholds.MOST_EFFECTS:
         if explained.at_noise(experiments, model):
             break
         found = _round(experiments, first, model, number, jobs, progress, checkpoint)

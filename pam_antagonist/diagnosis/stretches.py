@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.inference.experiment import Experiment, Point
-from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.gauss_newton import Fitted, refit
 
 Floats = NDArray[np.float64]
 
@@ -57,17 +58,28 @@ def above_noise(experiments: Sequence[Experiment], points: Sequence[Point], jobs
     """
 
     def one(experiment: Experiment, point: Point) -> Stretch | None:
-        alone = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), judged=())
-        found = clearest(alone, alone.residual(point, whole=True))
+        found = clearest(experiment, replace(experiment, judged=()).residual(point, whole=True))
         if found is None:
             return None
-        fitted = refit(alone, point, rounds=_ROUNDS, renewals=2, blocks_per_error=1.0, careful=2)
-        return found if clearest(alone, fitted.residual) is not None else None
+        fitted = fitted_to_all(experiment, point)
+        return found if clearest(experiment, fitted.residual) is not None else None
 
     found = Parallel(n_jobs=jobs, prefer="threads")(
         delayed(one)(*pair) for pair in zip(experiments, points, strict=True)
     )
     return tuple(stretch for stretch in found if stretch is not None)
+
+
+def fitted_to_all(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter] = ()) -> Fitted:
+    """A model fitted to all of a recording, held out or not, as a model that is right: every block counts.
+
+    Args:
+        experiment: the recording.
+        point: the model nearby.
+        free: parameters of its effects that may move.
+    """
+    alone = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), split=None, judged=())
+    return refit(alone, point, free, rounds=_ROUNDS, renewals=2, blocks_per_error=1.0, careful=2)
 
 
 def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:

@@ -14,7 +14,7 @@ from pam_antagonist.diagnosis.result import RecordingEntry, SizeProfile
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.stretches import Stretch
 from pam_antagonist.inference.angle_driven import BALANCE, sweeps
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment, Point, Span
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.inference.likelihood import solve
@@ -51,6 +51,23 @@ def above_noise(stretches: Sequence[Stretch]) -> list[str]:
         f"{s.begin_s:.0f} to {s.end_s:.0f} s, whatever the base parameters (evidence {s.evidence:.0f} against noise)"
         for s in stretches
     ]
+
+
+def changes(above_noise: Mapping[str, Span]) -> list[str]:
+    """When recordings leave their noise, where no effect explains it.
+
+    Args:
+        above_noise: the part of each recording, by its name.
+    """
+    return [
+        f"{name}: something {' and '.join(f'{what} at {time:.1f} s' for what, time in _edges(span))}; outside of that "
+        "part the model leaves what the sensors' noise explains"
+        for name, span in above_noise.items()
+    ]
+
+
+def _edges(span: Span) -> list[tuple[str, float]]:
+    return [(what, time) for what, time in zip(("begins", "ends"), span, strict=True) if np.isfinite(time)]
 
 
 def not_firm(effect: str, firm: Firmness) -> str:

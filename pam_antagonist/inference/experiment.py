@@ -31,6 +31,26 @@ _STEP = 2e-3
 _RUNAWAY = 1e9
 
 
+class Span(NamedTuple):
+    """When an effect acts.
+
+    Attributes:
+        begin_s: since the first sample [s].
+        end_s: likewise [s].
+    """
+
+    begin_s: float = -np.inf
+    end_s: float = np.inf
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """When it begins and when it ends [s], without what is beyond every recording."""
+        return tuple(float(time) for time in self if np.isfinite(time))
+
+
+THROUGHOUT = Span()
+
+
 @dataclass(frozen=True, eq=False)
 class Point:
     """A point in the space of models of one recording.
@@ -75,7 +95,9 @@ class Experiment(ABC):
         jobs: threads that work out derivatives, beside those that fit several recordings or candidates at once.
         split: which blocks are fitted and which are held out, where that is not the first part and the rest;
             `fitted` is then all of the recording.
-        onset: from then on the effects of a point act [s]; None: throughout. Effects of the rig file act throughout.
+        spans: when effects of a point act, by the effect's name; one that is not named acts as :attr:`span` says.
+            Effects of the rig file act throughout.
+        span: when all other effects of a point act.
     """
 
     rig: Rig
@@ -85,7 +107,8 @@ class Experiment(ABC):
     seed: int = 0
     jobs: int = 1
     split: Split | None = None
-    onset: float | None = None
+    spans: Mapping[str, Span] = field(default_factory=dict)
+    span: Span = THROUGHOUT
 
     # What each way of driving a joint gives.
 
@@ -253,12 +276,31 @@ class Experiment(ABC):
         """Values of the base parameters that differ from the rig file's, by dotted path."""
         return values_along(self.rig, self.directions, point.theta)
 
-    def parameters(self, point: Point) -> Floats:
-        """Parameter vector of a point."""
+    def parameters(self, point: Point, at_s: float | None = None) -> Floats:
+        """Parameter vector of a point: with all of its effects, or with those that act at a time [s]."""
         p = self.vector.copy()
         for name, value in self.changes(point).items():
             p[par.INDEX[name]] = value
-        return par.changed(p, calibration.without(point.effects))
+        effects = calibration.without(point.effects)
+        if at_s is None:
+            return par.changed(p, effects)
+        spans = {path: self.span_of(path.split(".")[1]) for path in effects}
+        return par.changed(
+            p, {path: value for path, value in effects.items() if spans[path].begin_s <= at_s < spans[path].end_s}
+        )
+
+    def span_of(self, effect: str) -> Span:
+        """When an effect of a point acts.
+
+        Args:
+            effect: its name.
+        """
+        return self.spans.get(effect, self.span)
+
+    def edges(self, point: Point) -> tuple[float, ...]:
+        """When effects of a point begin or end within the recording [s], in order."""
+        effects = {path.split(".")[1] for path in calibration.without(point.effects)}
+        return tuple(sorted({edge for effect in effects for edge in self.span_of(effect).edges}))
 
     def residual(self, point: Point, whole: bool = False) -> Floats:
         """Measured minus simulated block means (B, C), 0 where nothing was measured.
@@ -302,6 +344,21 @@ class Experiment(ABC):
     def errors_from(self) -> int:
         """Sample from which on a report shows errors: what is behind was held out, or is the end of the recording."""
         return self.fitted if self.split is None else self.split.errors_from
+
+    @property
+    def held_samples(self) -> NDArray[np.bool_]:
+        """Which samples no fit saw (N,)."""
+        samples = np.arange(len(self.trial))
+        if self.split is None:
+            return samples >= self.fitted
+        blocks = samples // self.trial.block
+        return (blocks < len(self.split.held)) & self.split.held[np.minimum(blocks, len(self.split.held) - 1)]
+
+    @property
+    def held_parts(self) -> tuple[Span, ...]:
+        """The parts of the recording that no fit saw, in order."""
+        edges = np.flatnonzero(np.diff(self.held_samples, prepend=False, append=False)) * self.trial.dt
+        return tuple(Span(float(begin), float(end)) for begin, end in edges.reshape(-1, 2))
 
     def held(self, residual: Floats) -> Floats:
         """The held-out blocks of a residual of the whole; none where there is nothing to judge by."""

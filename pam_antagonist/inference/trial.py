@@ -27,8 +27,8 @@ _LEAST_SWING = 30e3
 _LEAST_VOLTAGE_SWING = 0.2
 _SATURATED_SHARE = 0.02
 _LARGEST_MISSING_SHARE = 0.2
-_MOST_LEVELS = 0.25
-"""Distinct values a sample of a converted signal: a signal without steps has nearly as many as samples."""
+_NEIGHBOURS = 0.05
+"""Share of the levels of a converted signal, at least, that are one step apart."""
 _ON_GRID, _SHARE_ON_GRID = 0.02, 0.98
 _LEAST_NOISE = 1e-12
 _SLOW_S = 3e-3
@@ -265,7 +265,7 @@ def white_std(values: Floats, dt: float) -> float:
 
 
 def converter_step(values: Floats) -> float:
-    """Step of the converter behind a signal; 0 where hardly a value comes twice, or where they lie on no grid.
+    """Step of the converter behind a signal; 0 where its values lie on no grid.
 
     A slow signal shows little of its converter in the differences of neighbours, which are mostly none, so that its
     noise looks smaller than the error of a reading is.
@@ -273,14 +273,12 @@ def converter_step(values: Floats) -> float:
     Args:
         values: what the sensor showed (N,), NaN where missing.
     """
-    known = values[np.isfinite(values)]
-    levels, counts = np.unique(known, return_counts=True)
-    if len(levels) < 2 or len(levels) > _MOST_LEVELS * len(known):
-        return 0.0
-    apart = np.diff(levels[counts >= np.quantile(counts, 0.5)])
+    levels, counts = np.unique(values[np.isfinite(values)], return_counts=True)
+    apart = np.diff(levels[counts >= np.quantile(counts, 0.5)]) if len(levels) > 1 else np.zeros(0)
     if not len(apart):
         return 0.0
-    step = float(np.median(apart))
+    # Few samples leave out levels of a fine converter: most are several steps apart then.
+    step = float(np.median(apart[apart <= 1.5 * np.quantile(apart, _NEIGHBOURS)]))
     off = np.abs(apart / step - np.rint(apart / step))
     return step if np.mean(off < _ON_GRID) > _SHARE_ON_GRID else 0.0
 

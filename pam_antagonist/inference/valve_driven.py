@@ -5,9 +5,10 @@ The model runs by itself from the first sample on, effects and sensors included.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,18 +125,20 @@ class ValveDriven(Experiment):
 
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """States (N, n) and torques (N,) [N m] of the model over all of the recording."""
-        return run(self.trial, self.parameters(point), self.first, self.start_shift(point), self._before(point))
+        return run(self.trial, self._first(point), self.first, self.start_shift(point), self._later(point))
 
     def _shown(self, trial: Trial, point: Point) -> Floats:
         """What the sensors would show (N, 4), calibrations included, in the steps of a trial."""
-        exact = predict(trial, self.parameters(point), self.first, self.start_shift(point), self._before(point))
+        exact = predict(trial, self._first(point), self.first, self.start_shift(point), self._later(point))
         return calibration.readings(exact, trial.dt, calibration.values_of(point.effects))
 
-    def _before(self, point: Point) -> Before | None:
-        """What the model is until its effects begin to act."""
-        if self.onset is None or not calibration.without(point.effects):
-            return None
-        return Before(self.onset, self.parameters(Point(point.theta)))
+    def _first(self, point: Point) -> Floats:
+        """Parameter vector at the start of the recording."""
+        return self.parameters(point, 0.0)
+
+    def _later(self, point: Point) -> tuple[Phase, ...]:
+        """What the model is after each time at which an effect begins or ends."""
+        return tuple(Phase(edge, self.parameters(point, edge)) for edge in self.edges(point) if edge > 0.0)
 
     @cached_property
     def _part(self) -> Trial:
@@ -187,16 +190,15 @@ class ValveDriven(Experiment):
         return self.fitted_rows(self.residual_of(means))
 
 
-@dataclass(frozen=True, eq=False)
-class Before:
-    """The model before effects begin to act.
+class Phase(NamedTuple):
+    """A part of a recording in which the same effects act.
 
     Attributes:
-        until_s: when they begin [s].
-        parameters: vector without them (P,).
+        begin_s: since the first sample [s]; it lasts until the next phase or the recording's end.
+        parameters: vector (P,) of the model.
     """
 
-    until_s: float
+    begin_s: float
     parameters: Floats
 
 
@@ -223,7 +225,7 @@ def start_of(trial: Trial) -> Start:
     return Start(float(known.mean()) if known.size else None, pressure)
 
 
-def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None, before: Before | None = None) -> Floats:
+def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None, later: Sequence[Phase] = ()) -> Floats:
     """The model alone, from the start of a recording on.
 
     Args:
@@ -231,22 +233,21 @@ def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None, 
         p: parameter vector (P,).
         start: what the sensors showed first; the added states start settled.
         shift: deviation of the true start from that (3,) [rad, Pa, Pa].
-        before: another model until some effects begin to act; None where they act throughout.
+        later: what the model is from some times on, in their order.
 
     Returns:
         What the sensors would show (N, 4), in the order of ``trial.CHANNELS``.
     """
-    states, torque = run(trial, p, start, shift, before)
-    first = 0 if before is None else _onset(trial, before)
+    states, torque = run(trial, p, start, shift, later)
     shown = np.empty((len(states), 2))
-    for rows, vector in ((slice(0, first), p if before is None else before.parameters), (slice(first, None), p)):
+    for rows, vector in _parts(trial, p, later):
         for i in (0, 1):
             shown[rows, i] = sensor.reading(i, states[rows, 2 + i], vector)
     return np.column_stack([states[:, 0], torque, shown])
 
 
 def run(
-    trial: Trial, p: Floats, start: Start, shift: Floats | None = None, before: Before | None = None
+    trial: Trial, p: Floats, start: Start, shift: Floats | None = None, later: Sequence[Phase] = ()
 ) -> tuple[Floats, Floats]:
     """States (N, n) and torques (N,) [N m] of the same.
 
@@ -255,33 +256,46 @@ def run(
         p: parameter vector (P,); the step of its friction is that of the integration.
         start: what the sensors showed first.
         shift: deviation of the true start from that (3,) [rad, Pa, Pa].
-        before: another model until some effects begin to act. Their states start settled then.
+        later: what the model is from some times on, in their order. States that a phase adds start settled.
     """
-    p, first = p.copy(), (p if before is None else before.parameters).copy()
-    # A joint must be able to stick within a step.
-    p[par.FRICTION_STEP] = first[par.FRICTION_STEP] = trial.step
     moved = np.zeros(3) if shift is None else shift
     given = trial.voltage if trial.external is None else trial.given
-    pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], first) for i in (0, 1)]
-    angle = equilibrium.rest_angle(pressures[0], pressures[1], first) if start.angle is None else start.angle + moved[0]
-    x0 = equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], first)
-    if before is None:
-        states, torque = dynamics.course(x0, given, p, trial.dt, trial.substeps)
-        return states, torque
-    end = _onset(trial, before)
-    early, early_torque = dynamics.course(x0, given[:end], first, trial.dt, trial.substeps)
-    # The first row of a course is its start, which is the last one of the course before.
-    x1 = _taken_over(early[-1], first, p, given[end - 1])
-    late, late_torque = dynamics.course(x1, given[end - 1 :], p, trial.dt, trial.substeps)
-    settled = np.tile(x1, (len(early), 1))
-    count = min(early.shape[1], len(x1))
-    settled[:, :count] = early[:, :count]
-    return np.concatenate([settled, late[1:]]), np.concatenate([early_torque, late_torque[1:]])
+    pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
+    angle = equilibrium.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
+    courses: list[tuple[Floats, Floats]] = []
+    before = p
+    for rows, vector in _parts(trial, p, later):
+        now = vector.copy()
+        # A joint must be able to stick within a step.
+        now[par.FRICTION_STEP] = trial.step
+        if not courses:
+            x0 = equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], now)
+            courses.append(dynamics.course(x0, given[rows], now, trial.dt, trial.substeps))
+        else:
+            # The first row of a course is its start, which is the last one of the course before.
+            last = rows.start - 1
+            x0 = _taken_over(courses[-1][0][-1], before, now, given[last])
+            states, torque = dynamics.course(x0, given[last : rows.stop], now, trial.dt, trial.substeps)
+            courses.append((states[1:], torque[1:]))
+        before = now
+    if len(courses) == 1:
+        return courses[0]
+    out = np.zeros((len(given), max(states.shape[1] for states, _ in courses)))
+    end = len(given)
+    for states, _ in reversed(courses):
+        # States that a phase does not have yet stand where the next phase begins with them.
+        out[end - len(states) : end] = out[min(end, len(given) - 1)]
+        out[end - len(states) : end, : states.shape[1]] = states
+        end -= len(states)
+    return out, np.concatenate([torque for _, torque in courses])
 
 
-def _onset(trial: Trial, before: Before) -> int:
-    """First sample at which the effects act."""
-    return int(np.clip(round(before.until_s / trial.dt), 1, len(trial)))
+def _parts(trial: Trial, p: Floats, later: Sequence[Phase]) -> list[tuple[slice, Floats]]:
+    """The samples of each phase, with its parameter vector (P,); a phase has one sample at least."""
+    first = [0, *(round(phase.begin_s / trial.dt) for phase in later), len(trial)]
+    rows = [slice(begin, min(end, len(trial))) for begin, end in zip(first[:-1], first[1:], strict=True)]
+    vectors = [p, *(phase.parameters for phase in later)]
+    return [(part, vector) for part, vector in zip(rows, vectors, strict=True) if part.start < part.stop]
 
 
 def _taken_over(x: Floats, before: Floats, after: Floats, given: Floats) -> Floats:

@@ -62,6 +62,8 @@ class Effect:
         recordings: that show it.
         onset_s: since when it acts [s]; None: throughout.
         onset_std_s: standard deviation of that [s]; None likewise.
+        end_s: until when it acts [s]; None: to the end of every recording that shows it.
+        end_std_s: standard deviation of that [s]; None likewise.
         splits: how many of the splits support it; None where it was not judged so.
     """
 
@@ -73,6 +75,8 @@ class Effect:
     recordings: tuple[str, ...]
     onset_s: float | None = None
     onset_std_s: float | None = None
+    end_s: float | None = None
+    end_std_s: float | None = None
     splits: Splits | None = None
 
     @classmethod
@@ -88,6 +92,8 @@ class Effect:
             recordings=tuple(found.recordings),
             onset_s=found.onset_s,
             onset_std_s=found.onset_std_s,
+            end_s=found.end_s,
+            end_std_s=found.end_std_s,
             splits=None if found.splits is None else Splits(*found.splits),
         )
 

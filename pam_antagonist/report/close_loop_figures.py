@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pam_antagonist.diagnosis.result import Diagnosis, HeldOutComparison, SizeProfile
+from pam_antagonist.inference.experiment import Span
 from pam_antagonist.report.figure import Figure, Points
 from pam_antagonist.report.figures import profile_panel, residual_figure
 from pam_antagonist.report.style import ESTIMATE, MODEL
@@ -32,16 +33,21 @@ def residuals(found: Diagnosis) -> tuple[Figure, ...]:
         )
         x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * trial.block_s
         title = f"{trial.name} (joint {trial.joint})"
-        onset = experiment.onset if found.extended.effects else None
-        if onset is not None:
-            about += f" The line at {onset:.1f} s marks when the effect begins."
-        held_from = {"both": experiment.errors_from * trial.dt, "fitted": None, "held out": 0.0}[part.role]
-        out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name, onset, held_from))
+        edges = experiment.edges(experiment.spans)
+        if edges:
+            about += f" At the line{'s' if len(edges) > 1 else ''} an effect begins or ends."
+        held: tuple[Span, ...] = () if part.role == "fitted" else experiment.held_parts
+        if part.role == "held out":
+            held = (Span(0.0, float(x[-1])),)
+        out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name, edges, held))
     return tuple(out)
 
 
 def _held(part: HeldOutComparison) -> str:
     from_s = part.experiment.errors_from * part.experiment.trial.dt
+    if part.experiment.split is not None:
+        parts = ", ".join(f"{begin:.0f} to {end:.0f}" for begin, end in part.experiment.held_parts)
+        return f"Shaded: what was held out, {parts} s. No fit used it."
     return {
         "both": f"Shaded: the end, from {from_s:.0f} s on, was held out. No fit used it.",
         "fitted": "All of it was fitted; other recordings are held out.",

@@ -86,8 +86,8 @@ def residual_figure(
     channels: Sequence[tuple[str, float]],
     noise: FloatArray | None,
     link: str,
-    onset: float | None = None,
-    held_from: float | None = None,
+    edges: Sequence[float] = (),
+    held: Sequence[tuple[float, float]] = (),
 ) -> Figure:
     """Residuals over time, a panel for each channel.
 
@@ -99,15 +99,14 @@ def residual_figure(
         channels: title of the axis and scale of each channel.
         noise: standard deviation of each channel's noise (C,); a dashed line is drawn at twice that. None: no lines.
         link: figures of the same link share their time axis.
-        onset: a time [s] at which something begins; a line is drawn there. None: no line.
-        held_from: where the held-out part begins [s], which is shaded. None: no shade.
+        edges: times [s] at which something begins or ends; a line is drawn at each.
+        held: begin and end [s] of the parts that were held out, which are shaded.
     """
     panels = []
     for k, (name, scale) in enumerate(channels):
-        parts: list[Series] = [] if held_from is None else [Region(held_from, float(x[-1]))]
+        parts: list[Series] = [Region(begin, min(end, float(x[-1]))) for begin, end in held]
         parts += [Line(model, x, values[:, k] * scale, color, quiet=k > 0) for model, values, color in models]
-        if onset is not None:
-            parts.append(Reference(onset, f"from {onset:.1f} s" if k == 0 else "", vertical=True))
+        parts += [Reference(edge, f"{edge:.1f} s" if k == 0 else "", vertical=True) for edge in edges]
         if noise is not None:
             parts += [Reference(sign * 2.0 * float(noise[k]) * scale) for sign in (-1.0, 1.0)]
         panels.append(Panel(TIME, Axis(name), tuple(parts), 170 if noise is not None else 130))

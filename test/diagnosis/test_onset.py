@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import onset, splits
+from pam_antagonist.diagnosis import change_point, onset, splits
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.preparation import Group
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
 from pam_antagonist.inference.gauss_newton import Fitted, refit
 
 OFFSET = {"effects.pressure_sensor.offset_1": 5e3}
@@ -24,16 +24,16 @@ def quiet(recorded, experiment_of) -> Experiment:
     return experiment_of(recorded(seconds=20.0), "locked")
 
 
-def with_effect(quiet: Experiment, effect: dict[str, float], begins: float | None) -> Experiment:
+def with_effect(quiet: Experiment, effect: dict[str, float], span: Span) -> Experiment:
     """The recording with what an effect from then on adds to it."""
     points = (Point(quiet.origin.theta, effect), quiet.origin)
-    with_it, without = (replace(quiet, onset=begins).simulated(point, whole=True) for point in points)
+    with_it, without = (replace(quiet, span=span).simulated(point, whole=True) for point in points)
     return replace(quiet, trial=replace(quiet.trial, measured=quiet.trial.measured + with_it - without))
 
 
 @pytest.fixture(scope="module")
 def late(quiet) -> tuple[Experiment, Fitted]:
-    experiment = with_effect(quiet, OFFSET, 15.0)
+    experiment = with_effect(quiet, OFFSET, Span(15.0))
     return experiment, refit(experiment, experiment.origin, rounds=4, renewals=1)
 
 
@@ -41,7 +41,15 @@ def test_a_change_of_the_residual_is_found_where_it_is() -> None:
     rng = np.random.default_rng(3)
     residual = rng.standard_normal((1000, 3))
     residual[700:, 1] += 3.0
-    assert onset.change_point(residual, np.ones(3)) == pytest.approx(700, abs=3)
+    assert change_point.above_noise(residual, np.ones(3)) == (pytest.approx(700, abs=3), 1000)
+    residual[900:] = rng.standard_normal((100, 3))
+    assert change_point.above_noise(residual, np.ones(3)) == (pytest.approx(700, abs=3), pytest.approx(900, abs=3))
+
+
+def test_noise_alone_has_no_part_above_noise() -> None:
+    rng = np.random.default_rng(4)
+    found = [change_point.above_noise(rng.standard_normal((1000, 3)), np.ones(3)) for _ in range(50)]
+    assert set(found) == {(0, 1000)}
 
 
 def test_an_effect_that_begins_late_is_found_with_its_onset(late) -> None:
@@ -49,13 +57,13 @@ def test_an_effect_that_begins_late_is_found_with_its_onset(late) -> None:
     found = onset.search(
         Group("joint", (experiment,), (0,)), Model((), (fitted,)), Model((), (fitted,)), 1, lambda text: None,
         Checkpoint(),
-    )  # fmt: skip
+    ).found  # fmt: skip
     assert found is not None
     assert found.selection.model.effects == ("pressure_sensor",)
-    (when,) = found.onsets
-    assert when is not None
-    assert when.time_s == pytest.approx(15.0, abs=max(3.0 * when.std_s, 0.1))
-    assert when.std_s < 0.5
+    when = found.dates[0]["pressure_sensor"]
+    assert when.span.begin_s == pytest.approx(15.0, abs=max(3.0 * when.std_s[0], 0.1))
+    assert when.span.end_s == np.inf
+    assert when.std_s[0] < 0.5
     point = found.selection.model.fits[0].point
     shown = point.effects["effects.pressure_sensor.offset_1"] + 450e3 * point.effects["effects.pressure_sensor.gain_1"]
     assert shown == pytest.approx(5e3, rel=0.2)
@@ -65,17 +73,17 @@ def test_a_recording_at_its_noise_has_no_onset(quiet) -> None:
     fitted = refit(quiet, quiet.origin, rounds=4, renewals=1)
     model = Model((), (fitted,))
     group = Group("joint", (quiet,), (0,))
-    assert onset.search(group, model, model, 1, lambda text: None, Checkpoint()) is None
+    assert onset.search(group, model, model, 1, lambda text: None, Checkpoint()) == (None, {})
 
 
 def test_what_is_there_throughout_has_no_onset(quiet) -> None:
-    experiment = with_effect(quiet, LEAK, None)
+    experiment = with_effect(quiet, LEAK, THROUGHOUT)
     fitted = refit(experiment, experiment.origin, rounds=4, renewals=1)
-    assert onset.first_change(experiment, fitted) is None
+    assert change_point.first_change(experiment, fitted) is None
 
 
 def test_splits_agree_on_an_effect_that_is_there(quiet) -> None:
-    experiment = with_effect(quiet, LEAK, None)
+    experiment = with_effect(quiet, LEAK, THROUGHOUT)
     free = tuple(
         u for c in experiment.candidates({}) if c.effect == "leak" for u in c.free if u.path.endswith("area_1")
     )

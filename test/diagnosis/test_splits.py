@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis.splits import in_turn
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
 from pam_antagonist.inference.gauss_newton import refit
 
 LEAK = {"effects.leak.area_1": 3e-8}
@@ -42,21 +42,57 @@ def test_what_is_fitted_and_held_out_are_the_blocks_of_the_split(joint) -> None:
 
 
 def test_an_effect_acts_from_its_onset_on(joint) -> None:
-    def shown(onset: float | None, effects: dict[str, float]) -> np.ndarray:
-        return replace(joint, onset=onset).simulated(Point(joint.origin.theta, effects), whole=True)
+    def shown(span: Span, effects: dict[str, float]) -> np.ndarray:
+        return replace(joint, span=span).simulated(Point(joint.origin.theta, effects), whole=True)
 
-    without, late, throughout = shown(None, {}), shown(5.0, LEAK), shown(None, LEAK)
+    without, late, throughout = shown(THROUGHOUT, {}), shown(Span(5.0), LEAK), shown(THROUGHOUT, LEAK)
     assert np.array_equal(late[:5000], without[:5000])
     assert np.max(np.abs(late[5000:, 2] - without[5000:, 2])) > 1e3
     assert np.max(np.abs(late[:, 2] - throughout[:, 2])) > 1e3
-    states, _ = replace(joint, onset=5.0).states(Point(joint.origin.theta, LEAK))
+    states, _ = replace(joint, span=Span(5.0)).states(Point(joint.origin.theta, LEAK))
     assert np.max(np.abs(np.diff(states[:, 2]))) < 3e3
 
 
 def test_an_added_state_starts_settled_at_the_onset(joint) -> None:
     creep = {"effects.creep.share_1": 0.1, "effects.creep.time": 3.0}
-    late = replace(joint, onset=5.0)
+    late = replace(joint, span=Span(5.0))
     point = Point(joint.origin.theta, creep)
     shown, states = late.simulated(point, whole=True), late.states(point)[0]
     assert np.isfinite(shown[:, 2:]).all() and np.isfinite(states).all()
     assert np.allclose(states[5000, 4:], states[4999, 4:], rtol=0.05)
+
+
+def test_an_effect_that_ends_leaves_what_it_left_and_no_more(joint) -> None:
+    def shown(spans: dict[str, Span], effects: dict[str, float]) -> np.ndarray:
+        return replace(joint, spans=spans).simulated(Point(joint.origin.theta, effects), whole=True)
+
+    offset = {"effects.pressure_sensor.offset_1": 5e3}
+    without, both = (
+        shown({}, {}),
+        shown({"leak": Span(3.0, 6.0), "pressure_sensor": Span(8.0, 9.0)}, {**LEAK, **offset}),
+    )
+    apart = np.abs(both[:, 2] - without[:, 2])
+    assert apart[:3000].max() == 0.0
+    assert apart[4000:6000].min() > 1e3
+    # The chamber fills again; the sensor is right at once.
+    assert apart[7900] < 0.6 * apart[5999]
+    steps = np.diff(both[:, 2] - without[:, 2])
+    assert steps[[7999, 8999]] == pytest.approx([5e3, -5e3], abs=100.0)
+
+
+def test_long_steps_see_the_same_phases(joint) -> None:
+    late = replace(joint, spans={"leak": Span(3.0, 6.0)})
+    point = Point(joint.origin.theta, LEAK)
+    moved = Point(joint.origin.theta, {"effects.leak.area_1": 3.1e-8})
+    (coarse,) = late.differences(point, late.residual(point), [moved])
+    fine = late.residual(moved) - late.residual(point)
+    assert np.max(np.abs(coarse - fine)) < 0.1 * np.max(np.abs(fine))
+
+
+def test_what_was_held_out_is_named_in_seconds(joint) -> None:
+    block = joint.trial.block
+    split = in_turn(600, 2, 150.0, 10, 0)[1]
+    parted = replace(joint, fitted=600 * block, split=split)
+    assert parted.held_parts == (Span(3.0, 6.0), Span(9.0, 12.0))
+    assert parted.held_samples.sum() == 6000
+    assert joint.held_parts == (Span(joint.fitted * joint.trial.dt, 12.0),)
