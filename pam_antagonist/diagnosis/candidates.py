@@ -115,9 +115,18 @@ def held_out_evidence(experiment: Experiment, before: Fitted, after: Fitted) -> 
         before: its model with fewer free parameters.
         after: its model with more.
     """
-    old, new = (experiment.held(experiment.residual(f.point, whole=True)) for f in (before, after))
-    gain = float(before.scale.misfits(old).sum() - before.scale.misfits(new).sum())
-    return before.scale.share * gain
+    return likelier(before.scale, *(experiment.held(experiment.residual(f.point, whole=True)) for f in (before, after)))
+
+
+def likelier(scale: Scale, before: Floats, after: Floats) -> float:
+    """Twice the logarithm of how much likelier one residual is than another one, where nothing was fitted.
+
+    Args:
+        scale: of the model with fewer free parameters.
+        before: residual (B, C) of that model.
+        after: of the one with more.
+    """
+    return scale.share * float(scale.misfits(before).sum() - scale.misfits(after).sum())
 
 
 def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) -> dict[str, Score]:

@@ -25,6 +25,8 @@ _QUARTERS = (0, 3, 1, 2)
 """Quarters of a recording on which a model is tried that nothing has bent yet, in this order."""
 _BUFFER = 1.0
 """[s] Next to the part above noise that is not fitted: one independent error."""
+_LEAST_REST = 0.2
+"""Share of a recording that is at its noise, at least: the base parameters are fitted to it."""
 _ROUNDS = 4
 
 
@@ -71,12 +73,15 @@ def first_change(experiment: Experiment, fitted: Fitted) -> Change | None:
         span, block = found, np.arange(len(residual))
         buffer = round(_BUFFER / trial.block_s)
         rest = (block < begin - buffer) | (block >= end + buffer)
-        if 4 * np.sum(rest) < len(rest):
+        if np.mean(rest) < _LEAST_REST:
             return None
         again = refit(_on(experiment, rest), point, fitted.free, rounds=_ROUNDS, renewals=2, blocks_per_error=1.0)
         point = again.point
-    left = experiment.residual(point, whole=True)
-    return Change(span, point) if span.edges and is_noise(experiment, left[rest]) else None
+    if not span.edges:
+        return None
+    # What a chamber lost comes back in seconds: next to the part, a little is left of what was in it.
+    left = experiment.times_noise(experiment.residual(point, whole=True)[rest])
+    return Change(span, point) if np.max(left) < thresholds.AT_NOISE else None
 
 
 def above_noise(residual: Floats, noise: Floats) -> tuple[int, int]:

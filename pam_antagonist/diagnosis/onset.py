@@ -24,7 +24,7 @@ from pam_antagonist.diagnosis.selection import Selection, select
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
-from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit, relinearised
+from pam_antagonist.inference.gauss_newton import Fitted, Linear, Near, cost_of, refit, relinearised
 from pam_antagonist.inference.valve_driven import ValveDriven
 
 _THIRDS = 3
@@ -37,6 +37,10 @@ _STEP, _LEAST_STEP = 0.8, 0.02
 """[s] Of the search for an edge: the first, and the last."""
 _WIDEST = 0.1
 """Share of a recording: an edge is not known to less."""
+_SELECTIONS = 2
+_FAR = 1.0
+"""[s] Effects are selected once more where an edge turns out to be farther away than this: what was lost while an
+effect acted comes back slowly, so that its end looks late."""
 _ROUNDS = 4
 _SAME = 3.0
 """Standard deviations: edges of two recordings that differ by less are one."""
@@ -154,33 +158,42 @@ def _beside(
             break
         parts = parts or {e.trial.name: c.span for e, c in zip(now, changes, strict=True) if c is not None}
         starts = [f.point if c is None else c.point for f, c in zip(model.fits, changes, strict=True)]
-        now = [_parted(e, THROUGHOUT if c is None else c.span, model) for e, c in zip(now, changes, strict=True)]
-        quiet = _fitted(now, [Point(point.theta) for point in starts], [() for _ in now], jobs)
-        before = quiet if not model.effects else _fitted(now, starts, [fitted.free for fitted in model.fits], jobs)
-        first = explained.remaining_residuals(now, quiet.fits) if model.effects else ()
-        selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first)
-        new = selection.model.effects[len(model.effects) :]
-        if not new:
-            break
-        progress("when it begins and ends")
-        refined = in_threads(delayed(_refined)(*pair) for pair in zip(now, selection.model.fits, strict=True))
-        refined = in_threads(
-            delayed(_best_of_recordings)(one, point, [other for other in refined if other is not one])
-            for one, point in zip(refined, starts, strict=True)
-        )
+        spans = [THROUGHOUT if change is None else change.span for change in changes]
+        for _ in range(_SELECTIONS):
+            now = [_parted(experiment, span, model) for experiment, span in zip(now, spans, strict=True)]
+            quiet = _fitted(now, [Point(point.theta) for point in starts], [() for _ in now], jobs)
+            before = quiet if not model.effects else _fitted(now, starts, [fitted.free for fitted in model.fits], jobs)
+            first = explained.remaining_residuals(now, quiet.fits) if model.effects else ()
+            selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first)
+            new = selection.model.effects[len(model.effects) :]
+            if not new:
+                return found, parts
+            progress("when it begins and ends")
+            refined = in_threads(delayed(_refined)(*pair) for pair in zip(now, selection.model.fits, strict=True))
+            refined = in_threads(
+                delayed(_best_of_recordings)(one, point, [other for other in refined if other is not one])
+                for one, point in zip(refined, starts, strict=True)
+            )
+            known, spans = spans, [one.experiment.span for one in refined]
+            if all(_is_near(*pair) for pair in zip(known, spans, strict=True)):
+                break
         now = [
             replace(one.experiment, spans={**one.experiment.spans, **dict.fromkeys(new, one.experiment.span)},
                     span=THROUGHOUT)
             for one in refined
         ]  # fmt: skip
         model = Model(selection.model.effects, tuple(one.fitted for one in refined))
-        for known, one in zip(dates, refined, strict=True):
-            known.update({} if one.dated is None else dict.fromkeys(new, one.dated))
+        for when, one in zip(dates, refined, strict=True):
+            when.update({} if one.dated is None else dict.fromkeys(new, one.dated))
         tried += selection.tried
         base = _fitted(now, [fitted.point for fitted in quiet.fits], [() for _ in now], jobs)
         changed = replace(group, experiments=tuple(now))
-        found = Changing(changed, Selection(base, model, tuple(tried)), tuple(dict(known) for known in dates))
+        found = Changing(changed, Selection(base, model, tuple(tried)), tuple(dict(when) for when in dates))
     return found, parts
+
+
+def _is_near(one: Span, other: Span) -> bool:
+    return all(a == b or abs(a - b) <= _FAR for a, b in zip(one, other, strict=True))
 
 
 def _at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
@@ -227,43 +240,43 @@ def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
     acting = any(experiment.span_of(path.split(".")[1]) == experiment.span for path in fitted.point.effects)
     if not experiment.span.edges or not acting:
         return _Refined(experiment, fitted, None)
-    whole = replace(experiment, split=None)
     pace = fitted.scale.blocks_per_error
-    base = whole.jacobian(fitted.point, whole.residual(fitted.point))
-    best = refit(whole, fitted.point, fitted.free, base, _ROUNDS, 0, pace, careful=2)
-    span, stds = experiment.span, [0.0, 0.0]
+    linear = Linear.of(replace(experiment, split=None), fitted)
+    span, stds, best = experiment.span, [0.0, 0.0], linear.on(np.ones(len(linear.residual), dtype=bool))
     for k, edge in enumerate(span):
         if np.isfinite(edge):
-            span, best, stds[k] = _edge(whole, span, k, best, base)
+            span, best, stds[k] = _edge(linear, span, k, best)
     moved = replace(experiment, span=span)
-    again = refit(moved, best.point, best.free, rounds=_ROUNDS, renewals=1, blocks_per_error=pace, careful=2)
+    again = refit(moved, best.point, fitted.free, rounds=_ROUNDS, renewals=1, blocks_per_error=pace, careful=2)
     if np.max(moved.times_noise(again.residual)) < thresholds.CLEAN and pace > 1.0:
         finer = refit(moved, again.point, again.free, renewals=2, blocks_per_error=1.0, careful=0)
         again = finer if np.max(moved.times_noise(finer.residual)) < thresholds.AT_NOISE else again
     return _Refined(moved, relinearised(moved, again), Dated(span, (stds[0], stds[1])))
 
 
-def _edge(whole: Experiment, span: Span, k: int, best: Fitted, base: np.ndarray) -> tuple[Span, Fitted, float]:
+def _edge(linear: Linear, span: Span, k: int, best: Near) -> tuple[Span, Near, float]:
     """The most likely place of one edge of a span, the model there, and its standard deviation [s].
 
     Args:
-        whole: the recording, all of it fitted.
+        linear: the model of all of the recording, with derivatives that serve for other edges as well.
         span: where to start.
         k: 0 for its begin, 1 for its end.
         best: the model there.
-        base: derivatives of the residual by the base coordinates nearby.
     """
-    done: dict[float, Fitted] = {}
-    scale = best.scale
+    done: dict[float, Near] = {}
+    trial, everything = linear.experiment.trial, np.ones(len(linear.residual), dtype=bool)
 
-    def at(time: float, near: Fitted) -> Fitted:
+    def at(time: float, near: Near) -> Near:
         key = round(time / _LEAST_STEP) * _LEAST_STEP
         if key not in done:
-            moved = replace(whole, span=_with(span, k, key))
-            done[key] = refit(moved, near.point, near.free, base, _ROUNDS, 0, scale.blocks_per_error, careful=2)
+            moved = replace(linear.experiment, span=_with(span, k, key))
+            start = replace(linear.fitted, point=near.point)
+            done[key] = replace(
+                linear, experiment=moved, fitted=start, residual=moved.residual(near.point)
+            ).on(everything)  # fmt: skip
         return done[key]
 
-    last = len(whole.trial) * whole.trial.dt
+    last = len(trial) * trial.dt
     low, high = (0.0, min(span.end_s, last)) if k == 0 else (max(span.begin_s, 0.0), last)
     time, step = span[k], _STEP
     best = at(time, best)
@@ -275,7 +288,7 @@ def _edge(whole: Experiment, span: Span, k: int, best: Fitted, base: np.ndarray)
         else:
             step /= 2.0
     time = round(time / _LEAST_STEP) * _LEAST_STEP
-    scale, width, rise = best.scale, _LEAST_STEP, 0.0
+    scale, width, rise = linear.fitted.scale, _LEAST_STEP, 0.0
     weights = scale.blocks_per_error / scale.length
     while width < _WIDEST * last:
         sides = (scale.misfits(at(time + way * width, best).residual) for way in (-1.0, 1.0))
@@ -302,7 +315,7 @@ def _best_of_recordings(own: _Refined, start: Point, others: Sequence[_Refined])
     """
     best = own
     for other in others:
-        if own.dated is None or other.dated is None:
+        if own.dated is None or other.dated is None or other.dated.is_like(own.dated):
             continue
         moved = replace(own.experiment, span=other.dated.span)
         shown = Point(start.theta, {**start.effects, **other.fitted.point.effects})

@@ -1,9 +1,9 @@
 """How firm a found effect is: whether it is supported wherever a recording is split.
 
 The recording is held out in five parts in turn. In each split the model with the effect and the model without it are
-fitted again to what is not held out, from where they were. What is held out then decides between them. Between the two
-lies a buffer as long as the memory of the residual: what is next to a fitted block is no prediction (Burman, Chow and
-Nolan 1994).
+fitted again to what is not held out, from where they were and with the derivatives there. What is held out then decides
+between them. Between the two lies a buffer as long as the memory of the residual: what is next to a fitted block is no
+prediction (Burman, Chow and Nolan 1994).
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.candidates import Model, held_out_evidence
+from pam_antagonist.diagnosis.candidates import Model, likelier
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.gauss_newton import Fitted, Linear
 from pam_antagonist.inference.trial import Split
 
 Floats = NDArray[np.float64]
@@ -28,8 +28,6 @@ _LENGTH = 10.0
 """[s] About so much of a long recording is held out at once."""
 _MOST_BUFFER = 3.0
 """[s] Between what is fitted and what is held out, however long the residual's memory is."""
-_ROUNDS = 4
-"""Of fits that start next to their ends; the derivatives by the base parameters are those of all data."""
 
 
 def in_turn(
@@ -115,40 +113,28 @@ def firmness(
         jobs: threads.
     """
     splits = [_splits(*pair, model.effects) for pair in zip(experiments, model.fits, strict=True)]
-    wholes = [_whole(experiment) for experiment in experiments]
     fits = {"": model, **without}
-    shown = [
-        (name, r)
-        for name, one in fits.items()
-        for r in range(len(experiments))
-        if not name or one.fits[r] is not model.fits[r]
-    ]
+    differ = {name: [r for r, old in enumerate(one.fits) if old is not model.fits[r]] for name, one in without.items()}
+    shown = [("", r) for r in sorted(set().union(*differ.values()))]
+    shown += [(name, r) for name, recordings in differ.items() for r in recordings]
 
-    def jacobian(name: str, r: int) -> Floats:
-        point = fits[name].fits[r].point
-        return wholes[r].jacobian(point, wholes[r].residual(point))
+    def linear(name: str, r: int) -> Linear:
+        return Linear.of(_whole(experiments[r]), fits[name].fits[r])
 
-    def fitted_again(name: str, r: int, k: int) -> Fitted:
-        fitted, split = fits[name].fits[r], splits[r][k]
-        base = columns[name, r][split.fitted]
-        pace = fitted.scale.blocks_per_error
-        return refit(
-            replace(wholes[r], split=split), fitted.point, fitted.free, base, _ROUNDS, 0, pace, careful=2
-        )  # fmt: skip
+    def held(name: str, r: int, k: int) -> Floats:
+        return starts[name, r].on(splits[r][k].fitted).residual[splits[r][k].held]
 
     in_threads = Parallel(n_jobs=jobs, prefer="threads")
-    columns = dict(zip(shown, in_threads(delayed(jacobian)(*which) for which in shown), strict=True))
+    starts = dict(zip(shown, in_threads(delayed(linear)(*which) for which in shown), strict=True))
     tasks = [(name, r, k) for name, r in shown for k in range(SPLITS)]
-    again = dict(zip(tasks, in_threads(delayed(fitted_again)(*task) for task in tasks), strict=True))
+    left = dict(zip(tasks, in_threads(delayed(held)(*task) for task in tasks), strict=True))
 
     def evidence(name: str, k: int) -> float:
-        pairs = [(r, again[name, r, k], again["", r, k]) for r in range(len(experiments)) if (name, r) in columns]
-        return sum(held_out_evidence(replace(wholes[r], split=splits[r][k]), *pair) for r, *pair in pairs)
+        scales = {r: fits[name].fits[r].scale for r in differ[name]}
+        return sum(likelier(scale, left[name, r, k], left["", r, k]) for r, scale in scales.items())
 
-    judged = [(name, k) for name in without for k in range(SPLITS)]
-    values = dict(zip(judged, in_threads(delayed(evidence)(*one) for one in judged), strict=True))
-    held = tuple(_held(experiments[0], split) for split in splits[0])
-    return {name: Firmness(tuple(values[name, k] for k in range(SPLITS)), held) for name in without}
+    parts = tuple(_held(experiments[0], split) for split in splits[0])
+    return {name: Firmness(tuple(evidence(name, k) for k in range(SPLITS)), parts) for name in without}
 
 
 def _whole(experiment: Experiment) -> Experiment:

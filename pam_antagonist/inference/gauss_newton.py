@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,13 @@ from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.likelihood import Scale, Step, solve
+from pam_antagonist.inference.split import Mask
 
 Floats = NDArray[np.float64]
 
 _ROUNDS = 14
+_PART_ROUNDS = 4
+"""Likewise of a fit to a part of a recording that was fitted already."""
 _ENOUGH = 0.5
 _ENOUGH_OF_ALL = 2e-3
 """A step is the last one that gains less than these: in −2 log posterior, and of what was gained before."""
@@ -206,6 +210,78 @@ def _step(
         return replace(bold, theta=share * bold.theta, effect=share * bold.effect)
     damping = _CAREFUL[number - len(_STEP_LENGTHS)]
     return solve(*linear, scale, experiment.prior, point.theta, rounds=1, held=held, damping=damping)
+
+
+class Near(NamedTuple):
+    """A fit from a point nearby.
+
+    Attributes:
+        point: where it is.
+        residual: of all blocks (B, C).
+        cost: −2 log posterior of what was fitted, up to a constant.
+    """
+
+    point: Point
+    residual: Floats
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A model of all of a recording with its derivatives, from which fits to parts of it start.
+
+    Attributes:
+        experiment: the recording, all of it fitted.
+        fitted: the model, fitted to any part of it.
+        residual: it leaves (B, C).
+        base: derivatives of the residual by the base coordinates (B, C, K + S).
+        effect: likewise by the effects' coordinates (B, C, m).
+    """
+
+    experiment: Experiment
+    fitted: Fitted
+    residual: Floats
+    base: Floats
+    effect: Floats
+
+    @classmethod
+    def of(cls, experiment: Experiment, fitted: Fitted) -> Linear:
+        """A model with its derivatives.
+
+        Args:
+            experiment: the recording, all of it fitted.
+            fitted: the model, fitted to any part of it.
+        """
+        residual = experiment.residual(fitted.point)
+        effect = effect_jacobian(experiment, fitted.point, residual, fitted.free)
+        return cls(experiment, fitted, residual, experiment.jacobian(fitted.point, residual), effect)
+
+    def on(self, part: Mask) -> Near:
+        """The fit to a part of the blocks.
+
+        Each step has the derivatives of the start and is checked by a simulation. Parts differ by little, so that this
+        is the most probable model or near it; a step that leads nowhere is not taken.
+
+        Args:
+            part: which blocks are fitted (B,).
+        """
+        point, residual, scale = self.fitted.point, self.residual, self.fitted.scale
+        cost = cost_of(self.experiment, point, residual[part], scale)
+        for _ in range(_PART_ROUNDS):
+            linear = residual[part], self.base[part], self.effect[part]
+            for number in range(len(_STEP_LENGTHS) + len(_CAREFUL)):
+                step = _step(self.experiment, point, self.fitted.free, linear, scale, number)
+                moved = _moved(point, self.fitted.free, step.theta, step.effect)
+                left = self.experiment.residual(moved)
+                new = cost_of(self.experiment, moved, left[part], scale)
+                if new < cost:
+                    break
+            else:
+                break
+            gain, point, residual, cost = cost - new, moved, left, new
+            if gain < _ENOUGH:
+                break
+        return Near(point, residual, cost)
 
 
 def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
