@@ -124,7 +124,7 @@ def likelier(scale: Scale, before: Floats, after: Floats) -> float:
     Args:
         scale: of the model with fewer free parameters.
         before: residual (B, C) of that model.
-        after: of the one with more.
+        after: residual (B, C) of the one with more.
     """
     return scale.share * float(scale.misfits(before).sum() - scale.misfits(after).sum())
 

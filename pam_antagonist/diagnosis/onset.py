@@ -164,7 +164,9 @@ def _beside(
             quiet = _fitted(now, [Point(point.theta) for point in starts], [() for _ in now], jobs)
             before = quiet if not model.effects else _fitted(now, starts, [fitted.free for fitted in model.fits], jobs)
             first = explained.remaining_residuals(now, quiet.fits) if model.effects else ()
-            selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first)
+            # One effect at a time: another one that acts then is found in what is still above noise.
+            most = len(model.effects) + 1
+            selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first, most)
             new = selection.model.effects[len(model.effects) :]
             if not new:
                 return found, parts

@@ -79,6 +79,7 @@ def select(
     checkpoint: Checkpoint,
     before: Sequence[explained.Residuals] = (),
     calibrate: bool = False,
+    most: int = thresholds.MOST_EFFECTS,
 ) -> Selection:
     """Add effects, and calibrations of the recordings, while one is worth taking.
 
@@ -91,13 +92,14 @@ def select(
         before: what was left before an effect that is in the experiments already, and is the first one then; default:
             what the recalibrated model leaves.
         calibrate: whether zeros, scales and late stamps may be found as well.
+        most: effects at most, with those that are in the model already.
     """
     # Experiments may have an effect in them already; a model may as well.
     begin = 2 if before and not base.effects else 1
     model, tried, weighed = base, list[TriedCandidate](), list[TriedCandidate]()
     rivals: dict[str, tuple[str, ...]] = {}
     first = before or explained.remaining_residuals(experiments, base.fits)
-    while (number := len(model.effects) + begin) <= thresholds.MOST_EFFECTS:
+    while (number := len(model.effects) + begin) <= most:
         if explained.at_noise(experiments, model):
             break
         found = _round(experiments, first, model, number, jobs, progress, checkpoint)
