@@ -17,7 +17,7 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.stretches import clearest, fitted_to_all
 from pam_antagonist.inference.experiment import Experiment, Point, Span
 from pam_antagonist.inference.gauss_newton import Fitted, refit
-from pam_antagonist.inference.split import Mask, Split
+from pam_antagonist.inference.trial import Mask, Split
 
 Floats = NDArray[np.float64]
 

@@ -22,6 +22,7 @@ from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect, Judged
 from pam_antagonist.diagnosis.selection import Selection, select
 from pam_antagonist.diagnosis.splits import in_turn
+from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, Linear, Near, cost_of, refit, relinearised
@@ -161,13 +162,13 @@ def _beside(
         spans = [THROUGHOUT if change is None else change.span for change in changes]
         for _ in range(_SELECTIONS):
             now = [_parted(experiment, span, model) for experiment, span in zip(now, spans, strict=True)]
-            quiet = _fitted(now, [Point(point.theta) for point in starts], [() for _ in now], jobs)
+            quiet = _fitted(now, *_without_effects(starts, model), jobs)
             before = quiet if not model.effects else _fitted(now, starts, [fitted.free for fitted in model.fits], jobs)
             first = explained.remaining_residuals(now, quiet.fits) if model.effects else ()
             # One effect at a time: another one that acts then is found in what is still above noise.
             most = len(model.effects) + 1
-            selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first, most)
-            new = selection.model.effects[len(model.effects) :]
+            selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first, most=most)
+            new = [name for name in selection.model.effects if name not in model.effects]
             if not new:
                 return found, parts
             progress("when it begins and ends")
@@ -188,7 +189,7 @@ def _beside(
         for when, one in zip(dates, refined, strict=True):
             when.update({} if one.dated is None else dict.fromkeys(new, one.dated))
         tried += selection.tried
-        base = _fitted(now, [fitted.point for fitted in quiet.fits], [() for _ in now], jobs)
+        base = _fitted(now, *_without_effects([fitted.point for fitted in quiet.fits], model), jobs)
         changed = replace(group, experiments=tuple(now))
         found = Changing(changed, Selection(base, model, tuple(tried)), tuple(dict(when) for when in dates))
     return found, parts
@@ -208,7 +209,8 @@ def _parted(experiment: Experiment, span: Span, model: Model) -> Experiment:
     """A recording with a span for further effects, and with blocks held out in turn on either side of every edge."""
     trial = experiment.trial
     now = replace(experiment, span=span)
-    edges = [round(edge / trial.block_s) for edge in sorted({*now.edges(model.effects), *span.edges})]
+    known = {edge for name in model.effects for edge in now.span_of(name).edges}
+    edges = [round(edge / trial.block_s) for edge in sorted({*known, *span.edges})]
     length, buffer = _HELD_LENGTH / trial.block_s, round(_BUFFER / trial.block_s)
     count = len(trial) // trial.block
     split = in_turn(count, _THIRDS, length, buffer, experiment.errors_from, edges)[-1]
@@ -230,6 +232,15 @@ def _fitted(
     return Model((), tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*task) for task in tasks)))
 
 
+def _without_effects(
+    points: Sequence[Point], model: Model
+) -> tuple[list[Point], list[tuple[FreeEffectParameter, ...]]]:
+    """Points without effects, and what stays free there: the recordings' calibrations."""
+    free = [tuple(one for one in fitted.free if is_calibration(one.path)) for fitted in model.fits]
+    kept = [{path: value for path, value in point.effects.items() if is_calibration(path)} for point in points]
+    return [Point(point.theta, values) for point, values in zip(points, kept, strict=True)], free
+
+
 def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
     """The most likely begin and end of one recording's new effects, by the likelihood with all else fitted again.
 
@@ -239,8 +250,7 @@ def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
         experiment: with the span of the change.
         fitted: its model.
     """
-    acting = any(experiment.span_of(path.split(".")[1]) == experiment.span for path in fitted.point.effects)
-    if not experiment.span.edges or not acting:
+    if not set(experiment.span.edges) & set(experiment.edges(fitted.point)):
         return _Refined(experiment, fitted, None)
     pace = fitted.scale.blocks_per_error
     linear = Linear.of(replace(experiment, split=None), fitted)

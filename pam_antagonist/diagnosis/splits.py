@@ -112,7 +112,7 @@ def firmness(
         without: the model without each of the effects, fitted again.
         jobs: threads.
     """
-    splits = [_splits(*pair, model.effects) for pair in zip(experiments, model.fits, strict=True)]
+    splits = [_splits(*pair) for pair in zip(experiments, model.fits, strict=True)]
     fits = {"": model, **without}
     differ = {name: [r for r, old in enumerate(one.fits) if old is not model.fits[r]] for name, one in without.items()}
     shown = [("", r) for r in sorted(set().union(*differ.values()))]
@@ -142,11 +142,11 @@ def _whole(experiment: Experiment) -> Experiment:
     return replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), split=None, judged=())
 
 
-def _splits(experiment: Experiment, fitted: Fitted, effects: Sequence[str]) -> tuple[Split, ...]:
-    """The splits of a recording with effects, with buffers as long as the memory of its model's residual."""
+def _splits(experiment: Experiment, fitted: Fitted) -> tuple[Split, ...]:
+    """The splits of a recording, with buffers as long as the memory of its model's residual."""
     block = experiment.trial.block_s
     buffer = round(min(float(fitted.scale.length.max()), _MOST_BUFFER / block))
-    edges = [round(edge / block) for edge in experiment.edges(effects)]
+    edges = [round(edge / block) for edge in experiment.edges(fitted.point)]
     return in_turn(
         len(experiment.trial) // experiment.trial.block, SPLITS, _LENGTH / block, buffer, experiment.errors_from, edges
     )  # fmt: skip

@@ -14,7 +14,7 @@ from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.likelihood import Scale, Step, solve
-from pam_antagonist.inference.split import Mask
+from pam_antagonist.inference.trial import Mask
 
 Floats = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 CHANNELS = ("angle", "torque", "pressure_1", "pressure_2")
 """Columns of measurements and predictions: [rad, N m, Pa, Pa]."""
@@ -45,8 +46,8 @@ class Split:
         errors_from: sample from which on errors are shown in a report.
     """
 
-    fitted: NDArray[np.bool_]
-    held: NDArray[np.bool_]
+    fitted: Mask
+    held: Mask
     errors_from: int
 
 

@@ -33,7 +33,7 @@ def residuals(found: Diagnosis) -> tuple[Figure, ...]:
         )
         x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * trial.block_s
         title = f"{trial.name} (joint {trial.joint})"
-        edges = experiment.edges(experiment.spans)
+        edges = experiment.edges(part.points["extended"])
         if edges:
             about += f" At the line{'s' if len(edges) > 1 else ''} an effect begins or ends."
         held: tuple[Span, ...] = () if part.role == "fitted" else experiment.held_parts
