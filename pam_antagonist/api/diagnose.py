@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+_MARGIN = 1.05
+"""Errors within this ratio of each other are called equal, as in a replay's findings."""
+
+
 @dataclass(frozen=True, eq=False)
 class DiagnoseResult(Diagnosis):
     """The answer, see :class:`pam_antagonist.diagnosis.Diagnosis`, and what was asked.
@@ -49,12 +53,29 @@ class DiagnoseResult(Diagnosis):
         """The numbers of ``report.json``."""
         return numbers.report(self, self.start, self.hashes, self.seed, self.kept, self.typed)
 
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Where nothing was explained: what the recalibrated model does worse on held-out data than the rig file.
+
+        Such a rig is not written.
+        """
+        if self.verdict != "unexplained":
+            return ()
+        before, now = self.errors.as_configured, self.errors.extended
+        pairs = [("angle", a.rmse, b.rmse, "°") for a, b in ((before.angle, now.angle),) if a and b]
+        pairs += [("torque", a.rmse, b.rmse, " N m") for a, b in ((before.torque, now.torque),) if a and b]
+        pressures = zip(before.rmse_pa, now.rmse_pa, strict=True)
+        pairs += [(f"pressure {k}", a / 1e3, b / 1e3, " kPa") for k, (a, b) in enumerate(pressures, 1)]
+        return tuple(f"{name} {b:.3g}{unit} off, {a:.3g}{unit} before" for name, a, b, unit in pairs if b > _MARGIN * a)
+
     def summary(self) -> str:
         """The tables that the command prints."""
         return terminal.render(summary(self.report))
 
     def save(self, path: str | Path, figures: bool = True) -> Path:
         """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
+
+        Where nothing was explained and the recalibrated rig is :attr:`worse` than the one given, no rig is written.
 
         Args:
             path: of a new folder.
@@ -67,7 +88,8 @@ class DiagnoseResult(Diagnosis):
             BadInput: it exists already, or cannot be written.
         """
         with output_folder(Path(path)) as folder:
-            self._write_rigs(folder)
+            if not self.worse:
+                self._write_rigs(folder)
             write_report(folder, self.report, self, with_figures=figures)
         return Path(path)
 

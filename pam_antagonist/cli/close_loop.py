@@ -33,7 +33,8 @@ its own (--holdout), is kept to judge by. A rig whose valves are sealed wants a 
 fro by a known torque (docs/evidence/sealed_joint.md).
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
-recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values.
+recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. Where nothing is explained and the
+recalibrated rig would be worse than the one given, no rig is written.
 Status: 0 done (whatever the verdict), 2 bad input (one line says what and where).
 """
 _EXAMPLES = """\
@@ -79,6 +80,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
+    with common.json_beside(arguments):
+        return _run(arguments, argv)
+
+
+def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
     rig = load_rig(arguments.rig)
@@ -108,8 +114,11 @@ def _main(argv: Sequence[str] | None) -> int:
     found.save(arguments.out, figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
     print(found.summary())
-    given.announce_output(arguments, "rig_extended.yaml")
-    if (arguments.out / "rig_extended.yaml").exists():
+    if found.worse:
+        print(f"\nno rig_extended.yaml: without an effect it would be worse than {rig.name} ({'; '.join(found.worse)})")
+        common.announce_report(arguments, arguments.out)
+    else:
+        given.announce_output(arguments, "rig_extended.yaml")
         print(common.next_command("replay", arguments.bags, f"--rig {arguments.out / 'rig_extended.yaml'} --out DIR"))
     return common.DONE
 

@@ -7,6 +7,7 @@ A command ends with status 0 (done), 2 (bad input or usage: one line on stderr, 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import os
 import shlex
@@ -226,6 +227,40 @@ def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
         rest: further arguments.
     """
     return f"next: {typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """``--json``, of a command that writes ``report.json``."""
+    parser.add_argument(
+        "--json", metavar="FILE",
+        help="write the content of report.json there as well; - for standard output, and the tables on standard error",
+    )  # fmt: skip
+
+
+@contextmanager
+def json_beside(arguments: argparse.Namespace) -> Iterator[None]:
+    """Around the work of a command: what ``--json`` asks for is given at its end.
+
+    Args:
+        arguments: of a command with :func:`add_json` and ``--out``.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    where: str | None = arguments.json
+    # Standard output is for JSON alone where it was asked for.
+    with contextlib.redirect_stdout(sys.stderr) if where == "-" else contextlib.nullcontext():
+        yield
+    if where is None:
+        return
+    text = (arguments.out / "report.json").read_text(encoding="utf-8")
+    if where == "-":
+        sys.stdout.write(text)
+        return
+    try:
+        Path(where).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{where}: cannot be written: {error.strerror}") from None
 
 
 def only_available_figures(arguments: argparse.Namespace) -> None:

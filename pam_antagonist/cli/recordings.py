@@ -36,6 +36,7 @@ def add_names_and_report(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
     common.add_recover(parser)
     add_corrections(parser)
+    common.add_json(parser)
     parser.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
     common.add_open(parser)
 

@@ -60,6 +60,7 @@ def parser() -> common.Parser:
     )  # fmt: skip
     common.add_recover(out)
     given.add_corrections(out)
+    common.add_json(out)
     out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
     common.add_open(out)
     return out
@@ -72,6 +73,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
+    with common.json_beside(arguments):
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     if arguments.save is not None:
         if len(arguments.bags) > 1:

@@ -67,6 +67,7 @@ def parser() -> common.Parser:
         help="muscle length at angle 0 [m], in place of the rig's geometry.length",
     )
     out.add_argument("--report-only", action="store_true", help="write no rig.yaml; then any muscle will do")
+    common.add_json(out)
     out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
     common.add_open(out)
     return out
@@ -105,6 +106,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
+    with common.json_beside(arguments):
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
     result = _worked_out(arguments)

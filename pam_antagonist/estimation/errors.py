@@ -25,6 +25,7 @@ class ChannelErrors:
         largest: largest absolute value.
         ratio: `largest` over the range of the measured signal.
         coverage95: share of the measured values in the filter's 95 % interval; None of a model without one.
+        width: half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
     """
 
     unit: Literal["deg", "nm"]
@@ -32,11 +33,13 @@ class ChannelErrors:
     largest: float
     ratio: float
     coverage95: float | None = None
+    width: float | None = None
 
     def to_json(self) -> dict[str, float]:
         """``rmse_deg`` or ``rmse_nm``, and so on."""
         out = {f"rmse_{self.unit}": self.rmse, f"max_{self.unit}": self.largest, "q": self.ratio}
-        return out if self.coverage95 is None else {**out, "coverage95": self.coverage95}
+        shown = {"coverage95": self.coverage95, "interval_over_rmse": self.width}
+        return out | {name: value for name, value in shown.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -95,14 +98,12 @@ def channel_errors(
     if measured is None or not np.isfinite(measured).any():
         return None
     error, scale = value - measured, math.degrees(1.0) if unit == "deg" else 1.0
-    coverage = None if variance is None else metrics.coverage(error, variance, reading)
-    return ChannelErrors(
-        unit,
-        metrics.rmse(error) * scale,
-        metrics.max_error(error) * scale,
-        metrics.estimation_ratio(error, measured),
-        coverage,
-    )
+    rmse, coverage, width = metrics.rmse(error), None, None
+    if variance is not None:
+        coverage = metrics.coverage(error, variance, reading)
+        width = metrics.rmse(metrics.interval_half_width(variance, reading)) / rmse if rmse > 0.0 else None
+    largest, ratio = metrics.max_error(error) * scale, metrics.estimation_ratio(error, measured)
+    return ChannelErrors(unit, rmse * scale, largest, ratio, coverage, width)
 
 
 def pressure_errors(measured: FloatArray, value: FloatArray) -> PressureErrors:

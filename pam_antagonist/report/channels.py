@@ -39,6 +39,10 @@ class Channel(NamedTuple):
 ANGLE, TORQUE = Channel("angle", "°"), Channel("torque", "N m")
 CHANNELS = (ANGLE, TORQUE)
 """What is estimated from the pressures."""
+HIGH_COVERAGE = 0.98
+"""Share of the measured values in a 95 % interval above which the interval may be wide."""
+WIDE = 2.0 * 1.96
+"""Half width of a 95 % interval over the RMS error above which it is called wide: the filter claims twice the error."""
 
 
 class Judged(NamedTuple):
@@ -58,6 +62,11 @@ class Judged(NamedTuple):
     def coverage(self) -> float:
         """Share of the measured values in the filter's 95 % interval."""
         return math.nan if self.ukf.coverage95 is None else self.ukf.coverage95
+
+    @property
+    def wide(self) -> bool:
+        """Whether the filter's 95 % interval is much wider than its errors."""
+        return self.coverage > HIGH_COVERAGE and self.ukf.width is not None and self.ukf.width > WIDE
 
 
 def judged(report: ReplayReport) -> list[Judged]:

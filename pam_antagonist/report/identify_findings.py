@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from pam_antagonist.report.channels import CHANNELS
+from pam_antagonist.report.channels import CHANNELS, HIGH_COVERAGE
 from pam_antagonist.report.document import Finding
 from pam_antagonist.report.held_out import HeldOut
 from pam_antagonist.report.identify_entries import IdentifyReport
 from pam_antagonist.report.table import number, percent
 
-_LOW, _HIGH = 0.92, 0.98
+_LOW, _HIGH = 0.92, HIGH_COVERAGE
 """Shares of measured values between which a 95 % interval is called honest on held-out data."""
 _WORSE = 1.2
 """Ratio of errors on held-out data from which the identified rig is called worse than the one it began with."""

@@ -119,9 +119,19 @@ def _honesty(known: Sequence[Judged]) -> list[Finding]:
     if not known:
         return []
     text = joined([f"{percent(item.coverage)} of the measured {item.channel.name}s" for item in known])
-    if min(item.coverage for item in known) >= HONEST_COVERAGE:
-        return [Finding("good", f"The filter's covariance is honest: its 95 % interval holds {text}.")]
-    return [Finding("warn", f"The filter's covariance is too small: its 95 % interval holds {text}.")]
+    if min(item.coverage for item in known) < HONEST_COVERAGE:
+        return [Finding("warn", f"The filter's covariance is too small: its 95 % interval holds {text}.")]
+    wide = [item for item in known if item.wide]
+    if wide:
+        times = joined([f"{number((item.ukf.width or 0.0) / 1.96, 2)} × ({item.channel.name})" for item in wide])
+        return [
+            Finding(
+                "note",
+                f"The filter's covariance is larger than needed: its 95 % interval holds {text} and is wide. Its "
+                f"standard deviation is {times} the RMS error.",
+            )
+        ]
+    return [Finding("good", f"The filter's covariance is honest: its 95 % interval holds {text}.")]
 
 
 def _innovations(report: ReplayReport) -> list[Finding]:

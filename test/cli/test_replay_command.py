@@ -64,6 +64,28 @@ def test_topics_may_have_other_names(bag: Path, tmp_path: Path, capsys: pytest.C
     assert crossed["ukf"]["angle"]["rmse_deg"] > 3.0 * straight["ukf"]["angle"]["rmse_deg"]
 
 
+def test_json_to_standard_output_and_the_estimate_beside_it(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [str(bag), "--rig", "shin2022", "--out", str(tmp_path / "out"), "--no-figures", "--json", "-"]
+    assert main([*arguments, "--save", str(tmp_path / "estimate.csv")]) == 0
+    printed = capsys.readouterr()
+    assert _strict(printed.out) == _strict((tmp_path / "out" / "report.json").read_text())
+    assert "angle" in printed.err and "estimate.csv" in printed.err
+    assert (tmp_path / "estimate.csv").read_text().startswith("stamp_ns,time_s,angle_rad,angle_std_rad,")
+
+
+@pytest.mark.parametrize(("save", "says"), [("estimate.txt", ".csv or .mcap"), ("there.csv", "exists")])
+def test_a_file_for_the_estimate_that_cannot_be_is_refused_first(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], save: str, says: str
+) -> None:
+    (tmp_path / "there.csv").write_text("precious")
+    arguments = [str(bag), "--rig", "shin2022", "--out", str(tmp_path / "out"), "--save", str(tmp_path / save)]
+    assert main(arguments) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_existing_output_is_not_touched(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "report.json").write_text("precious")
     assert main([str(bag), "--rig", "shin2022", "--out", str(tmp_path)]) == 2

@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import diagnose, findings, held_out
+from pam_antagonist.api.diagnose import DiagnoseResult
+from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
@@ -51,6 +52,24 @@ def test_the_extended_model_is_better_on_data_that_no_fit_saw(leaking) -> None:
 def test_the_extended_rig_can_be_read_again(leaking, tmp_path) -> None:
     write_rig(leaking.rig_extended, tmp_path / "rig.yaml")
     assert load_rig(tmp_path / "rig.yaml").effects["leak"]["area_1"] > 0.0
+
+
+def test_no_rig_is_written_that_explains_nothing_and_is_worse(rig, leaking, tmp_path) -> None:
+    fields = {item.name: getattr(leaking, item.name) for item in dataclasses.fields(Diagnosis)}
+    found = DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
+    found.save(tmp_path / "effect", figures=False)
+    assert (tmp_path / "effect" / "rig_extended.yaml").is_file() and not found.worse
+
+    errors = found.errors
+    worse = dataclasses.replace(errors.extended, rmse_pa=(1.0, 1.2 * errors.as_configured.rmse_pa[1]))
+    unexplained = dataclasses.replace(found, verdict="unexplained", errors=dataclasses.replace(errors, extended=worse))
+    (said,) = unexplained.worse
+    assert said.startswith("pressure 2 ")
+    unexplained.save(tmp_path / "nothing", figures=False)
+    assert sorted(path.name for path in (tmp_path / "nothing").iterdir()) == ["report.html", "report.json"]
+
+    better = dataclasses.replace(unexplained, errors=dataclasses.replace(errors, extended=errors.as_configured))
+    assert not better.worse
 
 
 def test_what_a_locked_joint_cannot_show_is_said(leaking) -> None:

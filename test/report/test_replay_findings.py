@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pam_antagonist.estimation import Counts
-from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors, PressureErrors
+from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors, PressureErrors, channel_errors
 from pam_antagonist.replays.live import LiveComparison
 from pam_antagonist.replays.result import FilterFacts, Innovation, JointFacts, RecordingFacts, ReplayReport, Timing
 from pam_antagonist.report.replay import errors_table, overview, tiles
@@ -49,6 +50,24 @@ def said(report: ReplayReport, status: str) -> str:
 def test_verdict(report: ReplayReport) -> None:
     known = "the estimator gives the angle to within 0.50° and the torque to within 0.10 N m (root mean square error)."
     assert verdict(report) == f"From the two pressures alone, {known}"
+
+
+def test_an_interval_ten_times_the_error_is_called_wide(report: ReplayReport) -> None:
+    def with_angle(coverage: float, width: float) -> ReplayReport:
+        return replace(report, ukf=replace(report.ukf, angle=replace(ANGLE, coverage95=coverage, width=width)))
+
+    wide = with_angle(1.0, 10.0 * 1.96)
+    assert "larger than needed" in said(wide, "note") and "10 × (angle)" in said(wide, "note")
+    assert "honest" not in said(wide, "good")
+    for right in (with_angle(0.96, 1.96), with_angle(1.0, 2.5)):  # 2.5: a constant error that stays inside
+        assert "honest" in said(right, "good") and "larger than needed" not in said(right, "note")
+
+
+def test_the_width_of_an_interval_is_measured() -> None:
+    error = np.tile([0.1, -0.1], 500)
+    found = channel_errors(np.zeros(1000), error, "nm", np.full(1000, 1.0))
+    assert found is not None and found.coverage95 == 1.0 and found.width == pytest.approx(19.6, rel=1e-3)
+    assert found.to_json()["interval_over_rmse"] == found.width
 
 
 def test_a_locked_joints_angle_is_no_achievement(report: ReplayReport) -> None:
