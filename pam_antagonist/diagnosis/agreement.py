@@ -2,8 +2,8 @@
 
 Every recording has base parameters and effects of its own. One rig for all of them weighs each by how well it knows
 them. Recordings of one rig may not differ by more than a rig does from day to day. The bound is wider than that of
-:func:`pam_antagonist.inference.joint_fit.check_same_rig`, which knows the spread between recordings: here each was fitted
-by itself, before its effects are known.
+:func:`pam_antagonist.inference.joint_fit.check_same_rig`, which knows the spread between recordings. Here each was
+fitted by itself, before its effects are known.
 """
 
 from __future__ import annotations
