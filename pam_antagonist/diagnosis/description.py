@@ -207,7 +207,8 @@ def _either_muscle(judged: Sequence[Judged]) -> list[str]:
             alone = ambiguity.either_muscle(driven, j.model.fits, effect.name)
             if alone is not None:
                 out.append(
-                    f"{effect.name}: both muscles alike is simplest, but muscle {alone} alone would do nearly as well"
+                    f"{effect.name}: the same size in both muscles is the simplest explanation, but muscle {alone} "
+                    "alone explains nearly as much"
                 )
     return out
 
@@ -298,7 +299,7 @@ def sentence(
     recalibrated, extended = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
     beside = f" The recordings need a calibration: {'; '.join(calibrated)}." if calibrated else ""
     others = "; ".join(_instead(name) for name in ambiguous)
-    doubts = f" These recordings do not exclude another cause: {others}." if others else ""
+    doubts = f" Not told apart: {others}." if others else ""
     if verdict == "none":
         return (
             f"The model lacks nothing that these recordings show.{beside} After {'calibration and ' if beside else ''}"
@@ -314,7 +315,8 @@ def sentence(
         )
         text += beside + (f" {firmness}." if firmness else "")
         if reference is not None:
-            text += f" A straight-line map of angle and pressures errs by {reference['angle_and_pressures']:.2g} N m."
+            straight = reference["angle_and_pressures"]
+            text += f" A straight-line map of angle and pressures has an error of {straight:.2g} N m."
         return text + doubts
     tried = [item for item in ranking if item.shares is not None and item.round == 1]
     best = max(tried, key=lambda item: item.shares[0] if item.shares else 0.0, default=None)

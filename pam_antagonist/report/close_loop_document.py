@@ -35,6 +35,8 @@ from pam_antagonist.report.document import (
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.report.units import readable
 
+_FEW_WORDS = 300
+"""Length of what the recordings cannot show up to which a terminal shows it."""
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
 
 
@@ -52,7 +54,10 @@ def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_f
 
 def summary(report: CloseLoopReport) -> tuple[Block, ...]:
     """What the terminal shows."""
-    notes = (*(Finding("warn", sentence(text)) for text in report.warnings), *_unseen(report))
+    unseen = _unseen(report)
+    if sum(len(item.text) for item in unseen) > _FEW_WORDS:
+        unseen = (Finding("note", "What these recordings cannot show is listed in the report."),)
+    notes = (*(Finding("warn", sentence(text)) for text in report.warnings), *unseen)
     return (
         Text(report.sentence),
         Findings((*calibration_findings(report), *notes)),
@@ -92,7 +97,7 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
         errors_table(report),
     ]
     if before_and_after[1:]:
-        others = "Residuals before and after, other recordings"
+        others = "More residuals before and after"
         parts.append(Section(others, before_and_after[1:], 2, "residual"))
     if report.calibration:
         parts.append(Section("Calibration", (calibration_table(report),), 2, "calibration"))
@@ -197,7 +202,7 @@ def sizes_table(report: CloseLoopReport) -> Table:
         )
         for effect in report.effects
         for name, size in effect.parameters.items()
-        for unit in [readable(size.unit)]
+        for unit in [readable(size.unit, size.value)]
     )
     return Table(("Parameter", "value", "std. error"), rows, "What was found")
 

@@ -65,7 +65,7 @@ def profiles(sizes: Sequence[SizeProfile]) -> tuple[Figure, ...]:
         if near.sum() < 3:
             near[:] = True
         x = np.linspace(values[near].min(), values[near].max(), 61)
-        unit = readable(item.unit)
+        unit = readable(item.unit, best)
         panel = profile_panel(
             f"{item.parameter} [{unit.name}]",
             "Rise of −2 log posterior [-]",

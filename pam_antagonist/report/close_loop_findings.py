@@ -39,7 +39,7 @@ _RECALIBRATED = (
     "file is not called an effect."
 )
 _RECALIBRATED_DRIVEN = (
-    "The base model after a fit as `identify` does it, without Coulomb friction. A hysteresis loop in the torque may "
+    "The base model after a fit as identify does it, without Coulomb friction. A hysteresis loop in the torque may "
     "come from the drive, the joint or the muscles, so each of these effects is tested."
 )
 _DRIVEN = (
@@ -114,8 +114,8 @@ def _of_parts(report: CloseLoopReport) -> list[Finding]:
                 Finding(
                     "note",
                     f"While the joint slides, the rig as configured has the smaller error ({number(before, 2)} N m, "
-                    f"extended {number(after, 2)} N m). The reason: `identify` fits sliding alone. Here all samples "
-                    "count, and no law predicts the torque while the joint sticks.",
+                    f"extended {number(after, 2)} N m). The reason: identify fits only the samples in which the joint "
+                    "slides. Here all samples count, and no law predicts the torque while the joint sticks.",
                 )
             )
         out += [

@@ -15,6 +15,7 @@ from pam_antagonist.report.identify_entries import Change
 from pam_antagonist.report.identify_findings import DEFINITIONS
 from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.table import MISSING, Table, number, percent
+from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.software import versions
 
 ASSUMED = (
@@ -29,9 +30,15 @@ ASSUMED = (
 
 @dataclass(frozen=True)
 class ValueChange(Change):
-    """A parameter before and after, and its standard error where it is known."""
+    """A parameter before and after.
+
+    Attributes:
+        std: its standard error; None where it is not known.
+        unit: SI unit of these numbers.
+    """
 
     std: float | None
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -138,7 +145,7 @@ def report(found: SealedIdentified, judged: Sequence[Judged]) -> SealedReport:
             StepEntry(
                 stage.name,
                 {
-                    name: ValueChange(found.start.value(name), value, stage.std.get(name))
+                    name: ValueChange(found.start.value(name), value, stage.std.get(name), unit_of(found.start, name))
                     for name, value in stage.values.items()
                 },
                 stage.residual,
@@ -251,12 +258,13 @@ def _values_table(numbers: SealedReport) -> Table:
     """The parameters that were found."""
     rows = tuple(
         (
-            name,
-            number(item.before, 5),
-            number(item.after, 5),
-            MISSING if item.std is None else number(item.std, 2),
+            f"{name} [{unit.name}]",
+            number(item.before * unit.scale, 5),
+            number(item.after * unit.scale, 5),
+            MISSING if item.std is None else number(item.std * unit.scale, 2),
         )
         for step in numbers.stages
         for name, item in step.values.items()
+        for unit in [readable(item.unit)]
     )
-    return Table(("Parameter, SI units", "as configured", "identified", "standard error"), rows)
+    return Table(("Parameter", "as configured", "identified", "standard error"), rows)

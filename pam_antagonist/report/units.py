@@ -36,17 +36,22 @@ _READABLE = {
     "rad": Unit("°", math.degrees(1.0)),
     "rad/s": Unit("°/s", math.degrees(1.0)),
 }
+_SMALL = 1e-9
+"""Areas below this [m²] are hardly readable in mm²."""
 _EFFECTS = {parameter_path(effect.name, item.name): item.unit for effect in CATALOGUE.values()
             for item in effect.parameters}  # fmt: skip
 
 
-def readable(unit: str) -> Unit:
+def readable(unit: str, value: float = math.inf) -> Unit:
     """The unit in which people read a quantity.
 
     Args:
         unit: SI unit of the quantity, as a rig file's description or an effect names it.
+        value: of the quantity, in that unit: a very small area is in µm².
     """
     written = re.sub(r"(?<=m)[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
+    if written == "m²" and abs(value) < _SMALL:
+        return Unit("µm²", 1e12)
     return _READABLE.get(written, Unit(written, 1.0))
 
 

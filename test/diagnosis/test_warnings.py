@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 from pam_antagonist.diagnosis import warnings
 from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
+from pam_antagonist.estimation.errors import ChannelErrors
 
 
 def test_an_experiment_that_tells_is_named() -> None:
@@ -12,15 +16,24 @@ def test_an_experiment_that_tells_is_named() -> None:
     assert "locked" in said["valve_offset"]
 
 
-def estimated(angle: float | None, torque: float) -> dict[str, object]:
-    return {"angle": None if angle is None else {"rmse_deg": angle}, "torque": {"rmse_nm": torque}}
+def estimated(angle: float | None, torque: float) -> SimpleNamespace:
+    return SimpleNamespace(
+        angle=None if angle is None else ChannelErrors("deg", angle, angle, 0.1, None),
+        torque=ChannelErrors("nm", torque, torque, 0.1, None),
+    )
+
+
+def recording(name: str, before: SimpleNamespace, after: SimpleNamespace) -> Any:
+    """The entry of a recording with the estimator's errors as configured and extended."""
+    return SimpleNamespace(recording=name, ukf=SimpleNamespace(as_configured=before, extended=after))
 
 
 def test_an_estimator_that_got_worse_is_told_with_its_numbers() -> None:
-    worse = {"recording": "free", "ukf": {"as_configured": estimated(0.07, 0.01), "extended": estimated(0.41, 0.011)}}
+    worse = recording("free", estimated(0.07, 0.01), estimated(0.41, 0.011))
     (said,) = warnings.estimator_worse([worse])
     assert "0.41°" in said and "0.07°" in said and "free" in said
-    locked = {"recording": "held", "ukf": {"as_configured": estimated(None, 0.02), "extended": estimated(None, 0.05)}}
+    locked = recording("held", estimated(None, 0.02), estimated(None, 0.05))
     assert "torque 0.05 N m" in warnings.estimator_worse([locked])[0]
-    better = {"recording": "free", "ukf": {"as_configured": estimated(0.4, 0.03), "extended": estimated(0.01, 0.01)}}
-    assert warnings.estimator_worse([better, {"recording": "fitted", "errors": None}]) == []
+    better = recording("free", estimated(0.4, 0.03), estimated(0.01, 0.01))
+    fitted: Any = SimpleNamespace(recording="fitted", ukf=None)
+    assert warnings.estimator_worse([better, fitted]) == []

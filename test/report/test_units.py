@@ -27,4 +27,5 @@ def test_a_parameter_is_shown_in_a_unit_for_people(name: str, unit: str, shown: 
 
 def test_effects_have_units_too() -> None:
     assert unit_of(load_rig("shin2022"), "effects.leak.area_1") == "m2"
-    assert readable("m2") == ("mm²", 1e6)
+    assert readable("m2") == readable("m2", 1.2e-9) == ("mm²", 1e6)
+    assert readable("m2", 3.7e-12) == ("µm²", 1e12)

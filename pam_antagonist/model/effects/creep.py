@@ -92,7 +92,7 @@ EFFECT = Effect(
     sealed=SealedJoint(
         part="balance",
         forms=(Form(tied=True),),
-        instead="creep of the muscles would do as well",
+        instead="creep of the muscles explains the data as well",
         experiment="hold the joint at one angle for a minute after a step: creep goes on, friction does not",
     ),
     needs_angle=True,

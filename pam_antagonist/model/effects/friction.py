@@ -50,7 +50,7 @@ EFFECT = Effect(
         part="balance",
         forms=(Form(without=("stribeck", "velocity"), low=_LEAST), Form(low=_LEAST)),
         sentence="something holds the joint back with the same torque at any speed ({coulomb} N m, Coulomb friction)",
-        instead="Coulomb friction of drive or joint would do as well as hysteresis",
+        instead="Coulomb friction of drive or joint explains the data as well as hysteresis",
         experiment="drive the joint with half the torque, and again with another charge: friction of the drive keeps "
         "its torque, hysteresis makes a smaller loop and grows with the pressure; or uncouple the drive and turn by "
         "hand",

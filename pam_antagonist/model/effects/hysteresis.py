@@ -81,7 +81,7 @@ EFFECT = Effect(
     sealed=SealedJoint(
         part="balance",
         forms=(Form(tied=True, shapes=tuple({"width": width} for width in (2e-4, 5e-4, 2e-3, 8e-3))),),
-        instead="hysteresis of the muscles that turns round within an encoder's step would do as well as friction",
+        instead="hysteresis that reverses within a step of the encoder explains the data as well as friction",
         experiment="drive the joint with half the torque, and again with another charge: friction of the drive keeps "
         "its torque, hysteresis makes a smaller loop and grows with the pressure; or uncouple the drive and turn by "
         "hand",

@@ -64,7 +64,7 @@ EFFECT = Effect(
             Form(without=("exponent",), scale={"area": _SLOW}),
         ),
         sentence="{muscle} slowly lose{s} air (leak)",
-        instead="a leak would do as well",
+        instead="a leak explains the data as well",
         experiment="leave the joint closed for ten minutes and record again: what is due to charging has died out "
         "then, a leak goes on",
         loss="steady",

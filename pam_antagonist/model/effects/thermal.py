@@ -62,7 +62,7 @@ EFFECT = Effect(
     sealed=SealedJoint(
         part="air",
         forms=(Form(tied=True), Form()),
-        instead="gas that still cools from having been charged would do as well as a leak",
+        instead="gas that still cools from being charged explains the data as well as a leak",
         experiment="leave the joint closed for ten minutes and record again: what is due to charging has died out "
         "then, a leak goes on",
         loss="fading",
