@@ -71,8 +71,8 @@ EFFECT = Effect(
     law="F_i gains c_i − y_i, dc_i/dt = (y_i − c_i)/T, with y_i = φ_i F_i − κ l_i",
     source="standard linear solid (Zener): a share φ of the whole force, and the stiffness κ of the tube, which does "
     "not depend on the pressure; for muscles: Vo-Minh et al. (2011)",
-    signature="Torque and rest angle drift for seconds after a step while the pressures stand; with κ alone, of a "
-    "moving joint only.",
+    signature="Torque and rest angle drift for seconds after a step while the pressures are constant. κ alone "
+    "shows only while the joint moves.",
     parameters=(
         *per_muscle("share", "-", -0.5, 0.5, 0.02, "share of a change of force that comes late", symbol=r"\varphi"),
         EffectParameter(

@@ -25,7 +25,7 @@ EFFECT = Effect(
     meaning="Somebody or something pushes the joint now and then.",
     law="τ gains d, a random walk whose increments have the standard deviation σ a square root of a second",
     source="disturbance observer",
-    signature="Joint moves without a cause in the pressures, at some times and not at others.",
+    signature="The joint moves without a cause in the pressures, at some times and not at others.",
     parameters=(EffectParameter("noise", "N m/s^0.5", 0.0, 0.0, 10.0, 0.05, "size of the random walk", r"\sigma"),),
     states=(AddedState("external_torque", "N m", "noise", 0.2, "noise", symbol="d"),),
     hooks={"disturbance_torque": disturbance},

@@ -37,7 +37,7 @@ EFFECT = Effect(
     meaning="Friction of another kind than (10): constant, or larger at rest than in motion.",
     law="T_s + T_p gains c + d exp(−|ψ̇|/v)",
     source="Coulomb and Stribeck; Tondu and Lopez (2000)",
-    signature="Joint sticks longer or shorter than it should; flow and locked torque as they should be.",
+    signature="The joint sticks longer or shorter than it should. Flow and the torque of a locked joint are right.",
     parameters=(
         EffectParameter("coulomb", "N m", 0.0, -0.5, 2.0, 0.02, "constant Coulomb torque", "c"),
         EffectParameter("stribeck", "N m", 0.0, -0.5, 2.0, 0.02, "further torque at rest", "d"),

@@ -43,7 +43,7 @@ EFFECT = Effect(
     meaning="Air escapes from a muscle to the atmosphere past the valve.",
     law="m_i loses A_i ((P_i − P_out)/350 kPa)^(n − 1) times the orifice flow (5) from P_i to P_out",
     source="ideal orifice, as equation (5), for n = 1; a fine crack or capillary, whose flow is viscous, up to n = 2",
-    signature="Mass flow of one muscle too low, the more the higher its pressure; steady pressures below the curve's.",
+    signature="The mass flow of one muscle is too low, by more at higher pressure. Its steady pressures are too low.",
     parameters=(
         *per_muscle("area", "m2", 0.0, 5e-8, 1e-9, "area of the leak", symbol="A"),
         EffectParameter("exponent", "-", 1.0, 0.6, 3.0, 1.0, "power of the gauge pressure beside an orifice's", "n"),

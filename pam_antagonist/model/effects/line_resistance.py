@@ -95,7 +95,8 @@ EFFECT = Effect(
     "fills.",
     law="P_s,i = P_c,i + R_i m_i (|m_i|/0.05 g/s)^(n − 1) behind a lag T; valve and sensor see P_s, the muscle P_c",
     source="laminar flow for n = 1, turbulent flow and fittings up to n = 2; line volume neglected",
-    signature="Both flow and torque wrong with the flow while air moves, nothing in the steady state.",
+    signature="Flow and torque are wrong while air moves, by more at larger flow. In the steady state nothing "
+    "is wrong.",
     parameters=(
         *per_muscle("resistance", "Pa s/kg", 0.0, 5e9, 1e8, "resistance of the line", symbol="R"),
         EffectParameter("time", "s", 2e-3, 1e-3, 0.05, 2e-3, "lag of the line", "T"),

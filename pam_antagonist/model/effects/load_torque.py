@@ -30,7 +30,7 @@ EFFECT = Effect(
     meaning="Something beside the muscles pulls at the joint always: a limb's weight, a spring.",
     law="τ gains b + a sin ψ on the joint's side; a torque meter on the muscles does not see it",
     source="rigid body under gravity",
-    signature="Joint motion and rest angle off; torque of a locked joint and pressures as they should be.",
+    signature="Motion and rest angle of the joint are wrong. Pressures and the torque of a locked joint are right.",
     parameters=(
         EffectParameter("constant", "N m", 0.0, -3.0, 3.0, 0.05, "torque at angle 0", "b"),
         EffectParameter("sine", "N m", 0.0, -10.0, 10.0, 0.1, "torque that grows with the sine of the angle", "a"),

@@ -42,7 +42,8 @@ EFFECT = Effect(
     meaning="A pressure sensor reads with a wrong offset or gain.",
     law="reading_i = (1 + g_i) P_i + o_i",
     source="linear sensor error",
-    signature="Torque and steady pressure off together, as if the muscle had another pressure than its sensor says.",
+    signature="Torque and steady pressure are wrong together, as if the muscle had another pressure than its "
+    "sensor reads.",
     parameters=(
         *per_muscle("offset", "Pa", -60e3, 60e3, 3e3, "offset of the sensor", symbol="o"),
         *per_muscle("gain", "-", -0.3, 0.3, 0.01, "error of the sensor's gain", symbol="g"),

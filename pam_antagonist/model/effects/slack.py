@@ -34,7 +34,7 @@ EFFECT = Effect(
     law="F_i becomes (F_i + √(F_i² + w²))/2",
     source="a braided tube buckles under compression: Chou and Hannaford (1996), Tondu and Lopez (2000); smooth "
     "maximum of the force and 0",
-    signature="Torque and rest angle off where one muscle is short and its pressure low, and nowhere else.",
+    signature="Torque and rest angle are wrong where one muscle is short and its pressure is low, and right elsewhere.",
     parameters=(EffectParameter("width", "N", 0.0, 0.0, 20.0, 2.0, "force over which the bend is rounded", "w"),),
     hooks={"muscle_force": pull},
     sentence="a muscle goes slack where it would have to push (slack)",

@@ -39,8 +39,8 @@ EFFECT = Effect(
     meaning="The tank's pressure falls while air is drawn from it and recovers with time.",
     law="P_tank gains s, ds/dt = −c (m_in,1 + m_in,2) − s/T",
     source="isothermal tank behind a regulator, first order",
-    signature="Inflow of both muscles too low while either fills; steady pressures low by what the valves go on "
-    "drawing.",
+    signature="The inflow of both muscles is too low while one of them fills. Steady pressures are too low, "
+    "since the valves go on drawing air.",
     parameters=(
         EffectParameter("stiffness", "Pa/kg", 0.0, 0.0, 5e10, 2e8, "fall of the supply a kilogram drawn from it", "c"),
         EffectParameter("time", "s", 0.5, 0.02, 20.0, 0.5, "time constant of its recovery", "T"),

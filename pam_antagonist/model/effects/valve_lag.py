@@ -66,7 +66,8 @@ EFFECT = Effect(
     meaning="The valve follows its voltage late: with a delay of first order, and no quicker than it can.",
     law="dα_i/dt = (κ(u_i) − α_i)/(w T_i), at most 1/T_i either way",
     source="first-order spool whose drive saturates: the small-signal and the full-stroke time of data sheets",
-    signature="Mass flow wrong for milliseconds after each change of voltage, nothing in the steady state.",
+    signature="The mass flow is wrong for milliseconds after each change of voltage. In the steady state "
+    "nothing is wrong.",
     parameters=(
         *per_muscle("time", "s", 0.0, 2.0, 0.01, "time constant, or of a full stroke, of the valve", symbol="T"),
         EffectParameter("reach", "-", 1.0, 1e-2, 1.0, 0.05, "lag of the open rate from which on speed is full", "w"),

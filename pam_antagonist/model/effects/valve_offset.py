@@ -33,8 +33,8 @@ EFFECT = Effect(
     meaning="The valve's curve is shifted: along the voltage, along the open rate, or both.",
     law="α_i = κ(u_i − δ_i) + ρ_i, within 0 and 1",
     source="null shift of a proportional valve: of its electronics δ, of its spool or seat ρ",
-    signature="Steady pressure of one muscle off as by another voltage: by δ most where the curve is steep, by ρ "
-    "everywhere.",
+    signature="The steady pressure of one muscle is that of another voltage. δ shows most where the curve is "
+    "steep, ρ shows everywhere.",
     parameters=(
         *per_muscle("voltage", "V", -2.0, 2.0, 0.1, "shift of the curve along the voltage", symbol=r"\delta"),
         *per_muscle("open_rate", "-", -0.1, 0.1, 0.01, "shift of the curve along the open rate", symbol=r"\rho"),

@@ -50,8 +50,9 @@ EFFECT = Effect(
     law="α_i = κ(v_i), where v_i is held within u_i ± b_i/2 and stays otherwise",
     source="play operator: Krasnosel'skii and Pokrovskii (1989); backlash and hysteresis of valves: Tao and Kokotović "
     "(1996), the hysteresis of data sheets of proportional valves",
-    signature="Mass flow of one muscle wrong after its voltage has turned round, and right while it goes on one way; "
-    "steady pressures depend on the way the voltage came.",
+    signature="The mass flow of one muscle is wrong after its voltage has reversed, and right while the "
+    "voltage goes on in one direction. Steady pressures depend on the direction from which the "
+    "voltage came.",
     parameters=per_muscle("play", "V", 0.0, 1.0, 0.05, "play of the valve", symbol="b"),
     states=state_per_muscle(
         "spool_voltage", "V", "play", 0.02, 1e-4, symbol="v", rate=following, steady_value=in_the_middle

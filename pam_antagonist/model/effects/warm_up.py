@@ -54,8 +54,8 @@ EFFECT = Effect(
     law="F_i loses s_i w (F(l_i, P_i) − F(l_i, P_out)), dw/dt = (1 − w)/T, w = 0 at the start",
     source="first-order warming; that a muscle's force drifts with its temperature in long runs: Andrikopoulos, "
     "Nikolakopoulos and Manesis (2012); force by gauge pressure: Chou and Hannaford (1996)",
-    signature="Torque and rest angle drift from the start on, the more the higher the pressure; no step in voltage or "
-    "angle begins it, and pressures are as they should be.",
+    signature="Torque and rest angle drift from the start on, by more at higher pressure. No step of voltage "
+    "or angle starts the drift, and the pressures are right.",
     parameters=(
         *per_muscle("share", "-", -0.3, 0.3, 0.02, "share of the pressure's force that is lost", symbol="s"),
         EffectParameter("time", "s", 40.0, 5.0, 600.0, 40.0, "time constant of the warming", "T"),
