@@ -88,13 +88,21 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     Divisions follow numpy's rules (inf and NaN, no exception): the estimator checks its results instead.
     """
-    return _compiled(function)
+    return _compiled(function, _nrt=True)
+
+
+def in_place(function: Callable[..., Any]) -> Any:
+    """A kernel that works on the arrays that it is given, and neither makes nor returns one.
+
+    numba counts references to arrays, at each row that is taken of one. Here it need not.
+    """
+    return _compiled(function, _nrt=False)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """A kernel that is always inlined into the kernels that call it.
+    """A kernel in place that is always inlined into the kernels that call it.
 
     For the pieces of the model: a Runge-Kutta step then knows that the parameters stay the same over its
     four stages, which makes it a fifth faster.
     """
-    return _compiled(function, forceinline=True)
+    return _compiled(function, _nrt=False, forceinline=True)

@@ -367,7 +367,7 @@ def simulate_model(
         angle = equilibrium.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
     start = equilibrium.initial_state(angle, pressures[0], pressures[1], held[0], p)
     states, torques, sigma = dynamics.simulate(start, held, p, every, substeps)
-    readings = np.column_stack([sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)])
+    readings = sensor.readings(states[:, 2:4], p)
     return ModelRun(states[:, 0], states[:, 1], readings, torques, sigma)
 
 

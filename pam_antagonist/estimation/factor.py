@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from pam_antagonist._jit import kernel
+from pam_antagonist._jit import in_place
 
 _TOLERANCE = 1e-12
 """A pivot below this share of its diagonal entry is rounding, not information."""
 
 
-@kernel
+@in_place
 def factorise(matrix, lower):
     """Lower factor L with L Lᵀ = matrix; lost pivots are repaired.
 

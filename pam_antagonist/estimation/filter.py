@@ -28,11 +28,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.estimation import ukf
 from pam_antagonist.estimation.ukf import Work
 from pam_antagonist.model import dynamics, equilibrium, sensor
-from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
+from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND, VELOCITY
 from pam_antagonist.model.parameters import LOCKED
 
 RESTART_AFTER_NS = 500_000_000
@@ -75,7 +75,7 @@ ESTIMATE_DTYPE = np.dtype(
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
 _start_angle, _forces, _torque_slope = equilibrium.start_angle, dynamics.forces, dynamics.torque_slope
-_subsystem, _initial_state, _pressure_behind = dynamics.subsystem, equilibrium.initial_state, sensor.pressure_behind
+_subsystem, _settle, _pressure_behind = dynamics.subsystem, equilibrium.settle, sensor.pressure_behind
 
 
 class Settings(NamedTuple):
@@ -157,19 +157,18 @@ def make_memory(states: int, considered: int) -> Memory:
     )
 
 
-@kernel
+@in_place
 def _start(stamp, y, u, memory, settings):
     """Set the filter to what a first sample tells: its pressures, and a joint at rest under them."""
     p = settings.parameter_sets[0]
-    pressure_1, pressure_2 = _pressure_behind(0, y[0], p), _pressure_behind(1, y[1], p)
+    pressure_1, pressure_2 = _pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p)
     angle = settings.lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
-    memory.x[:] = _initial_state(angle, pressure_1, pressure_2, u, p)
+    memory.held[0], memory.held[1] = u
+    _settle(memory.x, angle, pressure_1, pressure_2, memory.held, p, 0.0)
     memory.covariance[:] = 0.0
     memory.cross[:] = 0.0
     for i in range(memory.x.shape[0]):
         memory.covariance[i, i] = settings.initial[i]
-    memory.held[0] = u[0]
-    memory.held[1] = u[1]
     clock = memory.clock
     clock[_RUNNING] = 1
     clock[_LAST] = stamp
@@ -178,7 +177,7 @@ def _start(stamp, y, u, memory, settings):
     clock[_SEEN] = 0
 
 
-@kernel
+@in_place
 def _select(innovation, s, usable_1, usable_2, gate):
     """Which pressures lie within the gate: the joint Mahalanobis distance first, then the better one alone."""
     v1 = innovation[0]
@@ -200,7 +199,7 @@ def _select(innovation, s, usable_1, usable_2, gate):
     return usable_1, usable_2
 
 
-@kernel
+@in_place
 def _finite(x, covariance):
     for i in range(x.shape[0]):
         if not (math.isfinite(x[i]) and math.isfinite(covariance[i, i])):
@@ -208,7 +207,7 @@ def _finite(x, covariance):
     return True
 
 
-@kernel
+@in_place
 def _write(row, memory, settings, nis, flags, work):
     """Put the estimate into its row; False where the covariance is lost."""
     x, covariance, moments = memory.x, memory.covariance, memory.torque_moments
@@ -236,7 +235,7 @@ def _write(row, memory, settings, nis, flags, work):
     return math.isfinite(moments[0]) and math.isfinite(moments[1])
 
 
-@kernel
+@in_place
 def _dropped(elapsed, x, covariance, clock, counts):
     """Whether a running filter has no use for a sample at that distance [ns]; stops one that has to begin again."""
     if clock[_RUNNING] == 0:
@@ -253,7 +252,7 @@ def _dropped(elapsed, x, covariance, clock, counts):
     return False
 
 
-@kernel
+@in_place
 def _begin(stamp, y, u, memory, settings, work, row):
     """Start with a sample that has everything; whether there is an estimate."""
     _start(stamp, y, u, memory, settings)
@@ -305,8 +304,7 @@ def _advance(elapsed, period, u, known_u, memory, settings, work):
     repaired = 0
     for step in range(steps):
         if step == since and known_u:
-            memory.held[0] = u[0]
-            memory.held[1] = u[1]
+            memory.held[0], memory.held[1] = u
         outcome = _spread_predict(
             memory.x,
             memory.covariance,
@@ -369,7 +367,7 @@ def _correct(use_1, use_2, memory, settings, work):
     return nis
 
 
-@kernel
+@in_place
 def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
     """Flags of an estimate; its sample is counted as what it was."""
     flags = 0
@@ -392,14 +390,14 @@ def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
     return flags
 
 
-@kernel
+@in_place
 def process(stamp, y, u, memory, settings, work, row):
     """Take one sample in.
 
     Args:
         stamp: [ns].
-        y: pressures (2,) [Pa], NaN where missing.
-        u: voltages (2,) [V] over the step that ends at the stamp, NaN where missing.
+        y: both pressures [Pa], NaN where missing.
+        u: both voltages [V] over the step that ends at the stamp, NaN where missing.
         memory: :class:`Memory` of the filter, changed in place.
         settings: its :class:`Settings`.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
@@ -443,7 +441,7 @@ def process(stamp, y, u, memory, settings, work, row):
     return _write(row, memory, settings, nis, flags, work)
 
 
-@kernel
+@in_place
 def process_one(stamp, p1, p2, u1, u2, memory, settings, work, rows):
     """:func:`process` for one sample, called from Python.
 
@@ -461,11 +459,10 @@ def process_one(stamp, p1, p2, u1, u2, memory, settings, work, rows):
     Returns:
         Whether there is an estimate.
     """
-    y, u = np.array((p1, p2)), np.array((u1, u2))
-    return process(stamp, y, u, Memory(*memory), Settings(*settings), Work(*work), rows[0])
+    return process(stamp, (p1, p2), (u1, u2), Memory(*memory), Settings(*settings), Work(*work), rows[0])
 
 
-@kernel
+@in_place
 def process_all(stamps, pressures, voltages, memory_fields, settings_fields, work_fields, rows, states, index, started):
     """:func:`process` for every sample of a recording, called from Python.
 
@@ -487,8 +484,10 @@ def process_all(stamps, pressures, voltages, memory_fields, settings_fields, wor
     memory, settings, work = Memory(*memory_fields), Settings(*settings_fields), Work(*work_fields)
     count = 0
     for k in range(stamps.shape[0]):
-        if process(stamps[k], pressures[k], voltages[k], memory, settings, work, rows[count]):
-            states[count] = memory.x
+        y, u = (pressures[k, 0], pressures[k, 1]), (voltages[k, 0], voltages[k, 1])
+        if process(stamps[k], y, u, memory, settings, work, rows[count]):
+            for i in range(states.shape[1]):
+                states[count, i] = memory.x[i]
             index[count] = k
             started[count] = memory.clock[_STARTED]
             count += 1

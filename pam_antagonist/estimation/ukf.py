@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.estimation.factor import factorise
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import PRESSURE_1
@@ -60,7 +60,7 @@ def make_work(states: int, considered: int) -> Work:
     return Work(np.zeros((points, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, 2)), np.zeros(points))
 
 
-@kernel
+@in_place
 def spread_points(x, cross, lower, reach, points):
     """Sigma points of the state, equations (13) to (15).
 
@@ -85,7 +85,7 @@ def spread_points(x, cross, lower, reach, points):
             points[2 + 2 * (m + j), i] = x[i] - step
 
 
-@kernel
+@in_place
 def conditional_factor(covariance, cross, scratch, lower):
     """L with L Lᵀ = P − C Cᵀ; where a pivot was lost, P is set to C Cᵀ + L Lᵀ so that it is definite.
 
@@ -122,7 +122,7 @@ def conditional_factor(covariance, cross, scratch, lower):
     return repaired
 
 
-@kernel
+@in_place
 def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
     """Prediction step, equations (13) to (18), in place.
 
@@ -177,7 +177,7 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
     return repaired
 
 
-@kernel
+@in_place
 def innovate(x, covariance, y, noise, innovation, innovation_covariance):
     """Innovation and its covariance, equations (19) to (21).
 
@@ -211,7 +211,7 @@ def _inverse(covariance, noise, use_1, use_2):
     return (1.0 / s11 if use_1 else 0.0), 0.0, (1.0 / s22 if use_2 else 0.0)
 
 
-@kernel
+@in_place
 def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, work):
     """Update step, equations (23) and (24), for the pressures that are to be used, in place.
 
@@ -275,7 +275,7 @@ def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, wo
     return nis
 
 
-@kernel
+@in_place
 def torque_moments(x, covariance, cross, parameter_sets, kappa, work, moments):
     """Torque and its covariances by the unscented transform of equation (9).
 

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.inference.spread import USUAL_SPREAD, Variation
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial
 from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model import parameters as par
 
@@ -151,8 +151,7 @@ def _gather(trials, p, torque) -> _Points | None:  # type: ignore[no-untyped-def
         bending = np.gradient(velocity, step)
         if trial.joint == "locked":
             velocity, bending = np.zeros(len(means)), np.zeros(len(means))
-        pressure = [sensor.pressure_behind(i, means[:, PRESSURE_1 + i], p) for i in (0, 1)]
-        states = np.column_stack([angle, velocity, *pressure])
+        states = np.column_stack([angle, velocity, sensor.pressures_behind(means[:, PRESSURE_1 : PRESSURE_2 + 1], p)])
         wanted = np.zeros(len(means)) if torque is None else torque(states, means)
         external = trial.blocks(trial.given[:, 2:])[:, 0]
         time = (np.arange(len(means)) + 0.5) * step

@@ -241,8 +241,7 @@ def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None, 
     states, torque = run(trial, p, start, shift, later)
     shown = np.empty((len(states), 2))
     for rows, vector in _parts(trial, p, later):
-        for i in (0, 1):
-            shown[rows, i] = sensor.reading(i, states[rows, 2 + i], vector)
+        shown[rows] = sensor.readings(states[rows, 2:4], vector)
     return np.column_stack([states[:, 0], torque, shown])
 
 

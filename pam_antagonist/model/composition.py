@@ -14,10 +14,6 @@ What an absent effect costs is one comparison: a function is called only where a
 it asks for, is there. A state is there if the rig has it *and* ``x`` holds it: a state of four numbers is one without
 effects that add states. From the path without added states, ``x`` is None, and the compiler leaves those calls out.
 
-Each function uses its arrays once more in its last lines (``p.size``). numba counts references to an array from the
-first to the last use; where the last one is in a branch, it cannot leave the counting out, and a step takes twice as
-long.
-
 To read what was written: ``python -m pam_antagonist.model.composition``.
 """
 
@@ -159,8 +155,8 @@ class _Writer:
                 indent = "        "
             lines += [indent + line for line in at_once]
         if later:
-            lines += ["    if x is not None:", *(f"        {line}" for line in [*later, "x.size"])]
-        self.functions.append("\n".join([*lines, "    p.size", "    return value"]))
+            lines += ["    if x is not None:", *(f"        {line}" for line in later)]
+        self.functions.append("\n".join([*lines, "    return value"]))
 
     def _with_states(self, effect: Effect, held: Sequence[AddedState], of_muscle: bool, then: str) -> list[str]:
         """Lines that run where the states are there."""
@@ -203,8 +199,7 @@ class _Writer:
                     # The states of one effect come and go together.
                     lines.append(f"        {other.family}_ = x[int({self.slot(other, of_muscle)})]")
                 lines.append(f"        {into}[int({name}_at)] = {text}")
-        used = [f"    {name}.size" for name in (*given, "p")]
-        self.functions.append("\n".join([*lines, *used]))
+        self.functions.append("\n".join([*lines, "    return"]))
 
     def lags(self) -> None:
         """Write the function of the states' time constants; it is not compiled, since nothing calls it often."""

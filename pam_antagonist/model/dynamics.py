@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import composition, flow, joint, muscle
 from pam_antagonist.model.parameters import (
     BASE_STATES,
@@ -25,6 +25,8 @@ from pam_antagonist.model.parameters import (
 )
 
 ANGLE, VELOCITY, PRESSURE_1, PRESSURE_2 = 0, 1, 2, 3
+FIRST, SECOND = np.int64(0), np.int64(1)
+"""The muscles. numba would compile whatever is given a bare 0 or 1 once for each."""
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
@@ -77,7 +79,7 @@ def _muscle_force(i, sine, cosine, x, p):
 def forces(x, p):
     """Contraction forces F_1, F_2 [N] of a state."""
     sine, cosine, _ = _leverage(x[ANGLE], p)
-    return _muscle_force(0, sine, cosine, x, p), _muscle_force(1, sine, cosine, x, p)
+    return _muscle_force(FIRST, sine, cosine, x, p), _muscle_force(SECOND, sine, cosine, x, p)
 
 
 @inlined
@@ -94,10 +96,10 @@ def torque_slope(x, p):
     force_1, force_2 = forces(x, p)
     sine, cosine, bend = _leverage(x[ANGLE], p)
     # ∂l_1/∂ψ = −r cos ψ and ∂l_2/∂ψ = +r cos ψ, through the same functions as everywhere.
-    slope_1 = _force_length_slope(0, _length(0, sine, p), chamber_pressure(0, x, p), p)
-    slope_2 = _force_length_slope(1, _length(1, sine, p), chamber_pressure(1, x, p), p)
-    slope_1 *= _length_rate(0, cosine, 1.0, p)
-    slope_2 *= _length_rate(1, cosine, 1.0, p)
+    slope_1 = _force_length_slope(FIRST, _length(FIRST, sine, p), chamber_pressure(FIRST, x, p), p)
+    slope_2 = _force_length_slope(SECOND, _length(SECOND, sine, p), chamber_pressure(SECOND, x, p), p)
+    slope_1 *= _length_rate(FIRST, cosine, 1.0, p)
+    slope_2 *= _length_rate(SECOND, cosine, 1.0, p)
     return _muscle_torque(cosine, slope_1, slope_2, p) + _muscle_torque(bend, force_1, force_2, p)
 
 
@@ -177,20 +179,20 @@ def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external,
     """
     velocity = _stopped(angle, velocity, p)
     sine, cosine, _ = _leverage(angle, p)
-    length_1 = _length(0, sine, p)
-    length_2 = _length(1, sine, p)
-    speed_1 = _length_rate(0, cosine, velocity, p)
-    speed_2 = _length_rate(1, cosine, velocity, p)
+    length_1 = _length(FIRST, sine, p)
+    length_2 = _length(SECOND, sine, p)
+    speed_1 = _length_rate(FIRST, cosine, velocity, p)
+    speed_2 = _length_rate(SECOND, cosine, velocity, p)
     supply = p[SUPPLY] if plain else _supply_change(p[SUPPLY], None, p)
-    _, rate_1, _, _ = _air(0, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, plain)
-    _, rate_2, _, _ = _air(1, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, plain)
+    _, rate_1, _, _ = _air(FIRST, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, plain)
+    _, rate_2, _, _ = _air(SECOND, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, plain)
     if p[LOCKED] != 0.0:
         return 0.0, 0.0, rate_1, rate_2
     if plain:
-        force_1, force_2 = _linear_force(0, length_1, pressure_1, p), _linear_force(1, length_2, pressure_2, p)
+        force_1, force_2 = _linear_force(FIRST, length_1, pressure_1, p), _linear_force(SECOND, length_2, pressure_2, p)
     else:
-        force_1 = _force_with_effects(0, length_1, speed_1, pressure_1, None, p)
-        force_2 = _force_with_effects(1, length_2, speed_2, pressure_2, None, p)
+        force_1 = _force_with_effects(FIRST, length_1, speed_1, pressure_1, None, p)
+        force_2 = _force_with_effects(SECOND, length_2, speed_2, pressure_2, None, p)
     acceleration, _ = _motion(
         angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, None, p, plain
     )
@@ -203,7 +205,7 @@ def _external_torque(u):
     return u[2] if u.shape[0] > 2 else 0.0
 
 
-@kernel
+@in_place
 def _rows(x, u, wanted_1, wanted_2, p, dx):
     """All rows with any added states; the same functions as in :func:`_slopes`, put together for every case.
 
@@ -242,15 +244,15 @@ def _rows(x, u, wanted_1, wanted_2, p, dx):
         dx[ANGLE] = 0.0
         dx[VELOCITY] = 0.0
         return
-    force_1, force_2 = _muscle_force(0, sine, cosine, x, p), _muscle_force(1, sine, cosine, x, p)
+    force_1, force_2 = _muscle_force(FIRST, sine, cosine, x, p), _muscle_force(SECOND, sine, cosine, x, p)
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
-        angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(0, x, p), chamber_pressure(1, x, p),
+        angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p),
         _with_disturbance(_external_torque(u), x, p), x, p, False,
     )  # fmt: skip
 
 
-@kernel
+@in_place
 def derivative(x, u, p, dx):
     """ẋ = f_σ(x, u), equation (11a), with the rows of the states that effects add.
 
@@ -260,7 +262,7 @@ def derivative(x, u, p, dx):
         p: parameter vector.
         dx: result (n,), written in place.
     """
-    _rows(x, u, _open_rate(0, u[0], p), _open_rate(1, u[1], p), p, dx)
+    _rows(x, u, _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p), p, dx)
 
 
 @inlined
@@ -275,14 +277,11 @@ def _stop(x, p):
         x[VELOCITY] = max(x[VELOCITY], 0.0)
 
 
-@kernel
-def _extended_step(x, u, p, dt, result):
-    """:func:`rk4_step` with any number of states."""
+@in_place
+def _extended_stages(x, u, p, dt, result, slopes, point):
+    """:func:`rk4_step` with any number of states, on scratch arrays (4, n) and (n,)."""
     n = x.shape[0]
-    wanted_1, wanted_2 = _open_rate(0, u[0], p), _open_rate(1, u[1], p)
-    # One piece of memory: to ask for it takes as long as a good part of the step.
-    memory = np.empty((5, n))
-    slopes, point = memory[:4], memory[4]
+    wanted_1, wanted_2 = _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p)
     _rows(x, u, wanted_1, wanted_2, p, slopes[0])
     for stage in range(1, 4):
         reach = dt if stage == 3 else 0.5 * dt
@@ -295,11 +294,19 @@ def _extended_step(x, u, p, dt, result):
     _stop(result, p)
 
 
+@kernel
+def _extended_step(x, u, p, dt, result):
+    """:func:`rk4_step` with any number of states."""
+    # One piece of memory: to ask for it takes as long as a good part of the step.
+    memory = np.empty((5, x.shape[0]))
+    _extended_stages(x, u, p, dt, result, memory[:4], memory[4])
+
+
 @inlined
 def _scalar_step(x, u, p, dt, result, plain):
     """:func:`rk4_step` without added states."""
-    alpha_1 = _open_rate(0, u[0], p)
-    alpha_2 = _open_rate(1, u[1], p)
+    alpha_1 = _open_rate(FIRST, u[0], p)
+    alpha_2 = _open_rate(SECOND, u[1], p)
     e = _external_torque(u)
     half = 0.5 * dt
     a, b, c, d = x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2]
@@ -315,13 +322,13 @@ def _scalar_step(x, u, p, dt, result, plain):
     _stop(result, p)
 
 
-@kernel
+@in_place
 def _optional_step(x, u, p, dt, result):
     """:func:`rk4_step` with options or effects, but without added states."""
     _scalar_step(x, u, p, dt, result, False)
 
 
-@kernel
+@in_place
 def rk4_step(x, u, p, dt, result):
     """One step of the fourth-order Runge-Kutta method with the input held, then the mechanical stop.
 
@@ -357,7 +364,7 @@ def subsystem(x, p):
         sine, cosine, _ = _leverage(x[ANGLE], p)
         _, slides = _motion(
             x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2,
-            chamber_pressure(0, x, p), chamber_pressure(1, x, p), _with_disturbance(0.0, x, p), x, p, False,
+            chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p), _with_disturbance(0.0, x, p), x, p, False,
         )  # fmt: skip
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import composition, dynamics, flow, muscle
-from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2
+from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, SECOND
 from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, STIFFNESS, STOP, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
@@ -89,7 +89,7 @@ def start_angle(pressure_1, pressure_2, p):
     # Muscle 1 gets shorter and wider as the angle grows, muscle 2 longer and narrower.
     for _ in range(60):
         middle = 0.5 * (low + high)
-        if closed_pressure(0, middle, p) > ratio * closed_pressure(1, middle, p):
+        if closed_pressure(FIRST, middle, p) > ratio * closed_pressure(SECOND, middle, p):
             low = middle
         else:
             high = middle
@@ -114,7 +114,15 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
     Returns:
         State (n,), n = p[parameters.STATES].
     """
-    x = np.zeros(int(p[STATES]))
+    x = np.empty(int(p[STATES]))
+    settle(x, angle, pressure_1, pressure_2, u, p, velocity)
+    return x
+
+
+@in_place
+def settle(x, angle, pressure_1, pressure_2, u, p, velocity):
+    """:func:`initial_state` into an array (n,)."""
+    x[:] = 0.0
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2
     sine, cosine, _ = _leverage(angle, p)
     consumption = 0.0
@@ -128,4 +136,3 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
             passed, x, p,
         )  # fmt: skip
     _joint_steady(consumption, x, p)
-    return x

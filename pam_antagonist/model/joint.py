@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
     FRICTION_LAW,
@@ -68,7 +68,7 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
     return shaft + p[MUSCLE_FRICTION] * (square_1 + square_2) / (square_1 * square_2)
 
 
-@kernel
+@in_place
 def _compared_coulomb(velocity, p):
     """Torque [N m] of the compared laws; a function of its own, so that the paper's own law's stays small and quick."""
     if p[FRICTION_LAW] == _SIMPLE:

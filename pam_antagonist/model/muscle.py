@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model.parameters import (
     C1,
     D1,
@@ -144,7 +144,7 @@ def force(muscle, muscle_length, pressure, p):
     return linear_force(muscle, muscle_length, pressure, p)
 
 
-@kernel
+@in_place
 def _compared_force(base, muscle_length, pressure, p):
     """The forms beside the linear one; a function of its own, so that the linear one's stays small and quick."""
     form = p[FORCE_FORM]

@@ -230,8 +230,7 @@ def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: Estimate
 
 def _readings(rig: Rig, pressure: FloatArray) -> FloatArray:
     """What the rig's sensors show at pressures (M, 2) [Pa]."""
-    p = rig.parameters()
-    return np.column_stack([sensor.reading(muscle, pressure[:, muscle], p) for muscle in (0, 1)])
+    return np.asarray(sensor.readings(pressure, rig.parameters()))
 
 
 def _external(recording: Recording, run: EstimateRun) -> ChannelErrors | None:

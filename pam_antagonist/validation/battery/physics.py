@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import dynamics, flow, joint, muscle
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
@@ -126,7 +126,7 @@ def _slip_share(i, pressure, rate, x, q):
     return total / ELEMENTS * loaded * (1.0 - q[_SLIP_FADE] * (1.0 - math.exp(-abs(rate) / q[_SLIP_VELOCITY])))
 
 
-@kernel
+@in_place
 def _slip(i, travel, x, q):
     """Maxwell slip (Al-Bender et al. 2005): each element follows the length until it slips."""
     for k in range(ELEMENTS):
@@ -247,7 +247,7 @@ def _cooling(i, pressure, rate, through, x, q, dx):
     return lost
 
 
-@kernel
+@in_place
 def rates(x, wanted, push, supply_change, p, q, dx):
     """All rates of a joint with such effects.
 
@@ -325,7 +325,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
     dx[1], _ = _acceleration(angle, velocity, balance, coulomb, p)
 
 
-@kernel
+@in_place
 def _step(x, wanted, push, supply_change, p, q, dt, slopes, point):
     """One Runge-Kutta step in place, then what slips and the stop."""
     sine, _, _ = _leverage(x[0], p)

@@ -145,7 +145,7 @@ class VirtualRig:
             noisy = values + std * rng.standard_normal(values.shape)
             return np.round(noisy / step) * step if step > 0.0 else noisy
 
-        readings = np.column_stack([sensor.reading(i, states[:, 2 + i], p) for i in (0, 1)])
+        readings = sensor.readings(states[:, 2:4], p)
         stamps = _FIRST_STAMP_NS + np.rint(np.arange(1, len(voltage) + 1) * period * 1e9).astype(np.int64)
         return Recording(
             path=Path("virtual_rig") / f"seed_{self.seed}_{joint}",
