@@ -99,6 +99,11 @@ def in_place(function: Callable[..., Any]) -> Any:
     return _compiled(function, _nrt=False)
 
 
+def merged(function: Callable[..., Any]) -> Any:
+    """A piece of one kernel in place, compiled as a part of it: by itself, it would be compiled once more."""
+    return _compiled(function, _nrt=False, inline="always")
+
+
 def inlined(function: Callable[..., Any]) -> Any:
     """A kernel in place that is always inlined into the kernels that call it.
 

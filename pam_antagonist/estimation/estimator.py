@@ -9,7 +9,7 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import filter as kernels
-from pam_antagonist.estimation import ukf
+from pam_antagonist.estimation import stamps, ukf
 from pam_antagonist.estimation.filter import ESTIMATE_DTYPE
 from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
@@ -142,6 +142,12 @@ def _of_states(p: np.ndarray, tuning: Tuning, period: float, locked: bool) -> tu
     return np.array(initial), np.array(process)
 
 
+def _results(samples: int, states: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What :func:`filter.process_all` writes into: estimates, states, indices of the samples, stamps of the starts."""
+    indices = np.zeros((2, samples), dtype=np.int64)
+    return np.zeros(samples, ESTIMATE_DTYPE), np.zeros((samples, states)), indices[0], indices[1]
+
+
 class Estimator:
     """The unscented Kalman filter of a rig, on pressures and valve voltages.
 
@@ -175,9 +181,11 @@ class Estimator:
         )
         self._added = par.added_states(sets[0])
         self._memory = kernels.make_memory(n, m)
-        # What the kernels take: plain tuples, see filter.process_one.
+        # What the kernel takes: plain tuples, see filter.process_all.
         self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, m))
-        self._row = np.zeros(1, ESTIMATE_DTYPE)
+        self._stamp, self._pressure, self._voltage = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 2))
+        self._live = self._stamp, self._pressure, self._voltage, *self._fields, *_results(1, n)
+        self._row = self._live[-4][0]
         self._compile()
 
     def _compile(self) -> None:
@@ -234,7 +242,7 @@ class Estimator:
         memory.covariance[:] = np.diag(self._settings.initial)
         memory.cross[:] = 0.0
         memory.held[:] = inputs
-        memory.clock[:] = kernels.running_since(stamp_ns)
+        stamps.start(memory.clock, stamp_ns)
 
     @property
     def counts(self) -> Counts:
@@ -244,7 +252,7 @@ class Estimator:
     @property
     def started_ns(self) -> int | None:
         """Stamp [ns] of the sample that started the running filter, None before that."""
-        return kernels.started_ns(self._memory.clock)
+        return stamps.started_ns(self._memory.clock)
 
     def step(self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float) -> np.void | None:
         """Take one sample in.
@@ -283,9 +291,10 @@ class Estimator:
         Returns:
             The estimate, valid until the next call, or None.
         """
-        if kernels.process_one(stamp_ns, float(p1), float(p2), float(u1), float(u2), *self._fields, self._row):
-            return self._row[0]
-        return None
+        self._stamp[0] = stamp_ns
+        pressure, voltage = self._pressure, self._voltage
+        pressure[0, 0], pressure[0, 1], voltage[0, 0], voltage[0, 1] = p1, p2, u1, u2
+        return self._row if kernels.process_all(*self._live) else None
 
     def run(self, stamp_ns: np.ndarray, pressure: np.ndarray, voltage: np.ndarray) -> EstimateRun:
         """Take a recording in, sample by sample; the same as calling :meth:`step` for each.
@@ -295,11 +304,7 @@ class Estimator:
             pressure: pressures (N, 2) [Pa], NaN where missing.
             voltage: voltages (N, 2) [V], NaN where missing.
         """
-        samples = len(stamp_ns)
-        rows = np.zeros(samples, ESTIMATE_DTYPE)
-        states = np.zeros((samples, len(self._memory.x)))
-        index = np.zeros(samples, dtype=np.int64)
-        started = np.zeros(samples, dtype=np.int64)
+        rows, states, index, started = _results(len(stamp_ns), len(self._memory.x))
         stamps = np.ascontiguousarray(stamp_ns, dtype=np.int64)
         count = kernels.process_all(
             stamps,

@@ -1,10 +1,10 @@
 """One sample after another through the filter: time, missing values and outliers, as one compiled kernel.
 
-The live node calls :func:`process_one` once a sample, a replay calls :func:`process_all`. Both go through
-:func:`process`, so both give the same bits.
+The live node calls :func:`process_all` with one sample, a replay with all of them: both give the same bits.
 
 A sample is two pressures at a stamp and the voltages that were on the valves over the step that ends
-there. What can be wrong with it is decided here, by stamps alone and never by the time of arrival:
+there. What can be wrong with it is decided here, by stamps (:mod:`~pam_antagonist.estimation.stamps`) alone and never
+by the time of arrival:
 
 * not newer than the last one: dropped and counted (``duplicates``, ``late``);
 * older by more than ``RESTART_AFTER_NS``: the clock was set back, the filter starts again;
@@ -16,44 +16,42 @@ there. What can be wrong with it is decided here, by stamps alone and never by t
   then the other one if that is beyond the gate as well. After ``PATIENCE`` such samples in a row it is
   the filter that is wrong, not the sensor, and the pressures are used again.
 
-A stream may have any rate. Its own period is the median of the last distances between stamps. It is the rig's nominal
-period where it is near that. The model takes steps as near to 1 ms as whole ones allow, and the process noise, which a
+The model takes steps as near to 1 ms as whole ones allow, and the process noise, which a
 tuning gives a nominal period, grows with the time that passes.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.estimation import ukf
+from pam_antagonist._jit import in_place, merged
+from pam_antagonist.estimation import stamps, ukf
+from pam_antagonist.estimation.stamps import (
+    CLOCK_SIZE,
+    LAST,
+    LONGEST_GAP_NS,
+    REJECTED,
+    RESTART_AFTER_NS,
+    RUNNING,
+    STARTED,
+)
 from pam_antagonist.estimation.ukf import Work
 from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND, VELOCITY
 from pam_antagonist.model.parameters import LOCKED
 
-RESTART_AFTER_NS = 500_000_000
-LONGEST_GAP_NS = 1_000_000_000
 PATIENCE = 20
 """Samples, at any rate: so many readings in a row tell a wrong filter from a wrong sensor."""
-_FAR = 1.75
-"""Own periods of an estimated size from one sample to the next, from which on samples are missing between them."""
-_NEAR = 0.25
-"""Relative difference of a stream's period from the nominal one that jitter may make."""
 
 MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, LATE = 1, 2, 4, 8, 16, 32, 64
 """Flags of an estimate, as in ``JointEstimate.msg``."""
+_NO_FLAGS = np.int64(0)
 
 COUNTERS = ("processed", "predicted_only", "missing", "outliers", "late", "duplicates", "gaps", "repaired", "restarts")
 _PROCESSED, _PREDICTED_ONLY, _MISSING, _OUTLIERS, _LATE, _DUPLICATES, _GAPS, _REPAIRS, _RESTARTS = range(len(COUNTERS))
-
-_RUNNING, _LAST, _STARTED, _REJECTED, _SEEN, _FIRST_DISTANCE = range(6)
-_DISTANCES = 9
-"""Distances between stamps that are remembered, in a ring from ``_FIRST_DISTANCE`` of the clock on."""
-CLOCK_SIZE = _FIRST_DISTANCE + _DISTANCES
 
 ESTIMATE_DTYPE = np.dtype(
     [
@@ -75,7 +73,8 @@ ESTIMATE_DTYPE = np.dtype(
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
 _start_angle, _forces, _torque_slope = equilibrium.start_angle, dynamics.forces, dynamics.torque_slope
-_subsystem, _settle, _pressure_behind = dynamics.subsystem, equilibrium.settle, sensor.pressure_behind
+_subsystem, _make_steady, _pressure_behind = dynamics.subsystem, equilibrium.make_steady, sensor.pressure_behind
+_start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
 
 
 class Settings(NamedTuple):
@@ -114,8 +113,7 @@ class Memory(NamedTuple):
         covariance: P (n, n).
         cross: covariance with the consider parameters C (n, m).
         held: last known voltages (2,) [V].
-        clock: whether the filter runs, last stamp [ns], stamp of the start [ns], rejected samples in a row, how many
-            distances between stamps were seen, and the last of these [ns] (CLOCK_SIZE,).
+        clock: what is known of the stream's stamps (stamps.CLOCK_SIZE,).
         counts: what became of the samples (len(COUNTERS),).
         innovation: of the last sample (2,) [Pa], NaN where a pressure was not used.
         innovation_covariance: (2, 2) [Pa²].
@@ -164,17 +162,12 @@ def _start(stamp, y, u, memory, settings):
     pressure_1, pressure_2 = _pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p)
     angle = settings.lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
     memory.held[0], memory.held[1] = u
-    _settle(memory.x, angle, pressure_1, pressure_2, memory.held, p, 0.0)
+    _make_steady(memory.x, angle, pressure_1, pressure_2, memory.held, p, 0.0)
     memory.covariance[:] = 0.0
     memory.cross[:] = 0.0
     for i in range(memory.x.shape[0]):
         memory.covariance[i, i] = settings.initial[i]
-    clock = memory.clock
-    clock[_RUNNING] = 1
-    clock[_LAST] = stamp
-    clock[_STARTED] = stamp
-    clock[_REJECTED] = 0
-    clock[_SEEN] = 0
+    _start_clock(memory.clock, stamp)
 
 
 @in_place
@@ -238,7 +231,7 @@ def _write(row, memory, settings, nis, flags, work):
 @in_place
 def _dropped(elapsed, x, covariance, clock, counts):
     """Whether a running filter has no use for a sample at that distance [ns]; stops one that has to begin again."""
-    if clock[_RUNNING] == 0:
+    if clock[RUNNING] == 0:
         return False
     if elapsed == 0:
         counts[_DUPLICATES] += 1
@@ -247,7 +240,7 @@ def _dropped(elapsed, x, covariance, clock, counts):
         counts[_LATE] += 1
         return True
     if elapsed < 0 or elapsed > LONGEST_GAP_NS or not _finite(x, covariance):
-        clock[_RUNNING] = 0
+        clock[RUNNING] = 0
         counts[_RESTARTS] += 1
     return False
 
@@ -257,35 +250,10 @@ def _begin(stamp, y, u, memory, settings, work, row):
     """Start with a sample that has everything; whether there is an estimate."""
     _start(stamp, y, u, memory, settings)
     memory.counts[_PROCESSED] += 1
-    return _write(row, memory, settings, np.nan, 0, work)
+    return _write(row, memory, settings, np.nan, _NO_FLAGS, work)
 
 
-@inlined
-def _own_period(elapsed, clock, nominal):
-    """Period of the stream [s]: the median of the last distances [ns], the nominal one [s] where that is near.
-
-    It follows from the stamps since the filter's start alone, so that a replay finds the same.
-    """
-    clock[_FIRST_DISTANCE + clock[_SEEN] % _DISTANCES] = elapsed
-    clock[_SEEN] += 1
-    count = min(clock[_SEEN], _DISTANCES)
-    middle = elapsed
-    for i in range(count):
-        candidate = clock[_FIRST_DISTANCE + i]
-        below, equal = 0, 0
-        for j in range(count):
-            other = clock[_FIRST_DISTANCE + j]
-            below += other < candidate
-            equal += other == candidate
-        # The lower of the two in the middle of an even number: a gap among few distances is no period.
-        if below <= (count - 1) // 2 < below + equal:
-            middle = candidate
-            break
-    own = middle / 1e9
-    return nominal if abs(own - nominal) <= _NEAR * nominal else own
-
-
-@inlined
+@merged
 def _advance(elapsed, period, u, known_u, memory, settings, work):
     """Predict over the time since the last sample [ns], missing samples included.
 
@@ -294,11 +262,7 @@ def _advance(elapsed, period, u, known_u, memory, settings, work):
     Returns:
         Whether samples are missing, and how many pivots were repaired.
     """
-    seconds = elapsed / 1e9
-    steps = max(1, int(seconds / settings.step + 0.5))
-    dt = seconds / steps
-    gap = seconds >= (1.5 if period == settings.period else _FAR) * period
-    since = steps - max(1, int(period / dt + 0.5)) if gap else 0
+    steps, dt, gap, since = _steps_over(elapsed, period, settings.period, settings.step)
     for i in range(memory.x.shape[0]):
         memory.noise[i] = settings.process_noise[i] * (dt / settings.period)
     repaired = 0
@@ -322,7 +286,7 @@ def _advance(elapsed, period, u, known_u, memory, settings, work):
     return gap, repaired
 
 
-@inlined
+@merged
 def _gate(y, finite_1, finite_2, memory, settings):
     """Innovation of the pressures, which of them to use, and whether one was left out as an outlier."""
     innovation, covariance = memory.innovation, memory.innovation_covariance
@@ -333,15 +297,15 @@ def _gate(y, finite_1, finite_2, memory, settings):
     use_1, use_2 = _select(innovation, covariance, finite_1, finite_2, settings.gate)
     clock = memory.clock
     if use_1 == finite_1 and use_2 == finite_2:
-        clock[_REJECTED] = 0
+        clock[REJECTED] = 0
         return use_1, use_2, False
-    clock[_REJECTED] += 1
-    if clock[_REJECTED] > PATIENCE:
+    clock[REJECTED] += 1
+    if clock[REJECTED] > PATIENCE:
         return finite_1, finite_2, False
     return use_1, use_2, True
 
 
-@inlined
+@merged
 def _correct(use_1, use_2, memory, settings, work):
     """Update with the pressures that are used, forget the innovation of the others; the squared innovation."""
     innovation = memory.innovation
@@ -390,7 +354,7 @@ def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
     return flags
 
 
-@in_place
+@merged
 def process(stamp, y, u, memory, settings, work, row):
     """Take one sample in.
 
@@ -414,10 +378,10 @@ def process(stamp, y, u, memory, settings, work, row):
     complete = finite_1 and finite_2 and known_u
     memory.innovation[:] = np.nan
     memory.innovation_covariance[:] = np.nan
-    elapsed = stamp - clock[_LAST]
+    elapsed = stamp - clock[LAST]
     if _dropped(elapsed, memory.x, memory.covariance, clock, counts):
         return False
-    if clock[_RUNNING] == 0:
+    if clock[RUNNING] == 0:
         if complete:
             return _begin(stamp, y, u, memory, settings, work, row)
         counts[_MISSING] += 1
@@ -427,10 +391,10 @@ def process(stamp, y, u, memory, settings, work, row):
     gap, repaired = _advance(elapsed, period, u, known_u, memory, settings, work)
     if gap:
         counts[_GAPS] += 1
-    clock[_LAST] = stamp
+    clock[LAST] = stamp
     if not _finite(memory.x, memory.covariance):
         # Nothing of the old estimate is of use: begin again with this sample, or with the next good one.
-        clock[_RUNNING] = 0
+        clock[RUNNING] = 0
         counts[_RESTARTS] += 1
         return complete and _begin(stamp, y, u, memory, settings, work, row)
 
@@ -442,27 +406,6 @@ def process(stamp, y, u, memory, settings, work, row):
 
 
 @in_place
-def process_one(stamp, p1, p2, u1, u2, memory, settings, work, rows):
-    """:func:`process` for one sample, called from Python.
-
-    Args:
-        stamp: [ns].
-        p1: pressure of muscle 1 [Pa].
-        p2: pressure of muscle 2 [Pa].
-        u1: voltage on valve 1 [V].
-        u2: voltage on valve 2 [V].
-        memory: fields of :class:`Memory` as a plain tuple, which numba takes from Python in a third of the time.
-        settings: fields of :class:`Settings`, likewise.
-        work: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise.
-        rows: result (1,) of ``ESTIMATE_DTYPE``.
-
-    Returns:
-        Whether there is an estimate.
-    """
-    return process(stamp, (p1, p2), (u1, u2), Memory(*memory), Settings(*settings), Work(*work), rows[0])
-
-
-@in_place
 def process_all(stamps, pressures, voltages, memory_fields, settings_fields, work_fields, rows, states, index, started):
     """:func:`process` for every sample of a recording, called from Python.
 
@@ -470,9 +413,9 @@ def process_all(stamps, pressures, voltages, memory_fields, settings_fields, wor
         stamps: (N,) [ns].
         pressures: (N, 2) [Pa].
         voltages: (N, 2) [V].
-        memory_fields: as for :func:`process_one`.
-        settings_fields: likewise.
-        work_fields: likewise.
+        memory_fields: fields of :class:`Memory` as a plain tuple, which numba takes from Python in a third of the time.
+        settings_fields: fields of :class:`Settings`, likewise.
+        work_fields: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise.
         rows: results (N,) of ``ESTIMATE_DTYPE``.
         states: result (N, n), the whole state behind each estimate.
         index: for each result the sample it belongs to (N,).
@@ -489,19 +432,6 @@ def process_all(stamps, pressures, voltages, memory_fields, settings_fields, wor
             for i in range(states.shape[1]):
                 states[count, i] = memory.x[i]
             index[count] = k
-            started[count] = memory.clock[_STARTED]
+            started[count] = memory.clock[STARTED]
             count += 1
     return count
-
-
-def started_ns(clock: Any) -> int | None:
-    """Stamp of the sample that the running filter was started with, None before the first."""
-    return int(clock[_STARTED]) if clock[_RUNNING] else None
-
-
-def running_since(stamp_ns: int) -> np.ndarray:
-    """The clock (CLOCK_SIZE,) of a filter that was started at a stamp [ns]."""
-    clock = np.zeros(CLOCK_SIZE, dtype=np.int64)
-    clock[_RUNNING] = 1
-    clock[_LAST] = clock[_STARTED] = stamp_ns
-    return clock

@@ -115,12 +115,12 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
         State (n,), n = p[parameters.STATES].
     """
     x = np.empty(int(p[STATES]))
-    settle(x, angle, pressure_1, pressure_2, u, p, velocity)
+    make_steady(x, angle, pressure_1, pressure_2, u, p, velocity)
     return x
 
 
 @in_place
-def settle(x, angle, pressure_1, pressure_2, u, p, velocity):
+def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity):
     """:func:`initial_state` into an array (n,)."""
     x[:] = 0.0
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2

@@ -12,7 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from pam_antagonist.control import Command, Gains, Mode, PiController, Status, VoltageLimits
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.filter import RESTART_AFTER_NS
+from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.controller import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
