@@ -185,7 +185,10 @@ class Estimator:
         self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, m))
         self._stamp, self._pressure, self._voltage = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 2))
         self._live = self._stamp, self._pressure, self._voltage, *self._fields, *_results(1, n)
-        self._row = self._live[-4][0]
+        rows = self._live[-4]
+        self._row = rows[0]
+        # numpy copies a record field by field, which takes longer than the filter's step.
+        self._bytes = rows.view(f"V{ESTIMATE_DTYPE.itemsize}")
         self._compile()
 
     def _compile(self) -> None:
@@ -275,8 +278,9 @@ class Estimator:
             >>> abs(float(row["angle"])) < 0.01, row["covariance"].shape
             (True, (3, 3))
         """
-        row = self.step_in_place(stamp_ns, p1, p2, u1, u2)
-        return None if row is None else row.copy()
+        if self.step_in_place(stamp_ns, p1, p2, u1, u2) is None:
+            return None
+        return self._bytes.copy().view(ESTIMATE_DTYPE)[0]
 
     def step_in_place(self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float) -> np.void | None:
         """:meth:`step` without a copy, for a loop that has a millisecond: the next call overwrites the row.

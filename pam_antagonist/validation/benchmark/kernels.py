@@ -90,7 +90,7 @@ class _Case:
     def live(self) -> None:
         """The same, one call from Python a sample."""
         self.estimator.reset()
-        step = self.estimator.step
+        step = self.estimator.step_in_place
         for stamp, (p1, p2), (u1, u2) in zip(
             self.stamps.tolist(), self.pressure.tolist(), self.voltage.tolist(), strict=True
         ):
@@ -140,7 +140,7 @@ def measure(rig: Rig) -> list[Figure]:
     figures.append(
         at_most(
             "python_call_n4",
-            "one call of Estimator.step from Python (n = 4) against nine bare RK4 steps",
+            "one call of Estimator.step_in_place from Python (n = 4) against nine bare RK4 steps",
             ratio,
             3.0,
             "×",
@@ -152,8 +152,8 @@ def measure(rig: Rig) -> list[Figure]:
     figures.append(
         at_most(
             "default_share_of_period",
-            "one call of Estimator.step with the default tuning, as a share of the sample period on a machine where "
-            "nine RK4 steps take 8 µs",
+            "one call of Estimator.step_in_place with the default tuning, as a share of the sample period on a machine "
+            "where nine RK4 steps take 8 µs",
             share,
             0.2,
             "",
