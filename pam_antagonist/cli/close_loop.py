@@ -16,7 +16,7 @@ from pam_antagonist import __version__
 from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, announce, planned
+from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, planned
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
@@ -164,8 +164,7 @@ def _diagnosed(
     store: Checkpoint,
 ) -> DiagnoseResult:
     plan = SEALED_CLOSE_LOOP if rig.valves.sealed else CLOSE_LOOP
-    expected = announce("close_loop", [*fitted, *held_out], plan)
-    with planned("close_loop", expected, plan) as progress:
+    with planned("close_loop", [*fitted, *held_out], plan) as progress:
         return diagnose(
             fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=held_out,
             jobs=arguments.jobs, seed=arguments.seed, progress=progress, store=store,

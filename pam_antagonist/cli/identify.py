@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pam_antagonist.api.identify import identify
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, announce, planned
+from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, planned
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal
 from pam_antagonist.rig import load_rig
@@ -81,8 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if damage:
         print(terminal.warnings(damage))
     plan = SEALED_IDENTIFY if rig.valves.sealed else IDENTIFY
-    expected = announce("identify", recordings, plan)
-    with planned("identify", expected, plan) as progress:
+    with planned("identify", recordings, plan) as progress:
         found = identify(
             recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, free=arguments.free,
             freeze=arguments.freeze, holdout=arguments.holdout, starts=arguments.starts, seed=arguments.seed,

@@ -244,36 +244,32 @@ def counted(total: float, what: str) -> Iterator[Callable[[float], None]]:
 
 
 @contextmanager
-def planned(what: str, expected: float, plan: Plan) -> Iterator[Callable[[str], None]]:
-    """Progress through phases.
+def planned(what: str, recordings: Sequence[Recording], plan: Plan) -> Iterator[Callable[[str], None]]:
+    """Progress through phases. When the first one begins, it is said how long all of it will take.
 
     Args:
         what: is done.
-        expected: time for all of it [s].
+        recordings: from whose length the time follows.
         plan: of the command.
 
     Yields:
         Takes what begins now.
     """
-    state = Planned(expected, plan)
-    with _shown(what, state) as shown:
-        yield lambda text: state.begin(text, shown.elapsed())
-
-
-def announce(what: str, recordings: Sequence[Recording], plan: Plan) -> float:
-    """Say how long a command will take, from the length of its recordings, where that is more than a few seconds.
-
-    Args:
-        what: the command.
-        recordings: that it takes.
-        plan: of the command.
-
-    Returns:
-        The expected time [s].
-    """
     seconds = sum(recording.duration_s for recording in recordings)
-    if plan.high * seconds >= _LINES:
-        one = "1 recording" if len(recordings) == 1 else f"{len(recordings)} recordings"
-        about = f"about {in_words(plan.low * seconds)} to {in_words(plan.high * seconds)} on two cores"
-        print(f"{what}: {one} of {in_words(seconds)} together, {about}", file=sys.stderr, flush=True)
-    return plan.middle * seconds
+    state = Planned(plan.middle * seconds, plan)
+    with _shown(what, state) as shown:
+
+        def report(text: str) -> None:
+            # Not before: a recording that is refused gets a line that names the reason, and no other.
+            if not state.text and plan.high * seconds >= _LINES:
+                print(f"{what}: {_how_long(len(recordings), seconds, plan)}", file=sys.stderr, flush=True)
+            state.begin(text, shown.elapsed())
+
+        yield report
+
+
+def _how_long(count: int, seconds: float, plan: Plan) -> str:
+    """The time that a command takes for recordings of so many seconds."""
+    one = "1 recording" if count == 1 else f"{count} recordings"
+    low, high = in_words(plan.low * seconds), in_words(plan.high * seconds)
+    return f"{one} of {in_words(seconds)} together, about {low} to {high} on two cores"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -12,6 +13,11 @@ from pam_antagonist.cli import progress
 from pam_antagonist.cli.progress import CLOSE_LOOP, IDENTIFY, Counted, Plan, Planned, Steady, in_words
 
 PLAN = Plan(1.0, 4.0, {"first": 1.0, "second": 2.0, "third": 1.0})
+
+
+def recordings(*seconds: float) -> Any:
+    """Recordings of these lengths."""
+    return [SimpleNamespace(duration_s=each) for each in seconds]
 
 
 @pytest.mark.parametrize("slowness", [0.5, 1.0, 3.0])
@@ -65,7 +71,7 @@ def test_what_is_counted_ends_at_one() -> None:
 def test_off_a_terminal_there_are_lines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(progress, "_TICK", 0.01)
     monkeypatch.setattr(progress, "_LINES", 0.1)
-    with progress.planned("close_loop", 1.0, PLAN) as report:
+    with progress.planned("close_loop", recordings(0.01), PLAN) as report:
         report("second phase")
         time.sleep(0.25)
     lines = capsys.readouterr().err.splitlines()
@@ -87,12 +93,15 @@ def test_on_a_terminal_the_bar_reaches_the_end(
 
 
 def test_how_long_it_takes_is_said_first_from_the_recordings_length(capsys: pytest.CaptureFixture[str]) -> None:
-    long, short = SimpleNamespace(duration_s=600.0), SimpleNamespace(duration_s=2.0)
-    expected = progress.announce("close_loop", [long, long], CLOSE_LOOP)  # type: ignore[list-item]
-    assert CLOSE_LOOP.low * 1200.0 < expected < CLOSE_LOOP.high * 1200.0
+    assert CLOSE_LOOP.low < CLOSE_LOOP.middle < CLOSE_LOOP.high
+    with progress.planned("close_loop", recordings(600.0, 600.0), CLOSE_LOOP) as report:
+        assert capsys.readouterr().err == ""  # a refusal of the recordings would come here, alone
+        report("recalibrating the base parameters")
+        report("round 1: score tests")
     said = capsys.readouterr().err
     assert said.startswith("close_loop: 2 recordings of 20 min together, about ") and said.count("\n") == 1
-    progress.announce("identify", [short], IDENTIFY)  # type: ignore[list-item]
+    with progress.planned("identify", recordings(2.0), IDENTIFY) as report:
+        report("force map")
     assert capsys.readouterr().err == ""
 
 
