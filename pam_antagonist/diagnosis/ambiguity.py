@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
-from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect
+from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
 from pam_antagonist.diagnosis.selection import Selection
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
 from pam_antagonist.inference.calibration import CALIBRATIONS
@@ -114,7 +114,7 @@ def with_compared_size(effect: FoundEffect, compared: Sequence[Ambiguity]) -> Fo
     for item in compared:
         if item.found == effect.name and item.parameter in effect.parameters and np.isfinite(item.size):
             value, std, unit = effect.parameters[item.parameter]
-            spread = (value, float(np.hypot(std, value - item.size)), unit)
+            spread = Size(value, float(np.hypot(std, value - item.size)), unit)
             return replace(effect, parameters={**effect.parameters, item.parameter: spread})
     return effect
 

@@ -12,7 +12,7 @@ from pam_antagonist.diagnosis import explained, findings, thresholds
 from pam_antagonist.diagnosis.candidates import Model, evidence, price
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.disturbance import estimate
-from pam_antagonist.diagnosis.result import FoundEffect
+from pam_antagonist.diagnosis.result import FoundEffect, Size
 from pam_antagonist.diagnosis.selection import recalibrate, select
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
@@ -217,7 +217,7 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Distur
     effect = FoundEffect(
         DISTURBANCE,
         None,
-        {"noise": (noise, std, "N m/s^0.5")},
+        {"noise": Size(noise, std, "N m/s^0.5")},
         gained,
         min(one.shares[0] for one in seen.values()),
         tuple(experiments[r].trial.name for r in seen),

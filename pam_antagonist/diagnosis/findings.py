@@ -12,7 +12,7 @@ from joblib import Parallel, delayed
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model, price
 from pam_antagonist.diagnosis.explained import evidence_of, further_share, remaining_residuals
-from pam_antagonist.diagnosis.result import FoundEffect, SizeProfile
+from pam_antagonist.diagnosis.result import FoundEffect, Size, SizeProfile
 from pam_antagonist.diagnosis.selection import refitted_without
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
@@ -186,12 +186,12 @@ def found_effects(
         for muscle, group in parts:
             recordings = {s.recording for seen in group.values() for s in seen}
             numbers = {free: [s for s in seen if s.recording in recordings] for free, seen in (group | shapes).items()}
-            parameters: dict[str, tuple[float, float, str]] = {}
+            parameters: dict[str, Size] = {}
             for free, seen in numbers.items():
                 if seen:
                     mean, std = _mean(seen)
                     parameters |= dict.fromkeys(
-                        (path.split(".")[2] for path in free.paths), (mean, std, free.item.unit)
+                        (path.split(".")[2] for path in free.paths), Size(mean, std, free.item.unit)
                     )
                     found.values.update(dict.fromkeys(free.paths, mean))
             found.contradictions.extend(_differences(effect, numbers, names))

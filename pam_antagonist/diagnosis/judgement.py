@@ -19,7 +19,7 @@ from pam_antagonist.diagnosis import (
 )
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
-from pam_antagonist.diagnosis.result import Judged, Verdict
+from pam_antagonist.diagnosis.result import Judged, Splits, Verdict
 from pam_antagonist.diagnosis.selection import Selection
 from pam_antagonist.diagnosis.stretches import Stretch, above_noise
 
@@ -150,5 +150,5 @@ def _firm(
         model = without[weakest]
         if not model.effects:
             return base, findings.Findings((), {}, []), {}, notes
-    effects = tuple(replace(effect, splits=(firm[effect.name].agree, splits.SPLITS)) for effect in found.effects)
+    effects = tuple(replace(effect, splits=Splits(firm[effect.name].agree, splits.SPLITS)) for effect in found.effects)
     return model, found._replace(effects=effects), firm, notes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from pam_antagonist.diagnosis.calibrations import FoundCalibration
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
@@ -21,6 +21,40 @@ Verdict = Literal["effect", "none", "unexplained"]
 MODELS = ("as_configured", "recalibrated", "extended")
 
 
+class Size(NamedTuple):
+    """A parameter of a found effect.
+
+    Attributes:
+        value: in `unit`.
+        std: its standard deviation, in `unit`.
+        unit: of both.
+    """
+
+    value: float
+    std: float
+    unit: str
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``."""
+        return self._asdict()
+
+
+class Splits(NamedTuple):
+    """How many splits of the recordings support what was found.
+
+    Attributes:
+        agree: splits that support it.
+        of: all splits.
+    """
+
+    agree: int
+    of: int
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``."""
+        return self._asdict()
+
+
 @dataclass(frozen=True)
 class FoundEffect:
     """An effect that the recordings show.
@@ -28,7 +62,7 @@ class FoundEffect:
     Attributes:
         name: in the catalogue.
         muscle: 1 or 2; None for both, and for an effect that belongs to neither.
-        parameters: value, standard deviation and unit of each, by name.
+        parameters: by name.
         delta_bic: evidence for it: what the model loses without it, the price of its parameters paid.
         holdout_gain: share of the held-out excess over noise (:mod:`explained`) that goes with it.
         recordings: names of the recordings that show it.
@@ -37,12 +71,12 @@ class FoundEffect:
         onset_std_s: standard deviation of that [s].
         end_s: until when it acts [s]; None: to the end of every recording that shows it.
         end_std_s: standard deviation of that [s].
-        splits: how many splits support it, and of how many; None where it was not judged so.
+        splits: how many of them support it; None where it was not judged so.
     """
 
     name: str
     muscle: int | None
-    parameters: Mapping[str, tuple[float, float, str]]
+    parameters: Mapping[str, Size]
     delta_bic: float
     holdout_gain: float
     recordings: tuple[str, ...] = ()
@@ -51,7 +85,11 @@ class FoundEffect:
     onset_std_s: float | None = None
     end_s: float | None = None
     end_std_s: float | None = None
-    splits: tuple[int, int] | None = None
+    splits: Splits | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``: all but the notes, which are warnings there."""
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "notes"}
 
 
 @dataclass(frozen=True)
@@ -98,6 +136,10 @@ class PartVerdict:
     name: str
     verdict: Verdict
     share: float
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``."""
+        return {"name": self.name, "verdict": self.verdict, "share_explained": self.share}
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,95 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.calibrations import FoundCalibration
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.remaining import RemainingResidual
-from pam_antagonist.diagnosis.result import Ambiguity, Diagnosis, FoundEffect, RecordingEntry, SizeProfile
+from pam_antagonist.diagnosis.result import (
+    Ambiguity,
+    Diagnosis,
+    FoundEffect,
+    PartVerdict,
+    RecordingEntry,
+    Size,
+    SizeProfile,
+    Splits,
+    Verdict,
+)
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
-
-Verdict = Literal["effect", "none", "unexplained"]
-
-
-@dataclass(frozen=True)
-class Size:
-    """A parameter of a found effect.
-
-    Attributes:
-        value: in `unit`.
-        std: its standard deviation, in `unit`.
-        unit: of both.
-    """
-
-    value: float
-    std: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class Splits:
-    """How many splits of the recordings support what was found.
-
-    Attributes:
-        agree: splits that support it.
-        of: all splits.
-    """
-
-    agree: int
-    of: int
-
-
-@dataclass(frozen=True)
-class Effect:
-    """An effect that was found.
-
-    Attributes:
-        name: in the catalogue.
-        muscle: 1 or 2; None for both, and for an effect that belongs to neither.
-        parameters: by name.
-        delta_bic: evidence for it.
-        holdout_gain: share of the held-out excess over noise that it explains.
-        recordings: that show it.
-        onset_s: since when it acts [s]; None: throughout.
-        onset_std_s: standard deviation of that [s]; None likewise.
-        end_s: until when it acts [s]; None: to the end of every recording that shows it.
-        end_std_s: standard deviation of that [s]; None likewise.
-        splits: how many of the splits support it; None where it was not judged so.
-    """
-
-    name: str
-    muscle: int | None
-    parameters: Mapping[str, Size]
-    delta_bic: float
-    holdout_gain: float
-    recordings: tuple[str, ...]
-    onset_s: float | None = None
-    onset_std_s: float | None = None
-    end_s: float | None = None
-    end_std_s: float | None = None
-    splits: Splits | None = None
-
-    @classmethod
-    def of(cls, found: FoundEffect) -> Effect:
-        """The entry of an effect."""
-        sizes = {name: Size(*size) for name, size in found.parameters.items()}
-        return cls(
-            name=found.name,
-            muscle=found.muscle,
-            parameters=sizes,
-            delta_bic=found.delta_bic,
-            holdout_gain=found.holdout_gain,
-            recordings=tuple(found.recordings),
-            onset_s=found.onset_s,
-            onset_std_s=found.onset_std_s,
-            end_s=found.end_s,
-            end_std_s=found.end_std_s,
-            splits=None if found.splits is None else Splits(*found.splits),
-        )
 
 
 @dataclass(frozen=True)
@@ -151,21 +81,6 @@ class Candidate:
     holdout_gain: float | None
     taken: bool
     score_by_muscle: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class Part:
-    """The verdict on a part of the joint that was judged by itself.
-
-    Attributes:
-        name: of the part.
-        verdict: on it.
-        share_explained: share of its held-out excess over noise that the effects explain.
-    """
-
-    name: str
-    verdict: Verdict
-    share_explained: float
 
 
 @dataclass(frozen=True)
@@ -226,12 +141,12 @@ class CloseLoopReport:
 
     verdict: Verdict
     sentence: str
-    effects: tuple[Effect, ...]
+    effects: tuple[FoundEffect, ...]
     ambiguous_with: tuple[str, ...]
     experiments: Mapping[str, str]
     ambiguities: tuple[Ambiguity, ...]
     share_explained: float
-    parts: tuple[Part, ...]
+    parts: tuple[PartVerdict, ...]
     reference: Mapping[str, float] | None
     base_friction_removed: bool
     errors: ModelErrors
@@ -256,8 +171,7 @@ class CloseLoopReport:
 
 
 def _least(effects: Sequence[FoundEffect]) -> Splits | None:
-    known = [effect.splits for effect in effects if effect.splits is not None]
-    return Splits(*min(known)) if known else None
+    return min((effect.splits for effect in effects if effect.splits is not None), default=None)
 
 
 def report(
@@ -282,14 +196,14 @@ def report(
     return CloseLoopReport(
         verdict=found.verdict,
         sentence=found.sentence,
-        effects=tuple(map(Effect.of, found.effects)),
+        effects=found.effects,
         calibration=tuple(map(Calibration.of, found.calibrations)),
         corrections=tuple((typed or Corrections()).followed_by(further).options()) if found.calibrations else (),
         ambiguous_with=tuple(found.ambiguous_with),
         experiments=dict(found.experiment),
         ambiguities=tuple(found.ambiguities),
         share_explained=found.share,
-        parts=tuple(Part(part.name, part.verdict, part.share) for part in found.parts),
+        parts=found.parts,
         reference=None if found.reference is None else dict(found.reference),
         base_friction_removed=found.base_friction_removed,
         errors=found.errors,

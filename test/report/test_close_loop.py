@@ -9,9 +9,9 @@ import pytest
 
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Sliding
 from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
-from pam_antagonist.diagnosis.result import Ambiguity, RecordingEntry
+from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict, RecordingEntry, Size
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.report.close_loop import CloseLoopReport, Effect, Part, Settings, Size
+from pam_antagonist.report.close_loop import CloseLoopReport, Settings
 from pam_antagonist.report.close_loop_document import errors_table, summary
 from pam_antagonist.report.close_loop_findings import findings
 from pam_antagonist.report.document import Findings
@@ -62,12 +62,12 @@ def report() -> CloseLoopReport:
     return CloseLoopReport(
         verdict="effect",
         sentence="Air leaks.",
-        effects=(Effect("leak", 1, {"area_1": Size(1e-9, 1e-11, "m2")}, 180.0, 0.9, ("lab/free",)),),
+        effects=(FoundEffect("leak", 1, {"area_1": Size(1e-9, 1e-11, "m2")}, 180.0, 0.9, ("lab/free",)),),
         ambiguous_with=(),
         experiments={},
         ambiguities=(),
         share_explained=0.9,
-        parts=(Part("joint", "effect", 0.9),),
+        parts=(PartVerdict("joint", "effect", 0.9),),
         reference=None,
         base_friction_removed=False,
         errors=MODELS,
@@ -142,7 +142,7 @@ def test_a_clear_effect_is_good_and_an_ambiguous_one_a_warning(report: CloseLoop
 
 
 def test_a_part_that_is_not_explained_is_a_warning(report: CloseLoopReport) -> None:
-    parts = (Part("pressures", "unexplained", 0.0), Part("torque", "effect", 0.9))
+    parts = (PartVerdict("pressures", "unexplained", 0.0), PartVerdict("torque", "effect", 0.9))
     assert "The residual of the pressures is above noise" in said(replace(report, parts=parts), "warn")
 
 
