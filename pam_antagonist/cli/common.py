@@ -219,14 +219,14 @@ def announce_report(arguments: argparse.Namespace, folder: Path) -> None:
 
 
 def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
-    """A line with the command that usually comes next.
+    """The command that usually comes next, on a line of its own.
 
     Args:
         words: the command's name.
         bags: that it takes.
         rest: further arguments.
     """
-    return f"next: {typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
+    return f"next:\n{typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import itertools
 import re
+from html import escape
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
+from jinja2.filters import do_mark_safe
 
 from pam_antagonist import strict_json
 from pam_antagonist.report import plotly_renderer
@@ -71,12 +72,12 @@ def _environment() -> Environment:
     return environment
 
 
-def _unbroken(text: str) -> Markup:
+def _unbroken(text: str) -> str:
     """No line ends between a number and its unit, within a unit or an option; one may end within a checksum."""
     text = text.replace("N m", "N\u00a0m").replace("N mm", "N\u00a0mm")
     text = _UNIT.sub("\u00a0", text)
-    shown = _CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), str(escape(text)))
-    return Markup(_OPTION.sub(r'<span class="option">\g<0></span>', shown))
+    shown = _CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), escape(text))
+    return do_mark_safe(_OPTION.sub(r'<span class="option">\g<0></span>', shown))
 
 
 def _json(value: Any) -> str:
