@@ -198,6 +198,8 @@ class _Shown:
             done = self._state.fraction(elapsed)
             left = self._steady.left(elapsed, self._state.left(elapsed))
             rest = "" if math.isnan(left) else f"about {in_words(left)} left"
+            if not (done or self._state.text):  # compiling, most likely: there is nothing to say yet
+                self._line = elapsed + _LINES
             if terminal and elapsed >= _DELAY:
                 self._draw(100.0 * done, rest)
             elif not terminal and elapsed >= self._line:

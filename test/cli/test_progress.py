@@ -79,6 +79,17 @@ def test_off_a_terminal_there_are_lines(monkeypatch: pytest.MonkeyPatch, capsys:
     assert lines[0].startswith("close_loop: ") and "second phase" in lines[0] and lines[0].endswith(" left")
 
 
+def test_before_anything_is_done_there_is_no_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "_TICK", 0.01)
+    monkeypatch.setattr(progress, "_LINES", 0.05)
+    with progress.counted(100, "replay") as advance:
+        time.sleep(0.2)
+        advance(100)
+    assert capsys.readouterr().err == ""
+
+
 def test_on_a_terminal_the_bar_reaches_the_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
