@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
-from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, prior_cost
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, held_residual, prior_cost
 from pam_antagonist.inference.likelihood import Scale, Step, solve
 
 Floats = NDArray[np.float64]
@@ -115,7 +115,7 @@ def held_out_evidence(experiment: Experiment, before: Fitted, after: Fitted) -> 
         before: its model with fewer free parameters.
         after: its model with more.
     """
-    return likelier(before.scale, *(experiment.held(experiment.residual(f.point, whole=True)) for f in (before, after)))
+    return likelier(before.scale, *(held_residual(experiment, fitted) for fitted in (before, after)))
 
 
 def likelier(scale: Scale, before: Floats, after: Floats) -> float:

@@ -28,6 +28,7 @@ from pam_antagonist.diagnosis.result import (
 from pam_antagonist.identification.sealed import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.inference.calibration import CALIBRATIONS
+from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
@@ -46,7 +47,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         timings: what took how long.
     """
     jobs, progress = settings.jobs, settings.progress
-    compared = tuple(c for j in judged for c in held_out.compare(j.group, j.base, j.model, j.values))
+    compared = tuple(c for j in judged for c in held_out.compare(*_with_an_end(prepared, j, jobs), j.values))
     rivals = tuple(
         rival
         for j in judged
@@ -129,6 +130,20 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         compared=compared,
         seconds=timings.seconds,
     )
+
+
+def _with_an_end(prepared: Prepared, judged: Judged, jobs: int) -> tuple[Group, Model, Model]:
+    """A group as it was prepared, with its models; those that were fitted to all data are fitted again."""
+    if not any(experiment.splits for experiment in judged.group.experiments):
+        return judged.group, judged.base, judged.model
+    group = next(group for group in prepared.groups if group.name == judged.group.name)
+
+    def again(model: Model) -> Model:
+        pairs = zip(group.experiments, model.fits, strict=True)
+        fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(refit)(e, f.point, f.free) for e, f in pairs)
+        return Model(model.effects, tuple(fits))
+
+    return group, again(judged.base), again(judged.model)
 
 
 def _as_judged(prepared: Prepared, judged: Sequence[Judged]) -> Prepared:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, evidence, held_out_evidence, price
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.inference.gauss_newton import Fitted, held_residual
 
 Floats = NDArray[np.float64]
 
@@ -36,9 +36,7 @@ class Residuals(NamedTuple):
 
 def remaining_residuals(experiments: Sequence[Experiment], fits: Sequence[Fitted]) -> list[Residuals]:
     """What the models of all recordings leave."""
-    return [
-        Residuals(e.held(e.residual(f.point, whole=True)), f.residual) for e, f in zip(experiments, fits, strict=True)
-    ]
+    return [Residuals(held_residual(e, f), f.residual) for e, f in zip(experiments, fits, strict=True)]
 
 
 def held_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:

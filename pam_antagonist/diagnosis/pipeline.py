@@ -10,7 +10,8 @@ from pam_antagonist.diagnosis.description import describe
 from pam_antagonist.diagnosis.judgement import judge
 from pam_antagonist.diagnosis.preparation import Settings, Timings, prepare
 from pam_antagonist.diagnosis.result import Diagnosis
-from pam_antagonist.diagnosis.selection import recalibrate, select
+from pam_antagonist.diagnosis.selection import select
+from pam_antagonist.diagnosis.splits import recalibrated
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -59,9 +60,9 @@ def diagnose(
     timings = Timings()
     prepared = prepare(recordings, held_out, rig, settings)
     judged = []
-    for group in prepared.groups:
+    for prepared_group in prepared.groups:
         settings.progress("recalibrating the base parameters")
-        base = recalibrate(group.experiments, jobs)
+        group, base = recalibrated(prepared_group, jobs)
         check_same_rig(group, base, jobs)
         timings.end("recalibration")
         selection = select(group.experiments, base, jobs, settings.about(group), settings.checkpoint, calibrate=True)

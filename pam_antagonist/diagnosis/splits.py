@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model, likelier
+from pam_antagonist.diagnosis.preparation import Group
+from pam_antagonist.diagnosis.selection import recalibrate
+from pam_antagonist.inference.angle_driven import AngleDriven
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, Linear
 from pam_antagonist.inference.trial import Split
@@ -99,6 +102,24 @@ def in_words(firm: Mapping[str, Firmness]) -> str:
         return next(iter(firm.values())).in_words()
     several = len(firm) > 1
     return "; ".join((f"{name}: " if several else "") + one.in_words() for name, one in firm.items())
+
+
+def recalibrated(group: Group, jobs: int) -> tuple[Group, Model]:
+    """A group with what is held out of it, and its model without effects.
+
+    A joint that is driven by its angle shows few sweeps, so that its last part alone would decide by one or two of
+    them. Its recordings are fitted as a whole and judged by all splits together. Errors in a report stay those of the
+    last part.
+
+    Args:
+        group: the recordings.
+        jobs: threads.
+    """
+    if not all(isinstance(experiment, AngleDriven) for experiment in group.experiments):
+        return group, recalibrate(group.experiments, jobs)
+    base = recalibrate([_whole(experiment) for experiment in group.experiments], jobs)
+    pairs = zip(group.experiments, base.fits, strict=True)
+    return replace(group, experiments=tuple(replace(_whole(e), splits=_splits(e, f)) for e, f in pairs)), base
 
 
 def firmness(

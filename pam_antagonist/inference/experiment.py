@@ -95,6 +95,8 @@ class Experiment(ABC):
         jobs: threads that work out derivatives, beside those that fit several recordings or candidates at once.
         split: which blocks are fitted and which are held out, where that is not the first part and the rest;
             `fitted` is then all of the recording.
+        splits: blocks that are held out in turn, where all of the recording is fitted and models are judged by what
+            each split leaves of its held-out blocks; empty where `split` or `fitted` says what is held out.
         spans: when effects of a point act, by the effect's name; one that is not named acts as :attr:`span` says.
             Effects of the rig file act throughout.
         span: when all other effects of a point act.
@@ -107,6 +109,7 @@ class Experiment(ABC):
     seed: int = 0
     jobs: int = 1
     split: Split | None = None
+    splits: tuple[Split, ...] = ()
     spans: Mapping[str, Span] = field(default_factory=dict)
     span: Span = THROUGHOUT
 

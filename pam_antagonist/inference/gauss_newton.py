@@ -284,6 +284,19 @@ class Linear:
         return Near(point, residual, cost)
 
 
+def held_residual(experiment: Experiment, fitted: Fitted) -> Floats:
+    """What a model leaves of held-out blocks (B, C), fitted to each split's other blocks where there are several.
+
+    Args:
+        experiment: the recording.
+        fitted: its model.
+    """
+    if not experiment.splits:
+        return experiment.held(experiment.residual(fitted.point, whole=True))
+    linear = Linear.of(experiment, fitted)
+    return np.concatenate([linear.on(split.fitted).residual[split.held] for split in experiment.splits])
+
+
 def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
     """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
 

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import change_point, onset, splits
+from pam_antagonist.diagnosis import Diagnosis, change_point, diagnose, onset, splits
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
 from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.recording import Recording
+from pam_antagonist.rig import Rig
 
 OFFSET = {"effects.pressure_sensor.offset_1": 5e3}
 AREA = "effects.leak.area_1"
@@ -100,3 +102,37 @@ def test_a_split_that_does_not_agree_is_named() -> None:
     assert firm.in_words() == "3 of 5 splits agree; not those that hold out 12 to 24 s, 48 to 60 s"
     assert not replace(firm, evidence=(3.0, -1.0, 2.0, -4.0, -2.0)).is_firm
     assert splits.in_words({"leak": firm, "creep": firm}).startswith("leak: 3 of 5")
+
+
+def thinned(recording: Recording, every: int, jump: float = 0.0, begins: float = np.inf) -> Recording:
+    """Every so many-th sample, with the first pressure sensor off by so much from some time [s] on."""
+    count = len(recording.stamp_ns) // every * every
+    last = np.arange(every - 1, count, every)
+    late = (recording.stamp_ns - recording.stamp_ns[0]) * 1e-9 >= begins
+    pressure = recording.pressure + np.column_stack([jump * late, 0.0 * late])
+    return replace(
+        recording,
+        stamp_ns=recording.stamp_ns[last],
+        pressure=pressure[last],
+        voltage=recording.voltage[:count].reshape(-1, every, 2).mean(axis=1),
+        angle=None if recording.angle is None else recording.angle[last],
+        torque=None if recording.torque is None else recording.torque[last],
+    )
+
+
+def diagnosed(recording: Recording, rig: Rig) -> Diagnosis:
+    return diagnose([recording], rig, joint="locked", jobs=1, profiles=False, estimator=False)
+
+
+def test_a_sensor_that_jumps_in_the_held_out_part_is_found_at_250_hz(recorded, rig) -> None:
+    found = diagnosed(thinned(recorded(seconds=20.0), 4, 5e3, 15.0), rig)
+    (effect,) = found.effects
+    assert (effect.name, effect.muscle) == ("pressure_sensor", 1)
+    assert effect.onset_s == pytest.approx(15.0, abs=0.2)
+    assert effect.end_s is None
+    assert "from 15.0" in found.sentence
+    assert found.by_recording[0].held_out_s is not None and len(found.by_recording[0].held_out_s) > 1
+
+
+def test_a_joint_with_nothing_wrong_has_nothing_at_100_hz(recorded, rig) -> None:
+    assert diagnosed(thinned(recorded(seconds=20.0), 10), rig).verdict == "none"

@@ -235,3 +235,15 @@ def test_no_fit_sees_the_last_third(measured: Path, joint: Rig) -> None:
             theta = refit(driven, driven.origin, (), rounds=3).point.theta
             fitted.append((rig.joint.stiffness, rig.valves.charge_1, *theta))
     assert fitted[:2] == fitted[2:]
+
+
+@measured_only
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_the_measured_joint_has_one_answer_wherever_it_is_split(measured: Path, joint: Rig, share: float) -> None:
+    """What is held out at the end judges a report's errors; all splits together judge what was found."""
+    found = diagnose([read_bag(measured)], joint, holdout=share, jobs=1, profiles=False, estimator=False)
+    assert [(effect.name, effect.muscle, effect.splits) for effect in found.effects] == [
+        ("friction", None, (5, 5)),
+        ("leak", None, (5, 5)),
+    ]
+    assert found.by_recording[0].held_out_from_s == pytest.approx(18.7 * (1.0 - share), abs=0.1)
