@@ -45,7 +45,13 @@ def started_ns(clock: Any) -> int | None:
 
 @merged
 def own_period(elapsed, clock, nominal):
-    """Period of the stream [s]: the median of the last distances [ns], the nominal one [s] where that is near."""
+    """Period of the stream [s]: the median of the last distances, the nominal one where that is near.
+
+    Args:
+        elapsed: distance of this sample to the last one [ns].
+        clock: distances so far, with their count (m,).
+        nominal: period of the rig [s].
+    """
     clock[_FIRST_DISTANCE + clock[_SEEN] % _DISTANCES] = elapsed
     clock[_SEEN] += 1
     count = min(clock[_SEEN], _DISTANCES)

@@ -121,7 +121,17 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
 
 @in_place
 def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity):
-    """:func:`initial_state` into an array (n,)."""
+    """:func:`initial_state`, written into an array.
+
+    Args:
+        x: the array (n,).
+        angle: ψ [rad].
+        pressure_1: P_1 [Pa].
+        pressure_2: P_2 [Pa].
+        u: input, as for :func:`dynamics.rk4_step`.
+        p: parameter vector (m,).
+        velocity: ψ̇ [rad/s] with which it has come.
+    """
     x[:] = 0.0
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2
     sine, cosine, _ = _leverage(angle, p)
