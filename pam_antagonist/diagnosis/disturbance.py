@@ -18,7 +18,7 @@ from pam_antagonist.diagnosis import explained, thresholds
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.gauss_newton import Fitted, refit
 from pam_antagonist.inference.likelihood import in_mean_squares
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.model import dynamics, equilibrium
 
 Floats = NDArray[np.float64]
@@ -28,15 +28,16 @@ _STIFF = 30.0
 _DAMPING = 0.1
 """[N m s/rad] of the observer."""
 _ROUNDS = 4
-_LOOK = 12
-"""[blocks] A quarter of a second: shorter than a push by hand."""
-_MARGIN = 12
+_LOOK = 0.24
+"""[s] Shorter than a push by hand."""
+_MARGIN = 0.24
+"""[s] Before and after what stands out, an episode goes on."""
 _OF_LARGEST = 0.1
 """Share of the largest torque that an episode has at least."""
 _SAME_ANGLE = float(np.deg2rad(0.5))
 """[rad] Angles that are the same for a torque that depends on the angle."""
-_APART = 50
-"""[blocks] A second from an episode is another time."""
+_APART = 1.0
+"""[s] So far from an episode is another time."""
 _OFTEN = 5
 """[blocks] A torque at an angle is averaged over so many at least."""
 _STEP = 2e-3
@@ -144,7 +145,7 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     """
     trial = experiment.trial
     seen = _observed(experiment, point)
-    torque = np.where(_episodes(seen), seen, 0.0)
+    torque = np.where(_episodes(seen, trial), seen, 0.0)
     samples = np.repeat(torque, trial.block)
     samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
@@ -153,16 +154,17 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     before = explained.remaining_residuals([experiment], [fitted])
     after = explained.remaining_residuals([disturbed], [replace(beside, residual=disturbed.residual(beside.point))])
     squares = [in_mean_squares(*pair, experiment.noise) for pair in zip(before[0], after[0], strict=True)]
-    steps = np.diff(torque[::_LOOK])
+    look = trial.block_count(_LOOK)
+    steps = np.diff(torque[::look])
     return Disturbance(
         experiment=disturbed,
         fitted=beside,
         torque=torque,
         active=float(np.mean(torque != 0.0)),
-        recurring=_recurring(seen, torque != 0.0, _angle(experiment)),
+        recurring=_recurring(seen, torque != 0.0, _angle(experiment), trial.block_count(_APART)),
         shares=(explained.held_share([experiment], before, after), explained.whole_share([experiment], before, after)),
         squares=explained.share_of(squares),
-        noise=float(np.sqrt(np.mean(steps**2) / (_LOOK * trial.block_s))),
+        noise=float(np.sqrt(np.mean(steps**2) / (look * trial.block_s))),
     )
 
 
@@ -172,12 +174,12 @@ def _bent_back(experiment: Experiment, point: Point) -> Point:
     By iteratively reweighted least squares; a torque counts once a second, as an error does in a fit.
     """
     directions = len(experiment.directions)
-    prior, theta = experiment.prior[:directions], point.theta.copy()
+    prior, theta, trial = experiment.prior[:directions], point.theta.copy(), experiment.trial
     for _ in range(_BENT_BACK):
-        torque, columns = _smooth(_observed(experiment, Point(theta, point.effects))), []
+        torque, columns = _smooth(_observed(experiment, Point(theta, point.effects)), trial), []
         for k in range(directions):
             moved = Point(theta + _STEP * np.eye(len(theta))[k], point.effects)
-            columns.append((_smooth(_observed(experiment, moved)) - torque) / _STEP)
+            columns.append((_smooth(_observed(experiment, moved), trial) - torque) / _STEP)
         matrix = np.stack(columns, axis=1)
         step: Floats = np.zeros(directions)
         for _ in range(_REWEIGHTED):
@@ -201,6 +203,7 @@ def _between(experiment: Experiment, torque: Floats) -> Experiment:
 
 def _observed(experiment: Experiment, point: Point) -> Floats:
     """Torque (B,) [N m] that makes the model follow the measured angle."""
+    experiment, point = experiment.corrected(point)
     trial = experiment.trial
     angle = _angle(experiment)
     measured = np.interp(np.arange(len(trial)), (np.arange(len(angle)) + 0.5) * trial.block, angle)
@@ -218,13 +221,14 @@ def _angle(experiment: Experiment) -> Floats:
     return np.interp(np.arange(len(angle)), np.flatnonzero(known), angle[known])
 
 
-def _recurring(seen: Floats, active: NDArray[np.bool_], angle: Floats) -> float:
+def _recurring(seen: Floats, active: NDArray[np.bool_], angle: Floats, apart: int) -> float:
     """Share of the disturbance's squares that the mean torque at the same angle at other times predicts.
 
     Args:
         seen: torque (B,) [N m] that makes the model follow the measured angle.
         active: when there is an episode (B,).
         angle: measured (B,) [rad].
+        apart: so many blocks from an episode are another time.
     """
     places = np.rint(angle / _SAME_ANGLE).astype(int)
     places -= places.min()
@@ -238,7 +242,7 @@ def _recurring(seen: Floats, active: NDArray[np.bool_], angle: Floats) -> float:
     edges = np.flatnonzero(np.diff(active, prepend=False, append=False))
     left = 0.0
     for begin, end in edges.reshape(-1, 2):
-        near, times = sums(slice(max(begin - _APART, 0), end + _APART))
+        near, times = sums(slice(max(begin - apart, 0), end + apart))
         elsewhere = often - times
         predicted = np.where(elsewhere >= _OFTEN, (total - near) / np.maximum(elsewhere, 1), 0.0)
         left += float(np.sum((seen[begin:end] - predicted[places[begin:end]]) ** 2))
@@ -246,15 +250,16 @@ def _recurring(seen: Floats, active: NDArray[np.bool_], angle: Floats) -> float:
     return 1.0 - left / squares if squares > 0.0 else 0.0
 
 
-def _episodes(torque: Floats) -> NDArray[np.bool_]:
+def _episodes(torque: Floats, trial: Trial) -> NDArray[np.bool_]:
     """When there is an episode (B,): the torque stands out from its median size, with what is just before and after."""
-    smooth = _smooth(torque)
+    smooth = _smooth(torque, trial)
     out = np.abs(smooth) > max(
         thresholds.DISTURBANCE_STANDS_OUT * float(np.median(np.abs(smooth))),
         _OF_LARGEST * float(np.max(np.abs(smooth))),
     )
-    return np.convolve(out, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
+    return np.convolve(out, np.ones(2 * trial.block_count(_MARGIN) + 1), mode="same") > 0.0
 
 
-def _smooth(torque: Floats) -> Floats:
-    return np.asarray(np.convolve(torque, np.ones(_LOOK) / _LOOK, mode="same"))
+def _smooth(torque: Floats, trial: Trial) -> Floats:
+    look = trial.block_count(_LOOK)
+    return np.asarray(np.convolve(torque, np.ones(look) / look, mode="same"))

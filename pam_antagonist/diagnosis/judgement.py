@@ -37,7 +37,8 @@ def judge(prepared: Prepared, group: Group, selection: Selection, settings: Sett
     found = calibrations.found(
         group.experiments, (judged.model, selection.model), selection.calibrations, selection.rivals
     )
-    return replace(judged, calibrations=found, warnings=(*judged.warnings, *calibrations.differences(found)))
+    notes = (*calibrations.differences(found), *warnings.at_bounds(judged.group.experiments, judged.model))
+    return replace(judged, calibrations=found, warnings=(*judged.warnings, *notes))
 
 
 def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model
-from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, SPAN, equation_errors, signals, unit_of
+from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, equation_errors, signals, unit_of
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.valve_driven import ValveDriven
@@ -53,9 +53,9 @@ class Surroundings:
         """Some of the rows."""
         return self._each(lambda values: values[rows])
 
-    def windows(self, begin: NDArray[np.int64]) -> Surroundings:
-        """Means over windows of ``SPAN`` rows that begin there."""
-        return self._each(lambda values: np.array([values[b : b + SPAN].mean(axis=0) for b in begin]))
+    def windows(self, begin: NDArray[np.int64], span: int) -> Surroundings:
+        """Means over windows of so many rows that begin there."""
+        return self._each(lambda values: np.array([values[b : b + span].mean(axis=0) for b in begin]))
 
     def _each(self, what: Callable[[Floats], Floats]) -> Surroundings:
         columns = (self.pressure, self.voltage, self.time, self.angle, self.velocity)
@@ -216,13 +216,13 @@ def surroundings(experiment: Experiment, point: Point) -> Surroundings:
 
 def _of_equations(experiment: Experiment, point: Point, around: Surroundings) -> list[RemainingResidual]:
     errors = equation_errors(experiment, point)
-    windows = around.windows(errors.begin)
-    late = experiment.held_samples[(errors.begin + SPAN - 1) * experiment.trial.block]
+    windows = around.windows(errors.begin, errors.span)
+    late = experiment.held_samples[(errors.begin + errors.span - 1) * experiment.trial.block]
     out = []
     for k in errors.known:
         over = float(np.sqrt(np.mean(errors.values[~late, k] ** 2))) / errors.noise[k]
         if over >= thresholds.CLEAR_EQUATION_ERROR:
-            step = SPAN * experiment.trial.block_s
+            step = errors.span * experiment.trial.block_s
             out.append(_described(experiment, EQUATIONS[k], over, errors.values[:, k], late, windows, step))
     return out
 

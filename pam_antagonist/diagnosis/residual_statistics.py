@@ -42,10 +42,10 @@ EQUATIONS = (
     Channel("contraction torque", "N m", 1.0),
     Channel("joint motion", "deg/s", 1.0),
 )
-SPAN = 10
-"""[blocks] How long the model runs from a measurement."""
-_NEAR = 2
-"""[blocks] To either side, from which the velocity is taken."""
+_SPAN = 0.2
+"""[s] How long the model runs from a measurement."""
+_NEAR = 0.04
+"""[s] To either side, from which the velocity is taken."""
 _PROBES = 12
 _REACH = 2.0
 """[s] Largest lag: pressures and joint have answered a command by then."""
@@ -158,12 +158,13 @@ def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
         late = equations.begin >= first
         # A window's error is due to what was there while it lasted: the signals' means over it.
         over = {
-            name: np.array([values[b : b + SPAN].mean() for b in equations.begin[late]])
+            name: np.array([values[b : b + equations.span].mean() for b in equations.begin[late]])
             for name, values in given.items()
         }
         for k in equations.known:
             name, unit = EQUATIONS[k].title, EQUATIONS[k].unit
-            row = row_of((name, "equation", unit), equations.values[late, k], equations.noise[k], over, SPAN * step)
+            values, noise = equations.values[late, k], equations.noise[k]
+            row = row_of((name, "equation", unit), values, noise, over, equations.span * step)
             out.append(row)
     behind = {name: values[first:] for name, values in given.items()}
     for k, channel in enumerate(experiment.titles):
@@ -291,12 +292,14 @@ class EquationErrors:
         values: (W, 4) in the order and units of ``EQUATIONS``; 0 where something is missing.
         noise: what the sensors alone give (4,).
         known: which of them could be worked out.
+        span: blocks that each is taken over.
     """
 
     begin: NDArray[np.int64]
     values: Floats
     noise: Floats
     known: tuple[int, ...]
+    span: int
 
 
 def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
@@ -318,29 +321,30 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
         known.append(2)
     if moves:
         known.append(3)
-    begin = np.arange(_NEAR, len(shown) - SPAN - 1, SPAN)
+    span, near = trial.block_count(_SPAN), trial.block_count(_NEAR)
+    begin = np.arange(near, len(shown) - span - 1, span)
     start = np.array([_measured_state(states, shown, block, trial, moves, p_at[block]) for block in range(len(shown))])
     factors = np.array([[_flow_of_rate(i, start[b], p_at[b]) for i in (0, 1)] for b in begin])
-    seconds, size = SPAN * trial.block_s, trial.block
+    seconds, size = span * trial.block_s, trial.block
 
     def ends_at(block: int, x: Floats) -> Floats:
         """Pressures' readings and angle at the end of a window (3,)."""
         first, p = block * size + size // 2, p_at[block]
-        run, _ = dynamics.course(x, trial.given[first : first + (SPAN + 1) * size], p, trial.dt, trial.substeps)
-        end = run[SPAN * size - size // 2 :][:size].mean(axis=0)
+        run, _ = dynamics.course(x, trial.given[first : first + (span + 1) * size], p, trial.dt, trial.substeps)
+        end = run[span * size - size // 2 :][:size].mean(axis=0)
         return np.array([sensor.reading(0, end[2], p), sensor.reading(1, end[3], p), end[0]])
 
     values = np.full((len(begin), 4), np.nan)
     ends = np.array([ends_at(int(b), start[b]) for b in begin])
-    rates = (shown[begin + SPAN][:, [PRESSURE_1, PRESSURE_1 + 1, ANGLE]] - ends) / seconds
+    rates = (shown[begin + span][:, [PRESSURE_1, PRESSURE_1 + 1, ANGLE]] - ends) / seconds
     values[:, :2] = rates[:, :2] * factors * 1e6
     torque = np.array([dynamics.torque(x, p) for x, p in zip(start, p_at, strict=True)])
     lacking = shown[:, TORQUE] - torque
-    values[:, 2] = [lacking[b : b + SPAN].mean() for b in begin]
+    values[:, 2] = [lacking[b : b + span].mean() for b in begin]
     values[:, 3] = np.degrees(rates[:, 2])
     # What the sensors' noise does at the start and at the end of a window, for some of them.
     errors = np.zeros(4)
-    velocity = noise[ANGLE] * np.sqrt(2.0) / (2 * _NEAR * trial.block_s)
+    velocity = noise[ANGLE] * np.sqrt(2.0) / (2 * near * trial.block_s)
     of_state = ((0, noise[ANGLE]), (1, velocity if moves else 0.0), (2, noise[PRESSURE_1]), (3, noise[PRESSURE_1 + 1]))
     probes = np.linspace(0, len(begin) - 1, min(_PROBES, len(begin))).astype(int)
     for w in probes:
@@ -352,13 +356,13 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
             change = (ends_at(int(begin[w]), x) - ends[w]) / seconds
             turned = dynamics.torque(x, p_at[begin[w]]) - torque[begin[w]] if state != 1 else 0.0
             errors[:2] += (change[:2] * factors[w] * 1e6) ** 2
-            errors[2] += turned**2 / SPAN
+            errors[2] += turned**2 / span
             errors[3] += np.degrees(change[2]) ** 2
     errors /= len(probes)
     errors[:2] += (noise[PRESSURE_1:] / seconds * np.mean(factors, axis=0) * 1e6) ** 2
-    errors[2] += noise[TORQUE] ** 2 / SPAN
+    errors[2] += noise[TORQUE] ** 2 / span
     errors[3] += np.degrees(noise[ANGLE] / seconds) ** 2
-    return EquationErrors(begin, np.nan_to_num(values), np.sqrt(errors), tuple(known))
+    return EquationErrors(begin, np.nan_to_num(values), np.sqrt(errors), tuple(known), span)
 
 
 def _vectors(experiment: Experiment, point: Point) -> list[Floats]:
@@ -376,7 +380,8 @@ def _measured_state(states: Floats, shown: Floats, block: int, trial: Trial, mov
     """
     x = states[block * trial.block + trial.block // 2].copy()
     if moves:
-        low, high = max(block - _NEAR, 0), min(block + _NEAR, len(shown) - 1)
+        near = trial.block_count(_NEAR)
+        low, high = max(block - near, 0), min(block + near, len(shown) - 1)
         x[0] = shown[block, ANGLE]
         x[1] = (shown[high, ANGLE] - shown[low, ANGLE]) / ((high - low) * trial.block_s)
     for i in (0, 1):

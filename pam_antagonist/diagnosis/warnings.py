@@ -44,6 +44,31 @@ def explained_in_part(effects: Sequence[str]) -> str:
     )
 
 
+def at_bounds(experiments: Sequence[Experiment], model: Model) -> list[str]:
+    """Numbers of effects that ended at a bound: the recording asks for more than makes sense.
+
+    Args:
+        experiments: the recordings.
+        model: their models with effects.
+    """
+    out = []
+    for experiment, fitted in zip(experiments, model.fits, strict=True):
+        for free in fitted.free:
+            value = fitted.point.effects.get(free.path, free.item.neutral)
+            stands = next((bound for bound in (free.item.low, free.item.high) if np.isclose(value, bound)), None)
+            # A size that is 0 is none.
+            if stands is None or value == 0.0:
+                continue
+            name = free.path.split(".", 1)[1]
+            meaning = (
+                "what acts is larger than this law may be, or something else"
+                if free.item.is_size
+                else "the recording does not tell how much further it is; its standard error says nothing"
+            )
+            out.append(f"{name} ends at its bound, {value:g} {free.item.unit}, in {experiment.trial.name}: {meaning}")
+    return out
+
+
 def above_noise(stretches: Sequence[Stretch]) -> list[str]:
     """Where the recalibrated model leaves more than noise, one sentence a recording."""
     return [

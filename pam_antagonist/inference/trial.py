@@ -109,6 +109,10 @@ class Trial:
         """A model's step [s]."""
         return self.dt / self.substeps
 
+    def block_count(self, seconds: float) -> int:
+        """How many blocks are nearest to a time, at least one."""
+        return max(1, round(seconds / self.block_s))
+
     def samples(self, seconds: float) -> int:
         """How many samples are nearest to a time, at least one."""
         return max(1, round(seconds / self.dt))

@@ -15,8 +15,8 @@ from pam_antagonist.rig.schema import Rig
 
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
 _RANGE_WITHOUT_STOP = math.radians(25.0)
-_QUICKEST = 0.5
-"""Least time constant in sample periods: a Runge-Kutta step diverges beyond 2.8 time constants."""
+_QUICKEST = 0.5 * par.LONGEST_STEP
+"""[s] Least time constant, whatever the sample period is: a Runge-Kutta step diverges beyond 2.8 time constants."""
 _REACH = 5.0
 """Sigma points go so many standard deviations away from the value."""
 
@@ -100,7 +100,7 @@ def _bad_effects(rig: Rig) -> str:
                     f"effects.{name}.{key}: {value:g}, expected {item.low:g} to {item.high:g} {item.unit} "
                     f"({item.meaning})"
                 )
-        complaint = _too_quick(name, values, rig.sample_period)
+        complaint = _too_quick(name, values)
         if complaint:
             return complaint
     return ""
@@ -117,17 +117,16 @@ def _bad_bounds(rig: Rig) -> str:
     return ""
 
 
-def _too_quick(name: str, values: Mapping[str, float], period: float) -> str:
+def _too_quick(name: str, values: Mapping[str, float]) -> str:
     """A time constant of an effect that is there, the neutral one included, but that no step would follow."""
     items = CATALOGUE[name].parameters
-    least = _QUICKEST * period
     if not any(item.is_size and values.get(item.name, 0.0) != 0.0 for item in items):
         return ""
     for item in items:
         value = values.get(item.name, item.neutral)
-        if item.unit == "s" and 0.0 < value < least:
+        if item.unit == "s" and 0.0 < value < _QUICKEST:
             return (
-                f"effects.{name}.{item.name}: {value:g} s, expected at least {_QUICKEST:g} sample periods, {least:g} s"
+                f"effects.{name}.{item.name}: {value:g} s, expected at least {_QUICKEST:g} s"
                 f"{', or 0 for none' if item.is_size else ''}: one step of the integration would not follow it"
             )
     return ""
