@@ -14,9 +14,20 @@ from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, evidence
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
-from pam_antagonist.inference.gauss_newton import Fitted, best_of_starts, refit, relinearised
+from pam_antagonist.inference.gauss_newton import (
+    Fitted,
+    best_of_starts,
+    cost_of,
+    effect_jacobian,
+    prior_cost,
+    refit,
+    relinearised,
+)
+from pam_antagonist.inference.likelihood import solve
 from pam_antagonist.recording.corrections import Corrections
 
+_IMITATED = ("torque_scale",)
+"""Calibrations that base parameters imitate exactly: muscles, inertia and friction that are as much larger."""
 _STAMP_STD = 12.0**-0.5
 """[sample periods] A stamp tells within which sample something was: its error is uniform over one."""
 
@@ -80,6 +91,88 @@ def tried(
         candidate = TriedCandidate(name, number, np.nan)
         out.append(explained.with_fits(candidate, experiments, first, before, model, model.effects, each))
     return sorted(out, key=lambda candidate: -candidate.standing)
+
+
+def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: int) -> list[TriedCandidate]:
+    """Calibrations that the base parameters of a model at the noise have bent to, the best first.
+
+    The residual is noise, so that every block of it counts, or as many as its memory leaves. The evidence is that of
+    the posterior: base parameters that need not bend gain what their priors charged.
+
+    Args:
+        experiments: the recordings.
+        model: without effects, at the noise.
+        number: of the round.
+        jobs: threads.
+
+    Returns:
+        Those that are certain, have strong evidence in all, and hold on the held-out parts.
+    """
+    pairs = list(zip(experiments, model.fits, strict=True))
+    tasks = [
+        (r, candidate)
+        for r, (experiment, now) in enumerate(pairs)
+        for candidate in experiment.calibrations(now.point.effects)
+        if candidate.effect not in _IMITATED
+    ]
+    in_threads = Parallel(n_jobs=jobs, prefer="threads")
+    gains = in_threads(delayed(_first_order)(*pairs[r], candidate) for r, candidate in tasks)
+    tasks = [task for task, gain in zip(tasks, gains, strict=True) if gain > thresholds.STRONG]
+
+    def fitted(r: int, candidate: Candidate | None) -> Fitted:
+        experiment, now = pairs[r]
+        more = () if candidate is None else candidate.free
+        point = Point(now.point.theta, {**now.point.effects, **{free.path: 0.0 for free in more}})
+        return refit(
+            experiment, point, (*now.free, *more), renewals=3, blocks_per_error=now.scale.blocks_per_error
+        )  # fmt: skip
+
+    # What a further fit gains without any calibration speaks for none.
+    noted = list(dict.fromkeys(r for r, _ in tasks))
+    settled = dict(zip(noted, in_threads(delayed(fitted)(r, None) for r in noted), strict=True))
+    done = dict(zip(((c.effect, r) for r, c in tasks), in_threads(delayed(fitted)(*t) for t in tasks), strict=True))
+    out = []
+    for name in dict.fromkeys(name for name, _ in done):
+        fits, total, held = list(model.fits), 0.0, 0.0
+        for r, (experiment, _) in enumerate(pairs):
+            new = done.get((name, r))
+            if new is None or not _is_certain(new, name):
+                continue
+            gain, later = _posterior_gain(experiment, settled[r], new)
+            if gain > 0.0:
+                fits[r], total, held = new, total + gain, held + later
+        if total + held >= thresholds.TAKEN and min(total, held) >= thresholds.POSITIVE:
+            now = Model(model.effects, tuple(fits))
+            out.append(TriedCandidate(name, number, np.nan, total, held, (0.0, 0.0), now))
+    return sorted(out, key=lambda candidate: -candidate.standing)
+
+
+def _first_order(experiment: Experiment, fitted: Fitted, candidate: Candidate) -> float:
+    """Twice the gain in log posterior by a calibration beside a model at the noise, to first order."""
+    theta, scale = fitted.point.theta, fitted.scale
+    column = effect_jacobian(experiment, fitted.point, fitted.residual, candidate.free)
+    effect = np.concatenate([fitted.effect, column], axis=2)
+    step = solve(fitted.residual, fitted.base, effect, scale, experiment.prior, theta, rounds=2)
+    gain = float(np.sum(scale.misfits(fitted.residual) - scale.misfits(step.residual)))
+    gain += prior_cost(experiment, theta) - prior_cost(experiment, theta + step.theta)
+    return gain * scale.blocks_per_error / float(scale.length.max())
+
+
+def _posterior_gain(experiment: Experiment, before: Fitted, after: Fitted) -> tuple[float, float]:
+    """Evidence at the noise, where a block counts as many times as the residual's memory says: fitted, held out."""
+    scale = before.scale
+    length = float(scale.length.max())
+    old, new = (cost_of(experiment, f.point, f.residual, scale) for f in (before, after))
+    price = float(np.log(before.residual.size / length))
+    left = (experiment.held(experiment.residual(f.point, whole=True)) for f in (before, after))
+    later = [float(scale.misfits(part).sum()) for part in left]
+    share = scale.blocks_per_error / length
+    return share * (old - new) - price, share * (later[0] - later[1])
+
+
+def _is_certain(fitted: Fitted, name: str) -> bool:
+    value, std = _value(fitted, calibration.path(name))
+    return abs(value) >= thresholds.CERTAIN_CALIBRATION * std
 
 
 def _with(

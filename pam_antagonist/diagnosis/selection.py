@@ -101,7 +101,16 @@ def select(
     first = before or explained.remaining_residuals(experiments, base.fits)
     while (number := len(model.effects) + begin) <= most:
         if explained.at_noise(experiments, model):
-            break
+            certain = calibrations.hidden(experiments, model, number, jobs) if calibrate and not model.effects else []
+            weighed += [replace(candidate, taken=candidate is certain[0]) for candidate in certain]
+            if not certain or certain[0].model is None:
+                break
+            name, standing = certain[0].effect, certain[0].standing
+            near = (other.effect for other in certain[1:] if standing - other.standing < thresholds.STRONG)
+            rivals[name] = tuple(near)
+            base, model = calibrations.taken(experiments, base, model, certain[0].model, name, jobs)
+            progress(f"{name} added")
+            continue
         found = _round(experiments, first, model, number, jobs, progress, checkpoint)
         # Where a calibration was taken, its round was without it.
         tried = [*(candidate for candidate in tried if candidate.round != number), *found]

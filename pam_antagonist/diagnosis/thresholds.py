@@ -60,6 +60,12 @@ and Soom's friction 0.10 to 0.12), two of them 0.6; effects that imitated what i
 EXPLAINED_WELL = 0.6
 """Below it a warning says that something is left: another form of the effect, or something smaller."""
 
+# Calibrations.
+
+CERTAIN_CALIBRATION = 5.0
+"""Standard deviations of a calibration beside a model that is at the noise without it: there every block of samples
+counts, and not one error a second."""
+
 # Sizes of effects, and agreement between recordings.
 
 SMALL_SIBLING = 0.1
