@@ -368,7 +368,7 @@ def in_words(found: FoundCalibration) -> str:
     magnitude = float(np.log10(max(std, 1e-6)))
     digits = max(0, -int(np.floor(magnitude)) + (magnitude % 1.0 < np.log10(2.0)))
     number = f"{size:.{digits}f} ± {std:.{digits}f} {wording.unit}".replace(" °", "°")
-    return f"{wording.who} {number} too {wording.ways[found.value > 0.0]}"
+    return f"{wording.who} {number} too {wording.ways[int(found.value > 0.0)]}"
 
 
 def experiment(name: str) -> str:

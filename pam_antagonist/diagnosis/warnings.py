@@ -189,7 +189,11 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
             if any(trial.has(TORQUE) for trial in trials)
             else f"No torque from outside was recorded: {balance} cannot be seen."
         )
-        return f"Of a sealed joint cannot be seen: {reasons}.", torque
+        zeros = (
+            "Zeros of the encoder and of the torque cannot be seen: the charge of the muscles and the difference of "
+            "their forces look the same."
+        )
+        return f"Of a sealed joint cannot be seen: {reasons}.", torque, zeros
     out = []
     free = [trial for trial in trials if trial.joint == "free"]
     if not free:
@@ -200,7 +204,12 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
             "The joint was never locked, so an error of the force is hard to distinguish from friction and load. A "
             "recording with the joint locked distinguishes them."
         )
-    if not any(trial.has(TORQUE) for trial in trials):
+    if any(trial.has(TORQUE) for trial in trials):
+        out.append(
+            "The torque meter's scale shows no error of a few per cent: muscles, inertia and friction that are as much "
+            "larger look the same."
+        )
+    else:
         out.append("No torque was measured: an error of the force shows only in the joint's motion.")
     if free and not any(trial.has(ANGLE) for trial in free):
         hardly = _listed(effect for effect in CATALOGUE.values() if effect.needs_angle)

@@ -7,7 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import diagnose
+from pam_antagonist import simulate
+from pam_antagonist.diagnosis import calibrations, diagnose, explained
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.selection import recalibrate, select
+from pam_antagonist.inference.trial import make_trial
+from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report import close_loop, terminal
@@ -24,7 +29,7 @@ def misread(recording: Recording, **wrong: float) -> Recording:
 
 @pytest.fixture(scope="module")
 def late(rig, recorded):
-    recording = misread(recorded("none", joint="locked", seconds=24.0), delay_voltage=0.03)
+    recording = misread(recorded("none", joint="locked", seconds=22.0), delay_voltage=0.03)
     return diagnose([recording], rig, joint="locked", jobs=1, profiles=False)
 
 
@@ -59,18 +64,41 @@ def test_errors_are_those_of_the_calibrated_recording(late) -> None:
     assert entry.ukf.recalibrated.torque.rmse < entry.ukf.as_configured.torque.rmse
 
 
-def test_the_zero_of_an_encoder_is_no_effect(rig, recorded) -> None:
-    recording = misread(recorded("none", joint="free", seconds=30.0, seed=12), encoder_zero=np.radians(1.0))
-    found = diagnose([recording], rig, jobs=1, profiles=False, estimator=False)
-    assert found.verdict == "none"
-    assert [item.name for item in found.calibrations] == ["encoder_zero"]
-    assert np.degrees(found.calibrations[0].value) == pytest.approx(1.0, abs=0.1)
-    assert "the encoder reads" in found.sentence
+def test_a_calibration_is_said_in_the_unit_that_is_typed() -> None:
+    zero = calibrations.FoundCalibration("encoder_zero", np.radians(0.312), np.radians(0.021), "rad", 30.0, {})
+    assert calibrations.in_words(zero) == "the encoder reads 0.31 ± 0.02° too high"
+    scale = calibrations.FoundCalibration("torque_scale", -0.03, 0.0012, "-", 30.0, {})
+    assert calibrations.in_words(scale) == "the torque meter reads 3.00 ± 0.12 % too little"
+    late = calibrations.FoundCalibration("delay_angle", -0.03, 0.002, "s", 30.0, {})
+    assert calibrations.in_words(late) == "the angle is stamped 30 ± 2 ms too late"
+
+
+def test_recordings_that_differ_in_a_calibration_are_told() -> None:
+    apart = {"free": (0.30, 0.01), "locked": (0.20, 0.01)}
+    found = calibrations.FoundCalibration("torque_zero", 0.25, 0.05, "N m", 30.0, apart)
+    (text,) = calibrations.differences([found])
+    assert "free: the torque meter reads 0.300 ± 0.010 N m too high" in text and "locked" in text
+    assert calibrations.differences([replace(found, by_recording={**apart, "locked": (0.29, 0.01)})]) == []
+
+
+@pytest.mark.parametrize(("zero", "names"), [(0.0, ()), (0.3, ("encoder_zero",))])
+def test_a_zero_to_which_the_base_parameters_have_bent_is_found(rig, zero, names) -> None:
+    """At 250 Hz a zero of 0.3° hides: the recalibrated model is at the noise of every sensor all the same."""
+    exact = simulate(rig.replaced(sample_period=4e-3), duration=40.0, seed=3, mismatch=0.01)
+    trial = make_trial(misread(exact, encoder_zero=np.radians(zero)), rig, "free", 0.0, "free")
+    experiments = (ValveDriven(rig, trial, len(trial) * 2 // 3 // 25 * 25),)
+    base = recalibrate(experiments, jobs=1)
+    assert explained.at_noise(experiments, base)
+    chosen = select(experiments, base, 1, lambda text: None, Checkpoint(), calibrate=True)
+    assert calibrations.calibrations_of(chosen.model) == names
+    if names:
+        (found,) = calibrations.found(experiments, [chosen.model], chosen.calibrations, chosen.rivals)
+        assert np.degrees(found.value) == pytest.approx(zero, abs=0.06)
 
 
 def test_an_effect_and_a_calibration_beside_it_are_both_named(rig, recorded) -> None:
-    recording = misread(recorded("leak", 1, "seeping", 15.0), delay_voltage=0.03)
-    found = diagnose([replace(recording)], rig, joint="locked", jobs=1, profiles=False, estimator=False)
+    recording = misread(recorded("leak", 1, "seeping", 15.0, seconds=22.0), delay_voltage=0.03)
+    found = diagnose([recording], rig, joint="locked", jobs=1, profiles=False, estimator=False)
     assert found.verdict == "effect"
     assert [effect.name for effect in found.effects] == ["leak"]
     assert [item.name for item in found.calibrations] == ["delay_voltage"]

@@ -2,18 +2,47 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from pam_antagonist.diagnosis import warnings
 from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
+from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.inference.experiment import Point
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.model.effects import CATALOGUE
 
 
 def test_an_experiment_that_tells_is_named() -> None:
     said = distinguishing_experiments(("leak",), ("valve_offset",), {"free"})
     assert "close the valves" in said["valve_offset"]
     assert "locked" in said["valve_offset"]
+
+
+@dataclass
+class Ended:
+    point: Point
+    free: tuple[FreeEffectParameter, ...]
+
+
+@dataclass
+class Recorded:
+    trial: SimpleNamespace
+
+
+def test_a_number_that_ends_at_its_bound_is_named() -> None:
+    items = {item.name: item for item in CATALOGUE["creep"].parameters}
+    values = {"time": items["time"].high, "share_1": items["share_1"].low, "share_2": 0.0, "stiffness": 700.0}
+    free = tuple(FreeEffectParameter((f"effects.creep.{name}",), items[name]) for name in values)
+    point = Point(np.zeros(0), {f"effects.creep.{name}": value for name, value in values.items()})
+    recorded = Recorded(SimpleNamespace(name="free"))
+    size, time = sorted(warnings.at_bounds([recorded], Model(("creep",), (Ended(point, free),))))
+    assert size.startswith("creep.share_1 ends at its bound") and "in free" in size
+    assert time.startswith(f"creep.time ends at its bound, {values['time']:g} s") and "how much further" in time
 
 
 def estimated(angle: float | None, torque: float) -> SimpleNamespace:
