@@ -1,0 +1,90 @@
+"""Machine code is kept by what it is made of; compiling is told to who looks, and not counted as work."""
+
+from __future__ import annotations
+
+import ast
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist import _jit
+
+ROOT = Path(__file__).resolve().parents[1]
+KERNEL = """
+from pam_antagonist._jit import COMPILING, kernel
+
+@kernel
+def law(x):
+    return 2.0 * x
+
+print(law(1.5), COMPILING.kernels, COMPILING.seconds > 0.0)
+"""
+
+
+def test_a_kernel_is_compiled_once_for_each_state_of_its_code(tmp_path: Path) -> None:
+    module = tmp_path / "lab_law.py"
+    path = f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+
+    def run() -> str:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
+        return subprocess.run(
+            [sys.executable, module], env=environment, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    module.write_text(KERNEL)
+    assert run() == "3.0 1 True"
+    os.utime(module, (1.0, 1.0))  # as after another checkout or an installation
+    assert run() == "3.0 0 False"
+    module.write_text(KERNEL.replace("2.0", "4.0"))
+    assert run() == "6.0 1 True"
+
+
+def test_comments_and_docstrings_make_no_other_code() -> None:
+    plain = b"import math\n\ndef f(x):\n    return x + 1\n"
+    said = b'"""Module."""\nimport math\n\n\ndef f(x):\n    """Adds."""\n    # one\n    return x + 1\n'
+    assert _jit._code(plain) == _jit._code(said) != _jit._code(plain.replace(b"1", b"2"))
+
+
+def test_all_that_kernels_are_made_of_counts_and_nothing_else() -> None:
+    package = ROOT / "pam_antagonist"
+    found = {path.relative_to(package).as_posix() for path in _jit._kernel_sources()}
+    assert found >= {"model/dynamics.py", "model/effects/leak.py", "model/parameters.py", "estimation/filter.py"}
+    assert not found & {"estimation/estimator.py", "estimation/errors.py", "estimation/metrics.py"}
+    modules = {
+        ".".join(("pam_antagonist", *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__"): path
+        for folder in ("model", "estimation")
+        for path in (package / folder).rglob("*.py")
+    }
+    for path in _jit._kernel_sources():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{path}: relative imports are not followed"
+                inside = {f"{node.module}.{alias.name}" for alias in node.names}
+                names = inside if inside <= set(modules) else {node.module, *inside}
+                for name in names & set(modules):
+                    assert modules[name] in _jit._kernel_sources(), f"{path} imports {name}"
+
+
+class Terminal(io.StringIO):
+    """Standard error of somebody who looks."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_compiling_is_told_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    said, log = Terminal(), io.StringIO()
+    compiling = _jit.Compiling()
+    monkeypatch.setattr(sys, "stderr", said)
+    for call in (compiling.on_start, compiling.on_start, compiling.on_end, compiling.on_end):
+        call(None)
+    assert "Compiling, once (about a minute): 2 functions" in said.getvalue()
+    assert said.getvalue().endswith("\r\033[K"), "the line is free again"
+    monkeypatch.setattr(sys, "stderr", log)
+    compiling.on_start(None)
+    compiling.on_end(None)
+    assert log.getvalue() == "" and compiling.kernels == 3 and compiling.seconds > 0.0
