@@ -30,6 +30,7 @@ NAVIGATION = {
         "how-to/safety",
         "how-to/recording",
         "how-to/security",
+        "how-to/machines",
         "how-to/troubleshooting",
     ],
     "Reference": [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import os
 import re
@@ -103,6 +104,25 @@ def test_hosted_ci_runs_the_command_of_a_clean_clone() -> None:
     (job,) = workflow["jobs"].values()
     assert [step["run"] for step in job["steps"] if step.get("run", "").startswith(".ci/")] == [".ci/run"]
     assert os.access(ROOT / ".ci/run", os.X_OK)
+
+
+def test_the_container_is_made_of_what_is_there() -> None:
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    stages = re.findall(r"^FROM (\S+)(?: AS (\w+))?", text, re.MULTILINE)
+    assert stages == [("ros:jazzy-ros-base", "tools"), ("tools", "")]
+    folder = re.search(r"^WORKDIR (\S+)", text, re.MULTILINE)
+    assert folder is not None and f'ENTRYPOINT ["{folder[1]}/run"]' in text
+    for name, *arguments in (words.split() for words in re.findall(r"\./run (.*?)(?: \\)?\n", text)):
+        module = importlib.import_module(COMMANDS[name].target.split(":")[0])
+        module.parser().parse_args([word for word in arguments if word != "\\"])
+    ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
+    assert {".venv", ".git"} <= set(ignored) and not {"config", "pam_antagonist", "pam_antagonist_msgs"} & set(ignored)
+    content = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text(encoding="utf-8"))
+    assert (ROOT / ".devcontainer" / content["build"]["dockerfile"]).samefile(ROOT / "Dockerfile")
+    assert content["build"]["target"] in {name for _, name in stages}
+    assert not re.search(
+        r"^(Dockerfile|\.devcontainer)", (ROOT / ".gitignore").read_text(encoding="utf-8"), re.MULTILINE
+    )
 
 
 def test_manifests_are_valid() -> None:
