@@ -51,6 +51,7 @@ setup(
         "jinja2>=3.0",
         "joblib>=1.3",
         "lz4>=4",
+        "MarkupSafe>=2.0",
         "numba>=0.58",
         "numpy>=1.26,<3",
         "pydantic>=1.10,<3",

@@ -34,6 +34,7 @@ TABLES = {node.__name__.rsplit(".", 1)[1]: node.PARAMETERS for node in (plant, b
 ROSDEP = {
     "jinja2": "python3-jinja2",
     "joblib": "python3-joblib",
+    "markupsafe": "python3-jinja2",  # comes with it
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
