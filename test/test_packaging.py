@@ -374,7 +374,8 @@ def test_pip_installation_replays_without_ros(plain_python: Path, tmp_path: Path
 
     done = run(pam, "replay", "bag", "--rig", "shin2022", "--out", "core", cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stderr
-    assert "pip install 'pam_antagonist[reports]'" in done.stderr and done.stderr.count("\n") == 1
+    (said,) = [line for line in done.stderr.splitlines() if "plotly" in line]
+    assert "pip install 'pam_antagonist[reports]'" in said
     assert "Plotly" not in (tmp_path / "core/report.html").read_text(encoding="utf-8")
 
     _give(plain_python, "reports")
