@@ -48,9 +48,9 @@ def own_period(elapsed, clock, nominal):
     """Period of the stream [s]: the median of the last distances, the nominal one where that is near.
 
     Args:
-        elapsed: distance of this sample to the last one [ns].
-        clock: distances so far, with their count (m,).
-        nominal: period of the rig [s].
+        elapsed: distance from the last stamp [ns]; it is remembered.
+        clock: of the filter (CLOCK_SIZE,), changed in place.
+        nominal: the rig's period [s].
     """
     clock[_FIRST_DISTANCE + clock[_SEEN] % _DISTANCES] = elapsed
     clock[_SEEN] += 1
