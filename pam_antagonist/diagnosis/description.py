@@ -29,6 +29,7 @@ from pam_antagonist.identification.sealed import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.inference.calibration import CALIBRATIONS
 from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.short_runs import RUN_S, ShortRuns
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
@@ -91,6 +92,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
             ranking,
             reference,
             prepared.angle_driven,
+            any(isinstance(experiment, ShortRuns) for j in judged for experiment in j.group.experiments),
         ),
         effects=effects,
         calibrations=calibrated,
@@ -296,6 +298,7 @@ def sentence(
     ranking: Sequence[TriedCandidate],
     reference: Mapping[str, float] | None,
     mean_pressure: bool,
+    over_spans: bool = False,
 ) -> str:
     """The verdict in a sentence.
 
@@ -310,6 +313,7 @@ def sentence(
         ranking: all candidates.
         reference: errors of maps that know no physics.
         mean_pressure: whether the mean of the pressures is what the model is compared by, not each of them.
+        over_spans: whether the verdict rests on predictions over short spans, not on the model that runs by itself.
     """
     recalibrated, extended = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
     beside = f" The recordings need a calibration: {'; '.join(calibrated)}." if calibrated else ""
@@ -323,11 +327,18 @@ def sentence(
         )
     if verdict == "effect":
         what = " ".join(f"{words[0].upper()}{words[1:]}." for words in effects)
-        text = (
-            f"{what} With {'these effects' if len(effects) > 1 else 'this effect'} the model's errors on held-out data "
-            f"fall from {recalibrated} to {extended}: {100 * share:.0f} % of the excess over the sensors' noise is "
-            "explained."
-        )
+        these = "these effects" if len(effects) > 1 else "this effect"
+        gone = f"{100 * share:.0f} % of the excess over the sensors' noise is explained"
+        if over_spans:
+            text = (
+                f"{what} The joint sticks, so predictions over spans of {RUN_S:g} s decide: with {these} {gone} on "
+                f"held-out data. The model that runs by itself errs there by {recalibrated} without, {extended} with."
+            )
+        else:
+            text = (
+                f"{what} With {these} the model's errors on held-out data fall from {recalibrated} to {extended}: "
+                f"{gone}."
+            )
         text += beside + (f" {firmness}." if firmness else "")
         if reference is not None:
             straight = reference["angle_and_pressures"]

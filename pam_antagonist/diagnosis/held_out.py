@@ -45,7 +45,7 @@ def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float
     """
     out = [
         HeldOutComparison(
-            experiment,
+            experiment.free_run,
             dict(zip(MODELS, (experiment.origin, old.point, new.point), strict=True)),
             "fitted" if group.held_out else "both",
             number,
@@ -56,7 +56,7 @@ def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float
         old, new = (common_point(group.experiments, m, values) for m, values in ((base, {}), (model, effects)))
         for number, other in enumerate(group.held_out, len(group.experiments)):
             points = (other.origin, other.started(old), other.started(new))
-            out.append(HeldOutComparison(other, dict(zip(MODELS, points, strict=True)), "held out", number))
+            out.append(HeldOutComparison(other.free_run, dict(zip(MODELS, points, strict=True)), "held out", number))
     return tuple(out)
 
 

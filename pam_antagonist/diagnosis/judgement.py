@@ -14,6 +14,7 @@ from pam_antagonist.diagnosis import (
     held_out,
     onset,
     splits,
+    sticking,
     thresholds,
     warnings,
 )
@@ -70,19 +71,33 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
     if verdict == "effect":
         judged = _by_effects(prepared, group, selection, share, about_base, settings)
         return judged if late is None else onset.dated(judged, late)
-    if verdict == "unexplained" and not stretches:
-        about_base = (*warnings.changes(search.above_noise), *about_base)
+    if verdict == "unexplained":
+        over_spans = sticking.search(group, selection, settings)
+        if over_spans is not None:
+            spans, there = over_spans
+            note = warnings.over_spans(spans.experiments, there.recalibrated, there.model)
+            judged = _by_effects(prepared, spans, there, _share(spans, there), (note, *about_base), settings)
+            if judged.verdict == "effect":
+                return judged
+        if not stretches:
+            about_base = (*warnings.changes(search.above_noise), *about_base)
     return Judged(group, base, selection, verdict, share, base, warnings=about_base)
 
 
 def _verdict(group: Group, selection: Selection) -> tuple[Verdict, float]:
     """The verdict by effects alone, and the share of the held-out excess that they remove."""
     experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
-    before, after = (explained.remaining_residuals(experiments, m.fits) for m in (base, chosen))
-    share = explained.held_share(experiments, before, after) if chosen.effects else 0.0
+    share = _share(group, selection)
     if explained.explains(experiments, base, chosen):
         return "effect", share
     return ("unexplained" if explained.has_significant_excess(experiments, base.fits) else "none"), share
+
+
+def _share(group: Group, selection: Selection) -> float:
+    """The share of the held-out excess that the chosen effects remove."""
+    models = selection.recalibrated, selection.model
+    before, after = (explained.remaining_residuals(group.experiments, model.fits) for model in models)
+    return explained.held_share(group.experiments, before, after) if selection.model.effects else 0.0
 
 
 def _above_noise(group: Group, base: Model, settings: Settings) -> tuple[Stretch, ...]:

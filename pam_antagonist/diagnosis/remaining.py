@@ -188,8 +188,9 @@ class RemainingResidual:
 def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingResidual]:
     """What is above the noise: of the equations of each recording, then of its sensors."""
     out = []
-    for recorded, fitted in zip(experiments, model.fits, strict=True):
-        over = recorded.times_noise(fitted.residual)
+    for judged, fitted in zip(experiments, model.fits, strict=True):
+        recorded = judged.free_run
+        over = recorded.times_noise(fitted.residual if recorded is judged else recorded.residual(fitted.point))
         if np.max(over) < thresholds.AT_NOISE:
             continue
         experiment, point = recorded.corrected(fitted.point)

@@ -218,6 +218,11 @@ class Experiment(ABC):
         return self.simulated(point, whole=True)
 
     @property
+    def free_run(self) -> Experiment:
+        """The same recording as a report shows it: with a model that runs by itself, wherever it is judged by spans."""
+        return self
+
+    @property
     def noise_memory(self) -> float:
         """Blocks per independent value of the sensors' noise."""
         return 1.0

@@ -150,7 +150,7 @@ def refit(
         damped = len(_CAREFUL) if careful > 0 and (fresh or renewals <= 0) else 0
         for number in range(first, len(_STEP_LENGTHS) + damped):
             step = _step(experiment, point, free, (residual, base, effect), scale, number)
-            trial = _moved(point, free, step.theta, step.effect)
+            trial = moved_by(point, free, step.theta, step.effect)
             moved = experiment.residual(trial)
             new = cost_of(experiment, trial, moved, scale)
             if new < cost:
@@ -271,7 +271,7 @@ class Linear:
             linear = residual[part], self.base[part], self.effect[part]
             for number in range(len(_STEP_LENGTHS) + len(_CAREFUL)):
                 step = _step(self.experiment, point, self.fitted.free, linear, scale, number)
-                moved = _moved(point, self.fitted.free, step.theta, step.effect)
+                moved = moved_by(point, self.fitted.free, step.theta, step.effect)
                 left = self.experiment.residual(moved)
                 new = cost_of(self.experiment, moved, left[part], scale)
                 if new < cost:
@@ -355,7 +355,15 @@ def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:
     return Point(fitted.point.theta, effects)
 
 
-def _moved(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, effect: Floats) -> Point:
+def moved_by(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, effect: Floats) -> Point:
+    """A point after a step, within the bounds of the effects' parameters.
+
+    Args:
+        point: where it starts.
+        free: parameters of effects that move.
+        theta: change of the base coordinates (K + S,).
+        effect: change of the effects' coordinates (m,).
+    """
     effects = dict(point.effects)
     for parameter, change in zip(free, effect, strict=True):
         value = effects.get(parameter.path, parameter.item.neutral)

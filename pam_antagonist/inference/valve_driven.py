@@ -257,10 +257,7 @@ def run(
         shift: deviation of the true start from that (3,) [rad, Pa, Pa].
         later: what the model is from some times on, in their order. States that a phase adds start settled.
     """
-    moved = np.zeros(3) if shift is None else shift
     given = trial.voltage if trial.external is None else trial.given
-    pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
-    angle = equilibrium.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
     courses: list[tuple[Floats, Floats]] = []
     before = p
     for rows, vector in _parts(trial, p, later):
@@ -268,7 +265,7 @@ def run(
         # A joint must be able to stick within a step.
         now[par.FRICTION_STEP] = trial.step
         if not courses:
-            x0 = equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], now)
+            x0 = initial_state(trial, now, start, shift)
             courses.append(dynamics.course(x0, given[rows], now, trial.dt, trial.substeps))
         else:
             # The first row of a course is its start, which is the last one of the course before.
@@ -287,6 +284,22 @@ def run(
         out[end - len(states) : end, : states.shape[1]] = states
         end -= len(states)
     return out, np.concatenate([torque for _, torque in courses])
+
+
+def initial_state(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> Floats:
+    """State (n,) of the model at the first sample of a recording; the added states are settled.
+
+    Args:
+        trial: its first voltages are used.
+        p: parameter vector (P,).
+        start: what the sensors showed first.
+        shift: deviation of the true start from that (3,) [rad, Pa, Pa].
+    """
+    moved = np.zeros(3) if shift is None else shift
+    pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
+    angle = equilibrium.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
+    given = trial.voltage if trial.external is None else trial.given
+    return np.asarray(equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], p))
 
 
 def _parts(trial: Trial, p: Floats, later: Sequence[Phase]) -> list[tuple[slice, Floats]]:

@@ -26,6 +26,12 @@ def test_a_coarse_converter_does_not_average_out() -> None:
     assert noise == pytest.approx(step / np.sqrt(12.0), rel=0.2)
 
 
+def test_a_converter_is_seen_where_a_joint_jumps_over_most_of_its_levels() -> None:
+    step, rng = 1.745e-4, np.random.default_rng(4)
+    levels = np.cumsum(rng.choice([1, 2, 3, 5, 8], 300))
+    assert block_noise(step * np.repeat(levels, 40), 20) == pytest.approx(step / np.sqrt(12.0), rel=0.2)
+
+
 def test_blocks_leave_out_what_is_missing() -> None:
     values = np.ones((40, 1))
     values[:5] = np.nan

@@ -93,6 +93,14 @@ def _rub(amount: float, muscle: int | None, rng: Random) -> Deviation:
     return Deviation({"rub": amount * 4.5e-3, "rub_velocity": rng.uniform(0.05, 0.3)})
 
 
+def _fading_rub(power: float, least: float, most: float) -> Make:
+    def make(amount: float, muscle: int | None, rng: Random) -> Deviation:
+        shape = {"rub_velocity": rng.uniform(0.1, 0.2), "rub_fall": rng.uniform(least, most), "rub_power": power}
+        return Deviation({"rub": amount * 4.5e-3, **shape}, {"joint.viscous_friction": rng.uniform(1.0, 8.0)})
+
+    return make
+
+
 def _geared_rub(amount: float, muscle: int | None, rng: Random) -> Deviation:
     """Friction of a gear goes round with the teeth (Armstrong-Hélouvry, Dupont and Canudas de Wit 1994)."""
     shape = {"rub_wave": rng.uniform(0.2, 0.35), "rub_number": rng.uniform(8.0, 15.0)}
@@ -131,6 +139,8 @@ FORMS: tuple[Form, ...] = (
     Form("bristles", "friction", False, _bristle(0.4), "LuGre: Canudas de Wit et al. (1995)"),
     Form("dahl at the joint", "friction", False, _bristle(0.0), "Dahl (1976)"),
     Form("hess and soom", "friction", False, _rub, "Hess and Soom (1990)", 15.0),
+    Form("stribeck", "friction", False, _fading_rub(2.0, 0.4, 1.2), "Stribeck; Armstrong-Hélouvry et al. (1994)"),
+    Form("fading friction", "friction", False, _fading_rub(1.0, 0.4, 1.0), "Tondu and Lopez (2000), viscous as well"),
     Form("friction of a gear", "gear_friction", False, _geared_rub, "Armstrong-Hélouvry et al. (1994)", 15.0),
     Form("two-time creep", "creep", False, _creep((1.5, 9.0), (0.5, 0.5), 1.5e-2), "generalised Maxwell solid", 25.0),
     Form(

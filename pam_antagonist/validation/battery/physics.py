@@ -42,7 +42,8 @@ _NAMES = (
     *("pendulum", "pendulum_gear", "pendulum_angle"),
     *("spring", "spring_angle", "spring_hardening", "bumper", "bumper_gap"),
     # Friction: bristles whose level falls with the velocity, a level that does, and one that changes with the angle.
-    *("bristle", "bristle_angle", "bristle_fall", "rub", "rub_velocity", "rub_fall", "rub_wave", "rub_number"),
+    *("bristle", "bristle_angle", "bristle_fall"),
+    *("rub", "rub_velocity", "rub_fall", "rub_power", "rub_wave", "rub_number"),
     # Creep: branches with times and weights, quicker under load.
     *("creep_1", "creep_2", "creep_load"),
     *(f"creep_time_{k}" for k in range(ELEMENTS)),
@@ -67,7 +68,7 @@ _PENDULUM, _PENDULUM_GEAR, _PENDULUM_ANGLE = Q["pendulum"], Q["pendulum_gear"], 
 _SPRING, _SPRING_ANGLE, _SPRING_HARDENING = Q["spring"], Q["spring_angle"], Q["spring_hardening"]
 _BUMPER, _BUMPER_GAP, _RUB_WAVE, _RUB_NUMBER = Q["bumper"], Q["bumper_gap"], Q["rub_wave"], Q["rub_number"]
 _BRISTLE, _BRISTLE_ANGLE, _BRISTLE_FALL = Q["bristle"], Q["bristle_angle"], Q["bristle_fall"]
-_RUB, _RUB_VELOCITY, _RUB_FALL = Q["rub"], Q["rub_velocity"], Q["rub_fall"]
+_RUB, _RUB_VELOCITY, _RUB_FALL, _RUB_POWER = Q["rub"], Q["rub_velocity"], Q["rub_fall"], Q["rub_power"]
 _CREEP, _CREEP_TIME, _CREEP_WEIGHT = Q["creep_1"], Q["creep_time_0"], Q["creep_weight_0"]
 _GAS, _GAS_TIME, _GAS_FLOW, _WALL, _WALL_TIME = Q["gas_1"], Q["gas_time"], Q["gas_flow"], Q["wall_1"], Q["wall_time"]
 _TIRE, _TIRE_TIME, _TIRE_WORK = Q["tire_1"], Q["tire_time"], Q["tire_work"]
@@ -197,10 +198,16 @@ def _load(angle, q):
 
 @inlined
 def _rubbing(angle, velocity, q):
-    """Friction [N m] by Hess and Soom (1990): a level at rest, and less of it at speed; a gear's goes round."""
-    ratio = velocity / q[_RUB_VELOCITY]
+    """Friction [N m] of a level at rest, and less of it at speed; a gear's goes round.
+
+    It falls as 1/(1 + (v/w)²) by Hess and Soom (1990), as exp(−|v/w|^power) by Bo and Pavelescu (1982): the power is 2
+    for the curve that is named after Stribeck.
+    """
+    ratio = abs(velocity) / q[_RUB_VELOCITY]
     wave = 1.0 + q[_RUB_WAVE] * math.sin(q[_RUB_NUMBER] * angle)
-    return q[_RUB] * wave * (1.2 - q[_RUB_FALL] + q[_RUB_FALL] / (1.0 + ratio * ratio))
+    power = q[_RUB_POWER]
+    left = math.exp(-(ratio**power)) if power != 0.0 else 1.0 / (1.0 + ratio * ratio)
+    return q[_RUB] * wave * (1.2 - q[_RUB_FALL] + q[_RUB_FALL] * left)
 
 
 @inlined

@@ -1,0 +1,46 @@
+"""Friction of joints that stick, which decides over short spans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from pam_antagonist.diagnosis import sticking
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.preparation import Group, Settings
+from pam_antagonist.diagnosis.selection import Selection
+from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.short_runs import ShortRuns
+
+
+@pytest.fixture
+def asked(recorded, experiment_of, monkeypatch) -> Callable[..., tuple[Group, Selection] | None]:
+    """Looks for friction in a free recording of a joint."""
+    # What is clear after few simulations needs no long search.
+    monkeypatch.setattr(sticking, "_SEARCHED", 20)
+    settings = Settings("free", None, 1.0 / 3.0, 1, 0, lambda text: None, False, False, Checkpoint())
+
+    def ask(effect: str, form: str, amount: float) -> tuple[Group, Selection] | None:
+        experiment = experiment_of(recorded(effect, None, form, amount, "free", 20.0), "free")
+        base = Model((), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
+        return sticking.search(Group("joint", (experiment,), (0,)), Selection(base, base, ()), settings)
+
+    return ask
+
+
+def test_friction_that_falls_with_speed_is_found(asked) -> None:
+    found = asked("friction", "stribeck", 20.0)
+    assert found is not None
+    group, selection = found
+    assert isinstance(group.experiments[0], ShortRuns)
+    assert selection.model.effects == ("friction",)
+    values = selection.model.fits[0].point.effects
+    # 0.09 N m times 1.2 at rest.
+    at_rest = values["effects.friction.coulomb"] + values.get("effects.friction.stribeck", 0.0)
+    assert at_rest == pytest.approx(0.108, rel=0.3)
+
+
+def test_exchanged_air_is_not_called_friction(asked) -> None:
+    assert asked("exchange", "chambers exchange air", 8.0) is None
