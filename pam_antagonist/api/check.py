@@ -10,6 +10,7 @@ from pam_antagonist.api.given import Bag, RigGiven, as_rig
 from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.optional import needs
 from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.report.assumption import assumption
 from pam_antagonist.strict_json import write_json
 
 if TYPE_CHECKING:
@@ -24,11 +25,15 @@ class CheckResult(Checked):
         findings: the worst first.
         corrections: all that were found, together.
         joint: ``free`` or ``locked``.
+        assumption: the uncertainty that the rig claims; None of an identified one.
     """
 
+    assumption: str | None = None
+
     def as_dict(self) -> dict[str, Any]:
-        """As plain values: ``joint``, ``options`` to type, and ``findings``."""
+        """As plain values: ``assumption``, ``joint``, ``options`` to type, and ``findings``."""
         return {
+            "assumption": self.assumption,
             "joint": self.joint,
             "options": self.corrections.options(),
             "findings": [
@@ -74,5 +79,6 @@ def check(recording: Bag, rig: RigGiven, joint: str = "auto", lock_angle: float 
         ('free', 0)
     """
     read = recording if isinstance(recording, Recording) else read_bag(recording, judge=False)
-    found = check_recording(read, as_rig(rig), joint, lock_angle)
-    return CheckResult(found.findings, found.corrections, found.joint)
+    configured = as_rig(rig)
+    found = check_recording(read, configured, joint, lock_angle)
+    return CheckResult(found.findings, found.corrections, found.joint, assumption(configured))

@@ -115,11 +115,11 @@ class IdentifyResult:
             )
         names = ", ".join(name for _, _, name in self.recordings)
         source = f"identified from {names}; started from: {start.source.strip()}"
-        write_rig(_named(self.rig, start.name, source), folder / "rig.yaml", about)
+        write_rig(_named(self.rig, start.name, source, names), folder / "rig.yaml", about)
         for index, own in enumerate(self.own):
             name = self.recordings[index][2]
             remark = f"The values of {name} alone, which deviate a little from the common ones in rig.yaml."
-            named = _named(own, start.name, f"{source}; with the values of {name} alone")
+            named = _named(own, start.name, f"{source}; with the values of {name} alone", names)
             write_rig(named, folder / f"rig_{index + 1}.yaml", [*about, remark])
 
 
@@ -208,6 +208,6 @@ def _sealed(
     return IdentifyResult(found.rig, (), (), sealed.report(found, judged), found, tuple(judged), tuple(read), seed)
 
 
-def _named(rig: Rig, name: str, source: str) -> Rig:
+def _named(rig: Rig, name: str, source: str, recordings: str) -> Rig:
     plain = name.removesuffix("_identified")
-    return rig.replaced(name=f"{plain}_identified", source=" ".join(source.split()))
+    return rig.replaced(name=f"{plain}_identified", source=" ".join(source.split()), identified=recordings)

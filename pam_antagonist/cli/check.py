@@ -13,6 +13,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import add_options, from_options
 from pam_antagonist.report import terminal
+from pam_antagonist.report.assumption import in_first_lines
 from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
@@ -79,6 +80,8 @@ def _main(argv: Sequence[str] | None) -> int:
 
 def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> str:
     lines = [f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}"]
+    if checked.assumption is not None:
+        lines.append(terminal.render(in_first_lines(checked.assumption)))
     for finding in checked.findings:
         text = finding.text
         if finding.options:

@@ -24,7 +24,7 @@ from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.gauss_newton import Fitted, refit
-from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, random_part
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ def common_rig(
 
 
 def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
-    """A rig with the estimator's tuning and the random walk of the disturbance torque of another one.
+    """A rig with the estimator's tuning of another one, and with what its estimator finds that no law gives.
 
     Args:
         rig: the rig.
@@ -70,8 +70,8 @@ def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
     """
     if tuned is None:
         return rig
-    walk = {name: values for name, values in tuned.effects.items() if name == DISTURBANCE}
-    return rig.replaced(tunings=tuned.tunings, effects={**rig.effects, **walk})
+    random = {name: {**rig.effects.get(name, {}), **values} for name, values in random_part(tuned.effects).items()}
+    return rig.replaced(sensors=tuned.sensors, tunings=tuned.tunings, effects={**rig.effects, **random})
 
 
 def common_point(experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float]) -> Point:

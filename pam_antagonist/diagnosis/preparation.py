@@ -30,7 +30,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.trial import TORQUE, Trial, check, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
-from pam_antagonist.model.effects import DISTURBANCE
+from pam_antagonist.model.effects import random_part
 from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
@@ -42,8 +42,6 @@ WHOLE = "joint"
 DRIVEN = "driven"
 """Condition of a joint that something moves: its angle is an input."""
 _PARTS = ((AIR, "pressures"), (BALANCE, "torque"))
-_KEPT_EFFECTS = (DISTURBANCE,)
-"""Of a sealed rig that declares effects: this one is how the estimator finds the torque; the others are to be found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +321,8 @@ def base_without_friction(
     if rig.model.friction != "kikuuwe":
         raise BadInput(f"model.friction of rig {rig.name}: {rig.model.friction}; expected kikuuwe of a sealed rig")
     trials: list[SealedTrial] = [sealed_trial(recording, name, 1.0 - holdout) for recording, name in recordings]
-    kept = {name: values for name, values in rig.effects.items() if name in _KEPT_EFFECTS}
+    # What the estimator finds stays; the other effects that a sealed rig declares are to be found.
+    kept = random_part(rig.effects)
     # Viscous friction that is free would imitate what was taken out.
     without = {"friction.shaft": 0.0, "friction.muscle": 0.0, "joint.viscous_friction": 0.0}
     # What is not there is not uncertain either.

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist._jit import in_place, merged
-from pam_antagonist.estimation import stamps, ukf
+from pam_antagonist.estimation import stamps, start, ukf
 from pam_antagonist.estimation.stamps import (
     CLOCK_SIZE,
     LAST,
@@ -39,9 +39,8 @@ from pam_antagonist.estimation.stamps import (
     STARTED,
 )
 from pam_antagonist.estimation.ukf import Work
-from pam_antagonist.model import dynamics, equilibrium, sensor
-from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND, VELOCITY
-from pam_antagonist.model.parameters import LOCKED
+from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 
 PATIENCE = 20
 """Samples, at any rate: so many readings in a row tell a wrong filter from a wrong sensor."""
@@ -72,8 +71,8 @@ ESTIMATE_DTYPE = np.dtype(
 """One estimate: rad, rad/s, N m, their covariance, Pa, N, N m/rad, Pa, Pa², and what helps to judge it."""
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
-_start_angle, _forces, _torque_slope = equilibrium.start_angle, dynamics.forces, dynamics.torque_slope
-_subsystem, _make_steady, _pressure_behind = dynamics.subsystem, equilibrium.make_steady, sensor.pressure_behind
+_forces, _torque_slope, _start_state = dynamics.forces, dynamics.torque_slope, start.start
+_subsystem, _pressure_behind = dynamics.subsystem, sensor.pressure_behind
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
 
 
@@ -156,17 +155,23 @@ def make_memory(states: int, considered: int) -> Memory:
 
 
 @in_place
-def _start(stamp, y, u, memory, settings):
-    """Set the filter to what a first sample tells: its pressures, and a joint at rest under them."""
-    p = settings.parameter_sets[0]
-    pressure_1, pressure_2 = _pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p)
-    angle = settings.lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
+def _start(stamp, y, u, memory, settings, work):
+    """Set the filter to what a first sample tells."""
     memory.held[0], memory.held[1] = u
-    _make_steady(memory.x, angle, pressure_1, pressure_2, memory.held, p, 0.0)
-    memory.covariance[:] = 0.0
-    memory.cross[:] = 0.0
-    for i in range(memory.x.shape[0]):
-        memory.covariance[i, i] = settings.initial[i]
+    _start_state(
+        y,
+        memory.held,
+        settings.parameter_sets[0],
+        settings.initial,
+        settings.measurement_noise,
+        settings.gain_noise,
+        settings.lock_angle,
+        memory.x,
+        memory.covariance,
+        memory.cross,
+        memory.innovation,
+        work,
+    )
     _start_clock(memory.clock, stamp)
 
 
@@ -248,7 +253,7 @@ def _dropped(elapsed, x, covariance, clock, counts):
 @in_place
 def _begin(stamp, y, u, memory, settings, work, row):
     """Start with a sample that has everything; whether there is an estimate."""
-    _start(stamp, y, u, memory, settings)
+    _start(stamp, y, u, memory, settings, work)
     memory.counts[_PROCESSED] += 1
     return _write(row, memory, settings, np.nan, _NO_FLAGS, work)
 

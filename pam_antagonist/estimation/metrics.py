@@ -148,6 +148,26 @@ def coverage(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT, 
     return float(np.mean(np.abs(z[known]) <= half[known])) if known.any() else float("nan")
 
 
+def nees(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT) -> float:
+    """Normalised estimation error squared of one quantity, the mean over the samples.
+
+    Where the NIS tests the pressures, the NEES tests what is estimated, wherever that was measured as well (Bar-Shalom,
+    Li and Kirubarajan 2001, section 5.4). The variance of the reference sensor adds to that of the estimate.
+
+    Args:
+        error: estimate minus measurement, (N,).
+        variance: variance of the estimate, (N,).
+        reference: how the sensor errs that measured the reference.
+
+    Returns:
+        1 where the covariance is right, more where it is too small; NaN where nothing can be judged.
+    """
+    z = np.asarray(error, dtype=np.float64)
+    total = np.asarray(variance, dtype=np.float64) + reference.error**2
+    known = np.isfinite(z) & np.isfinite(total) & (total > 0.0)
+    return float(np.mean(z[known] ** 2 / total[known])) if known.any() else float("nan")
+
+
 def chi_square_bounds(dof: int, level: float = 0.95) -> tuple[float, float]:
     """Two-sided bounds of a chi-square variable, the same probability left out on either side.
 

@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Innovation:
-    """Whether the filter's innovations are as large and as white as they should be.
+    """Whether the filter is as wrong as it says: in the pressures, and in what was measured beside them.
 
     Attributes:
         nis_mean: mean normalised innovation squared; 2 is right for two pressures.
@@ -33,6 +33,8 @@ class Innovation:
         whiteness_p: p-value of a test for whiteness.
         largest_correlation: largest autocorrelation at any lag that was tested.
         samples: how many samples have an innovation.
+        nees_angle: mean normalised error squared of the angle [-]; 1 is right, None: not measured.
+        nees_torque: the same of the torque [-].
     """
 
     nis_mean: float
@@ -40,6 +42,8 @@ class Innovation:
     whiteness_p: float
     largest_correlation: float
     samples: int
+    nees_angle: float | None = None
+    nees_torque: float | None = None
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from pam_antagonist.replays.result import (
     ReplayReport,
     Timing,
 )
-from pam_antagonist.rig import Rig, RigIdentity, differences, fingerprint
+from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerprint
 
 FloatArray = NDArray[np.float64]
 
@@ -217,6 +217,8 @@ def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: Estimate
             metrics.whiteness_p(whitened),
             metrics.largest_autocorrelation(whitened),
             nis.samples,
+            _nees(angle, rows["angle"], variance[:, 0, 0], reading("angle")),
+            _nees(torque, rows["torque"], variance[:, 2, 2], reading("torque")),
         ),
         recording=RecordingFacts(
             bag_name(recording.path),
@@ -237,6 +239,13 @@ def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: Estimate
 def _readings(rig: Rig, pressure: FloatArray) -> FloatArray:
     """What the rig's sensors show at pressures (M, 2) [Pa]."""
     return np.asarray(sensor.readings(pressure, rig.parameters()))
+
+
+def _nees(measured: FloatArray | None, value: FloatArray, variance: FloatArray, reading: Reading) -> float | None:
+    """Mean normalised error squared, None where nothing was measured."""
+    if measured is None or not np.isfinite(measured).any():
+        return None
+    return metrics.nees(value - measured, variance, reading)
 
 
 def _external(recording: Recording, run: EstimateRun) -> ChannelErrors | None:

@@ -24,6 +24,7 @@ from pam_antagonist.diagnosis.result import (
     Verdict,
 )
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.report.assumption import assumption
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
@@ -137,6 +138,7 @@ class CloseLoopReport:
         splits: of the effect that the fewest splits support; None where no splits were asked.
         calibration: zeros, scales and late stamps that the recordings need; they are no effects.
         corrections: options to type for this calibration, with those that were typed already.
+        assumption: the uncertainty that the configured rig claims; None of an identified one.
     """
 
     verdict: Verdict
@@ -163,6 +165,7 @@ class CloseLoopReport:
     splits: Splits | None = None
     calibration: tuple[Calibration, ...] = ()
     corrections: tuple[str, ...] = ()
+    assumption: str | None = None
 
     @property
     def driven(self) -> bool:
@@ -238,4 +241,5 @@ def report(
         timing=dict(found.seconds),
         software=versions(),
         splits=_least(found.effects),
+        assumption=assumption(rig),
     )

@@ -11,6 +11,7 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report import close_loop_figures as drawn
 from pam_antagonist.report import close_loop_residuals as residuals
 from pam_antagonist.report import html
+from pam_antagonist.report.assumption import in_first_lines
 from pam_antagonist.report.channels import CHANNELS, TORQUE
 from pam_antagonist.report.close_loop import CloseLoopReport
 from pam_antagonist.report.close_loop_findings import (
@@ -60,6 +61,7 @@ def summary(report: CloseLoopReport) -> tuple[Block, ...]:
     notes = (*(Finding("warn", sentence(text)) for text in report.warnings), *unseen)
     return (
         Text(report.sentence),
+        *in_first_lines(report.assumption),
         Findings((*calibration_findings(report), *notes)),
         errors_table(report),
         sizes_table(report),
@@ -88,6 +90,7 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(report.sentence, "verdict"),
+        *in_first_lines(report.assumption),
     ]
     before_and_after = drawn.residuals(found) if with_figures else ()
     parts += [

@@ -9,6 +9,7 @@ from pam_antagonist.identification.session import Identified, recording_that_sho
 from pam_antagonist.identification.tuning import ConsideredDirection
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts
+from pam_antagonist.report.assumption import assumption
 from pam_antagonist.report.held_out import Given, HeldOut, Judged, pooled_coverage
 from pam_antagonist.report.identify_entries import (
     Between,
@@ -67,6 +68,7 @@ def report(recordings: Sequence[Given], found: Identified, judged: Sequence[Judg
         warnings=found.warnings,
         settings=Settings(found.start.name, asked.free, asked.frozen, asked.holdout, asked.starts, asked.seed),
         software=versions(),
+        assumption=assumption(found.start),
     )
 
 

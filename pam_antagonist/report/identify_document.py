@@ -10,6 +10,7 @@ from pam_antagonist.identification.session import Identified
 from pam_antagonist.identification.stages import MEASURED
 from pam_antagonist.report import html
 from pam_antagonist.report import identify_figures as drawn
+from pam_antagonist.report.assumption import in_first_lines
 from pam_antagonist.report.channels import CHANNELS
 from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import Judged, held_out_table
@@ -37,7 +38,12 @@ def write_report(
 
 def summary(report: IdentifyReport) -> tuple[Block, ...]:
     """What the terminal shows."""
-    return parameters_table(report), *map(held_out_table, report.held_out), Findings(findings(report))
+    return (
+        *in_first_lines(report.assumption),
+        parameters_table(report),
+        *map(held_out_table, report.held_out),
+        Findings(findings(report)),
+    )
 
 
 def document(
@@ -59,6 +65,7 @@ def document(
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(verdict(report), "verdict"),
+        *in_first_lines(report.assumption),
         *(drawn.held_out_figures(judged[0], found, 0)[:1] if with_figures else ()),
         Tiles(_tiles(report)),
         Findings(findings(report)),

@@ -329,6 +329,7 @@ class IdentifyReport:
         warnings: what the user should know.
         settings: what was asked.
         software: versions.
+        assumption: the uncertainty that the rig claimed from which the search started; None of an identified one.
     """
 
     held_out: tuple[HeldOut, ...]
@@ -346,3 +347,4 @@ class IdentifyReport:
     warnings: tuple[str, ...]
     settings: Settings
     software: Mapping[str, str]
+    assumption: str | None = None

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pam_antagonist.identification.sealed import SealedIdentified
+from pam_antagonist.identification.sealed import SealedIdentified, drift_size
 from pam_antagonist.report import html
+from pam_antagonist.report.assumption import assumption, in_first_lines
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import HeldOut, Judged, held_out_table
 from pam_antagonist.report.identify_entries import Change
@@ -16,6 +17,7 @@ from pam_antagonist.report.identify_findings import DEFINITIONS
 from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
+from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
 ASSUMED = (
@@ -80,13 +82,17 @@ class SealedTuning:
     Attributes:
         measurement: R.
         process: Q.
+        drift_std_pa: standard deviation of the readings' drift [Pa].
+        drift_time_s: its time constant [s].
         random_walk: noise of the external torque [N m/√s].
-        log_likelihood: of the angle's errors.
+        log_likelihood: of the angle's errors, less the square of ln(NIS/2).
         evaluations: how many tunings were tried.
     """
 
     measurement: VectorChange
     process: VectorChange
+    drift_std_pa: Change
+    drift_time_s: Change
     random_walk: Change
     log_likelihood: Change
     evaluations: int
@@ -120,6 +126,7 @@ class SealedReport:
         assumed: sentences: what the recordings do not determine.
         recordings: that were used.
         software: versions.
+        assumption: the uncertainty that the rig claimed from which the search started; None of an identified one.
     """
 
     held_out: tuple[HeldOut, ...]
@@ -128,6 +135,7 @@ class SealedReport:
     assumed: tuple[str, ...]
     recordings: tuple[SealedRecording, ...]
     software: Mapping[str, str]
+    assumption: str | None = None
 
 
 def report(found: SealedIdentified, judged: Sequence[Judged]) -> SealedReport:
@@ -157,6 +165,8 @@ def report(found: SealedIdentified, judged: Sequence[Judged]) -> SealedReport:
         tuning=SealedTuning(
             VectorChange(tuple(before.measurement), tuple(now.measurement)),
             VectorChange(tuple(before.process), tuple(now.process)),
+            Change(_drift(found.start), _drift(found.rig)),
+            Change(found.start.value(_DRIFT_TIME), found.rig.value(_DRIFT_TIME)),
             Change(found.start.value(walk), found.rig.value(walk)),
             Change(*found.likelihood),
             found.evaluations,
@@ -168,7 +178,17 @@ def report(found: SealedIdentified, judged: Sequence[Judged]) -> SealedReport:
             for whole in [item.whole["identified"].report]
         ),
         software=versions(),
+        assumption=assumption(found.start),
     )
+
+
+_DRIFT_TIME = "effects.pressure_sensor.drift_time"
+
+
+def _drift(rig: Rig) -> float:
+    """Standard deviation of the larger drift of a reading [Pa]."""
+    noise = max(rig.value(f"effects.pressure_sensor.drift_{muscle}") for muscle in (1, 2))
+    return drift_size(noise, rig.value(_DRIFT_TIME))
 
 
 def write_report(folder: Path, numbers: SealedReport, judged: Sequence[Judged], with_figures: bool = True) -> None:
@@ -185,7 +205,7 @@ def write_report(folder: Path, numbers: SealedReport, judged: Sequence[Judged], 
 
 def summary(numbers: SealedReport) -> tuple[Block, ...]:
     """What the terminal shows."""
-    return _values_table(numbers), *map(held_out_table, numbers.held_out)
+    return *in_first_lines(numbers.assumption), _values_table(numbers), *map(held_out_table, numbers.held_out)
 
 
 def document(numbers: SealedReport, judged: Sequence[Judged], with_figures: bool = True) -> Document:
@@ -207,6 +227,7 @@ def document(numbers: SealedReport, judged: Sequence[Judged], with_figures: bool
         )
         parts.append(Text(text, "verdict"))
         tiles.append(Tile("Angle error (RMS)", f"{ukf.angle.rmse:.3f}°", "from pressures alone, held-out part"))
+    parts += in_first_lines(numbers.assumption)
     if ukf.external_torque is not None and math.isfinite(ukf.external_torque.rmse):
         note = "estimated by the filter; where the joint sticks, friction hides it"
         tiles.append(Tile("External torque (RMS)", f"{ukf.external_torque.rmse:.2f} N m", note))
@@ -234,9 +255,16 @@ _TERMS = ("Held out", "As configured", "UKF", "RMSE 𝕀, ratio ℚ", "Standard 
 
 
 def _tuning(tuning: SealedTuning) -> tuple[Block, ...]:
-    text = "With these values the errors of the measured angle are most likely, on the fitted part."
+    text = (
+        "R is the noise of the pressures. With the other values the errors of the measured angle are most likely, on "
+        "the fitted part, while the innovations are as large as the filter expects. What the readings drift is a state "
+        "of its own, and not in R."
+    )
     rows = (
         ("R [Pa²]", tuning.measurement.before[0], tuning.measurement.after[0]),
+        ("Drift of the readings, std. dev. [Pa]", tuning.drift_std_pa.before, tuning.drift_std_pa.after),
+        ("Its time constant [s]", tuning.drift_time_s.before, tuning.drift_time_s.after),
+        ("Q of the velocity, a step [rad²/s²]", tuning.process.before[1], tuning.process.after[1]),
         ("Q of a pressure, a step [Pa²]", tuning.process.before[2], tuning.process.after[2]),
         ("Random walk of the torque [N m/s^0.5]", tuning.random_walk.before, tuning.random_walk.after),
     )

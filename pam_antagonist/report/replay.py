@@ -9,6 +9,7 @@ from typing import Any
 
 from pam_antagonist.replays.result import Replay, ReplayReport
 from pam_antagonist.report import html
+from pam_antagonist.report.assumption import assumption, in_first_lines
 from pam_antagonist.report.channels import CHANNELS, joint_text, judged
 from pam_antagonist.report.document import (
     Block,
@@ -97,7 +98,8 @@ def numbers(replays: Sequence[Replay], **more: Any) -> dict[str, Any]:
         replays: at least one, all of one rig and tuning.
         more: further keys.
     """
-    shared = {"settings": ReplaySettings.of(replays[0]), "software": versions(), **more}
+    rests_on = {"assumption": assumption(replays[0].rig, replays[0].tuning)}
+    shared = {**rests_on, "settings": ReplaySettings.of(replays[0]), "software": versions(), **more}
     reports = [replay.report for replay in replays]
     content = plain(reports[0]) if len(reports) == 1 else {"recordings": plain(reports)}
     return {**content, **plain(shared)}
@@ -122,6 +124,7 @@ def document(
         "voltages. The report compares its angle and torque with the measured ones."
     )
     parts: list[Block] = [Text(lede, "lede"), Text(overall_verdict(reports), "verdict")]
+    parts += in_first_lines(assumption(replays[0].rig, replays[0].tuning))
     if len(replays) == 1:
         parts += [*first, *_recording(replays[0], with_figures)]
     else:
@@ -142,7 +145,8 @@ def summary(replay: Replay) -> tuple[Block, ...]:
         f"(source: {report.joint.source})"
     )
     how = f"rig {replay.rig.name}, tuning {replay.tuning}, {report.realtime_factor:.1f} × real time"
-    return Text(head), Text(how), errors_table(report), Findings(findings(report))
+    rests_on = in_first_lines(assumption(replay.rig, replay.tuning))
+    return Text(head), Text(how), *rests_on, errors_table(report), Findings(findings(report))
 
 
 def write_report(folder: Path, replays: Sequence[Replay], with_figures: bool = True) -> None:
@@ -231,6 +235,8 @@ def errors_table(report: ReplayReport, caption: str = "") -> Table:
             out.values(f"  largest error 𝕄 [{channel.unit}]", (ukf.largest, model.largest))
             out.values("  𝕄 over measured range, ℚ", (ukf.ratio, model.ratio), percent)
             out.text("  in the 95 % interval", percent(ukf.coverage95), MISSING)
+            nees = getattr(report.innovation, f"nees_{channel.name}")
+            out.text("  mean NEES (1 is right)", MISSING if nees is None else number(nees, 2), MISSING)
     external = report.ukf.external_torque
     if external:
         out.heading("External torque")

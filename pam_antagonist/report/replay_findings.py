@@ -46,7 +46,13 @@ DEFINITIONS = (
     (
         "NIS",
         "Normalised innovation squared: the innovation relative to its expected covariance. With two pressures, a "
-        "consistent filter has a mean NIS of 2. In 95 % of the samples its NIS lies between 0.05 and 7.4.",
+        "consistent filter has a mean NIS of 2. In 95 % of the samples its NIS lies between 0.05 and 7.4. It tests the "
+        "pressures only, which are measured. A wrong force map or friction hardly shows in it.",
+    ),
+    (
+        "NEES",
+        "Normalised estimation error squared: the error of an estimated angle or torque relative to its variance, "
+        "where it was measured as well. A right covariance has a mean NEES of 1, one that is too small has more.",
     ),
     (
         "Whiteness",

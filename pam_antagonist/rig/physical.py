@@ -17,6 +17,8 @@ _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
 _RANGE_WITHOUT_STOP = math.radians(25.0)
 _QUICKEST = 0.5 * par.LONGEST_STEP
 """[s] Least time constant, whatever the sample period is: a Runge-Kutta step diverges beyond 2.8 time constants."""
+_FAINT, _MORE = 1.0, 10.0
+"""[Pa] Noise that only low-passed readings have; and so many times the sensor's variance, the tuning's is another's."""
 _REACH = 5.0
 """Sigma points go so many standard deviations away from the value."""
 
@@ -41,7 +43,7 @@ def unphysical(rig: Rig) -> str:
         complaint = _bad_curve(f"{name}.curve", np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
         if complaint:
             return complaint
-    complaint = _bad_effects(rig) or _bad_muscles(rig) or _bad_spreads(rig) or _bad_bounds(rig)
+    complaint = _bad_effects(rig) or _bad_muscles(rig) or _bad_spreads(rig) or _bad_bounds(rig) or _in_kilopascal(rig)
     if complaint:
         return complaint
     for name, tuning in rig.tunings.items():
@@ -104,6 +106,17 @@ def _bad_effects(rig: Rig) -> str:
         if complaint:
             return complaint
     return ""
+
+
+def _in_kilopascal(rig: Rig) -> str:
+    """Noise of a pressure below a pascal, which only low-passed readings have, where the tuning allows for more."""
+    std, tuning = rig.sensors.pressure_std, rig.tunings.get("default")
+    if tuning is None or std >= _FAINT or max(tuning.measurement) <= _MORE * rig.sensors.error("pressure") ** 2:
+        return ""
+    return (
+        f"sensors.pressure_std: {std:g}, expected a standard deviation in [Pa]: tunings.default.measurement allows for "
+        f"{math.sqrt(max(tuning.measurement)):.3g} Pa"
+    )
 
 
 def _bad_bounds(rig: Rig) -> str:

@@ -162,7 +162,7 @@ class Reading(NamedTuple):
 class Sensors(Strict):
     """Noise (one standard deviation) and step of the converter (0: none) of each sensor."""
 
-    pressure_std: float = Field(gt=1.0, lt=100e3, description="[Pa]")
+    pressure_std: float = Field(gt=0.05, lt=100e3, description="[Pa]")
     pressure_step: float = Field(ge=0.0, lt=100e3, description="[Pa]")
     angle_std: float = Field(ge=0.0, lt=0.2, description="validation only [rad]")
     angle_step: float = Field(ge=0.0, lt=0.2, description="validation only [rad]")
@@ -214,6 +214,7 @@ class Rig(Strict):
 
     name: str
     source: str = Field(description="where the numbers come from")
+    identified: str = Field("", description="recordings that the values were identified from; empty: from none")
     sample_period: float = Field(ge=1e-4, le=0.02, description="T_stp [s]")
     model: Form = Field(default_factory=lambda: Form(force="linear", friction="kikuuwe"))
     geometry: Geometry

@@ -12,7 +12,7 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
 # What scatters together: a muscle that is a percent weaker is so in its whole force map, for instance.
-_SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
+SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
     *(
         tuple(f"muscle_{i}.{quantity}.{name}" for name in names)
         for i in (1, 2)
@@ -30,6 +30,7 @@ _SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
     ("friction.shaft",),
     ("friction.muscle",),
 )
+"""Parameters that are off together: each group by a factor of its own."""
 
 
 class PlantSample(NamedTuple):
@@ -62,10 +63,10 @@ def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndar
         New vector; volume and force map of a muscle are scaled as a whole, since their coefficients
         nearly cancel.
     """
-    factors = rng.normal(1.0, spread, len(_SCATTER_GROUPS))
+    factors = rng.normal(1.0, spread, len(SCATTER_GROUPS))
     changes = {
         name: p[par.INDEX[name]] * factor
-        for group, factor in zip(_SCATTER_GROUPS, factors, strict=True)
+        for group, factor in zip(SCATTER_GROUPS, factors, strict=True)
         for name in group
     }
     return par.changed(p, changes)

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from pam_antagonist.cli.identify import main as identify_command
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import simulate_model
+from pam_antagonist.estimation import Estimator, simulate_model
 from pam_antagonist.identification import sealed
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import dynamics, equilibrium, muscle
@@ -28,12 +29,16 @@ FILE = Path(__file__).parents[3] / "shared" / "data" / "measured" / "sealed_join
 measured_only = pytest.mark.skipif(not FILE.exists(), reason="no ../shared/data/measured beside the project")
 
 
+NOISE = 20.0
+"""Of the simulated pressures [Pa]: of sensors as they are; the measured recording was low-passed."""
+
+
 @pytest.fixture(scope="module")
 def joint() -> Rig:
     return load_rig("sealed_joint")
 
 
-def recording_of(joint: Rig, seconds: float = 25.0, seed: int = 1) -> Recording:
+def recording_of(joint: Rig, seconds: float = 25.0, seed: int = 1, noise: float = NOISE) -> Recording:
     """The rig itself, driven by a known torque, behind sensors with noise: a simulator, not the measured joint."""
     rng = np.random.default_rng(seed)
     time = np.arange(int(seconds * 1000)) * 1e-3
@@ -43,7 +48,7 @@ def recording_of(joint: Rig, seconds: float = 25.0, seed: int = 1) -> Recording:
     return Recording(
         path=Path("simulated"),
         stamp_ns=np.arange(1, len(time) + 1) * 1_000_000,
-        pressure=run.pressure + rng.normal(0.0, 20.0, run.pressure.shape),
+        pressure=run.pressure + rng.normal(0.0, noise, run.pressure.shape),
         voltage=np.zeros((len(time), 2)),
         angle=run.angle + rng.normal(0.0, 5e-4, len(time)),
         torque=None,
@@ -107,8 +112,12 @@ def test_the_truth_is_found_from_a_wrong_start(joint):
 def test_the_filter_finds_angle_and_torque_from_the_pressures_alone(joint, tmp_path):
     write_bag(tmp_path / "bag", recording_of(joint))
     recording = read_bag(tmp_path / "bag")
-    done = replay(recording, joint)
-    # The rig's tuning allows for strays of a real joint, which this simulated one does not have.
+    noisy = joint.replaced(
+        sensors=joint.sensors.replaced(pressure_std=NOISE),
+        tunings={"default": joint.tuning("default").replaced(measurement=(NOISE**2, NOISE**2))},
+    )
+    done = replay(recording, noisy)
+    # The rig allows for the drift of a real joint's readings, which this simulated one does not have.
     assert done.report.ukf.angle.rmse < 0.25
     external = done.report.ukf.external_torque
     # Where the joint sticks, the torque may be anything within the friction's bound.
@@ -165,6 +174,44 @@ def test_the_angle_of_the_measured_joint_from_its_pressures(joint, measured):
     assert math.sqrt(float(np.mean(error**2))) <= 0.20
     assert np.abs(error).max() / np.degrees(np.ptp(measured.angle)) <= 0.08
     assert not any("sealed" in issue for issue in done.report.recording.issues)
+    # The drift of the readings is a state: R is the sensors' noise alone, and the covariance is honest all the same.
+    assert 1.5 <= done.report.innovation.nis_mean <= 2.5
+    assert done.report.ukf.angle.coverage95 >= 0.9
+
+
+@measured_only
+def test_the_filter_starts_well_in_the_middle_of_a_motion(joint, measured):
+    estimator, worst = Estimator(joint), []
+    for begin in np.linspace(0, len(measured.stamp_ns) - 1000, 40).astype(int):
+        part = slice(begin, begin + 1000)
+        estimator.reset()
+        run = estimator.run(measured.stamp_ns[part], measured.pressure[part], measured.voltage[part])
+        assert len(run.rows) == 1000, "an estimate from the first sample on"
+        worst.append(np.degrees(np.abs(run.rows["angle"] - measured.angle[part]).max()))
+    assert max(worst) <= 0.5, np.round(worst, 2)
+
+
+@pytest.mark.parametrize("name", ["sealed_joint", "shin2022", "shin2022_as_printed"])
+def test_no_rig_hides_anything_in_its_measurement_variance(name):
+    rig = load_rig(name)
+    assert rig.tuning("default").measurement == pytest.approx([rig.sensors.error("pressure") ** 2] * 2, rel=0.01)
+
+
+def test_readings_that_drift_are_followed_with_an_honest_covariance(joint):
+    """A simulated joint whose readings drift as the rig says. It is moved smoothly, where the rig allows for slips."""
+    time, size = joint.value("effects.pressure_sensor.drift_time"), 250.0
+    recording, rng = recording_of(joint, seconds=12.0, noise=joint.sensors.pressure_std), np.random.default_rng(5)
+    driven = sealed.drift_noise(size, time) * math.sqrt(1e-3) * rng.standard_normal((len(recording.stamp_ns), 2))
+    pole = math.exp(-1e-3 / time)  # two of them: exact at zero order for what changes within a millisecond
+    for _ in range(2):
+        driven = signal.lfilter([1.0], [1.0, -pole], driven, axis=0)
+    drift = driven * 1e-3
+    assert np.std(drift) == pytest.approx(size, rel=0.3)
+    run = Estimator(joint).run(recording.stamp_ns, recording.pressure + drift, recording.voltage)
+    assert 0.7 < np.nanmean(run.rows["nis"]) < 2.5
+    error = run.rows["angle"] - recording.angle
+    assert 0.3 < np.mean(error**2 / run.rows["covariance"][:, 0, 0]) < 2.0
+    assert np.std(run.added["reading_drift_1"] - drift[:, 0]) < 0.7 * size
 
 
 def test_identify_takes_a_sealed_joint_through_the_same_command(joint, tmp_path, capsys):

@@ -57,6 +57,8 @@ CASES = {
     "turbulent line": {"line_resistance": {"resistance_1": 2e8, "resistance_2": 5e7, "time": 4e-3, "exponent": 1.7}},
     "valve_play and a shifted curve": {"valve_play": {"play_1": 0.3}, "valve_offset": {"voltage_1": 0.2}},
     "creep of the tubes": {"creep": {"stiffness": -120.0, "time": 0.3}},
+    "drifting sensors": {"pressure_sensor": {"drift_1": 1e4, "drift_2": 3e4, "drift_time": 0.2}},
+    "drifting sensor 2": {"pressure_sensor": {"drift_2": 3e4, "drift_time": 0.05}},
     "all at once": SINGLE,
 }
 
@@ -80,6 +82,8 @@ def draw(names, rng):
         "creep": 5.0,
         "warmth": 1e4,
         "spool_voltage": 5.0,
+        "reading_drift": 2e3,
+        "reading_drift_rate": 1e4,
     }
     middle = {"open_rate": 0.5, "chamber": 4e5, "spool_voltage": 5.0, "warmed": 0.5}
     kinds = [name.removesuffix("_1").removesuffix("_2") for name in names]
@@ -103,7 +107,9 @@ def test_rates(rig, case, joint):
     rng = np.random.default_rng(31)
     dx = np.empty(4 + len(names))
     # What counts as nothing: a rate that is the difference of large ones.
-    nothing = np.array([1e-12, 1e-8, 1e-2, 1e-2] + [1e-2 if "chamber" in n or n == "supply" else 1e-6 for n in names])
+    nothing = np.array(
+        [1e-12, 1e-8, 1e-2, 1e-2] + [1e-2 if "chamber" in n or n == "supply" or "drift" in n else 1e-6 for n in names]
+    )
     slid = set()
     for base, u in random_states(60, seed=30):
         x = base + draw(names, rng)
@@ -162,5 +168,5 @@ def test_trajectory(rig, case, locked, base, u, duration):
     without = integrated({}, start[:4], u, duration, locked, 0.05)
     moved = np.abs(expected[:4] - without) / np.array([0.1, 10.0, 1e5, 1e5])
     acts = not (locked and case.split()[0] in ("hysteresis", "creep", "load_torque", "friction", "warm_up", "slack"))
-    acts &= not case.startswith(("pressure_sensor", "external_torque"))
+    acts &= not case.startswith(("pressure_sensor", "external_torque", "drifting"))  # without noise, no drift
     assert (moved.max() > 1e-5) == acts, f"{case} moves the states by {moved}"

@@ -16,6 +16,10 @@ ORDER = (
     ("open_rate_2", "valve_lag.time_2"),
     ("chamber_1", "line_resistance.resistance_1"),
     ("chamber_2", "line_resistance.resistance_2"),
+    ("reading_drift_1", "pressure_sensor.drift_1"),
+    ("reading_drift_2", "pressure_sensor.drift_2"),
+    ("reading_drift_rate_1", "pressure_sensor.drift_1"),
+    ("reading_drift_rate_2", "pressure_sensor.drift_2"),
     ("creep_1", "creep.share_1", "creep.stiffness"),
     ("creep_2", "creep.share_2", "creep.stiffness"),
     ("warmth_1", "thermal.share_1"),
@@ -63,12 +67,17 @@ def contraction_force(t, e, i, psi, chamber, loop, late, warm):
     return force if width == 0.0 else (force + math.hypot(force, width)) / 2
 
 
+def in_chamber(x, added, i):
+    """Pressure of a muscle: behind its line where there is one, without what its reading drifts."""
+    return added.get(f"chamber_{i}", x[1 + i]) - added.get(f"reading_drift_{i}", 0.0)
+
+
 def torque_on_muscles(t, e, x):
     """What a torque meter between muscles and joint shows."""
     added = dict(zip(states(e), x[4:], strict=True))
     forces = []
     for i in (1, 2):
-        chamber = added.get(f"chamber_{i}", x[1 + i])
+        chamber = in_chamber(x, added, i)
         loop = added.get(f"hysteresis_{i}", 0.0)
         late = added.get(f"creep_{i}", relaxes(t, e, i, x[0], chamber))
         forces.append(contraction_force(t, e, i, x[0], chamber, loop, late, added.get("warmed", 0.0)))
@@ -80,7 +89,7 @@ def moves(t, e, x, outside=0.0):
     added = dict(zip(states(e), x[4:], strict=True))
     psi, psi_dot = x[0], x[1]
     tau, (f_1, f_2) = torque_on_muscles(t, e, x)
-    c_1, c_2 = (added.get(f"chamber_{i}", x[1 + i]) for i in (1, 2))
+    c_1, c_2 = (in_chamber(x, added, i) for i in (1, 2))
     load = e.get("load_torque.constant", 0.0) + e.get("load_torque.sine", 0.0) * math.sin(psi)
     t_0 = tau + load + outside + added.get("external_torque", 0.0) - t["k_s"] * psi
     coulomb = paper.shaft_friction(t, f_1, f_2) + paper.muscle_friction(t, c_1, c_2)
@@ -110,7 +119,7 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
             full_speed = 1.0 / e[f"valve_lag.time_{i}"]
             asked = (wanted - alpha) / (e.get("valve_lag.reach", 1.0) * e[f"valve_lag.time_{i}"])
             rates[f"open_rate_{i}"] = math.copysign(min(abs(asked), full_speed), asked)
-        chamber = added.get(f"chamber_{i}", x[1 + i])
+        chamber = in_chamber(x, added, i)
         through_valve, drawn = exchange(t, alpha, x[1 + i], supply)
         drawn_in_all += drawn
         lost = e.get(f"leak.area_{i}", 0.0) * paper.nozzle_either_way(t, chamber, t["P_out"])
@@ -130,6 +139,16 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
             turbulence = (abs(through_valve) / 5e-5) ** (e.get("line_resistance.exponent", 1.0) - 1.0)
             across = e[f"line_resistance.resistance_{i}"] * through_valve * turbulence
             rate = (chamber + across - x[1 + i]) / e["line_resistance.time"]
+        if f"reading_drift_{i}" in added:
+            # A critically damped oscillator that noise drives: its two poles are both at -1/T.
+            drift, drift_rate, pole = (
+                added[f"reading_drift_{i}"],
+                added[f"reading_drift_rate_{i}"],
+                1 / e["pressure_sensor.drift_time"],
+            )
+            rates[f"reading_drift_{i}"] = drift_rate
+            rates[f"reading_drift_rate_{i}"] = -2 * pole * drift_rate - pole**2 * drift
+            rate += drift_rate
         shown.append(rate)
         if f"hysteresis_{i}" in added:
             z = added[f"hysteresis_{i}"]

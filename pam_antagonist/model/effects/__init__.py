@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         DISTURBANCE,
         experiment_between,
         parameter_path,
+        random_part,
     )
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "experiment_between",
     "parameter_path",
     "per_muscle",
+    "random_part",
     "state_per_muscle",
 ]
 

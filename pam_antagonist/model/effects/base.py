@@ -275,7 +275,7 @@ def state_per_muscle(
     unit: str,
     switch: str,
     initial_std: float,
-    noise: float,
+    noise: float | str,
     *further: str,
     symbol: str = "",
     rate: Kernel | None = None,
@@ -289,7 +289,7 @@ def state_per_muscle(
         unit: SI.
         switch: the size that brings it about, without the muscle's number.
         initial_std: at the start, in that unit.
-        noise: as of :class:`AddedState`.
+        noise: as of :class:`AddedState`; the name of a parameter without the muscle's number.
         *further: as of :class:`AddedState`.
         symbol: without the muscle's number; it goes in the place of ``#``, or becomes an index.
         rate: its derivative.
@@ -302,7 +302,7 @@ def state_per_muscle(
             unit,
             f"{switch}_{i}",
             initial_std,
-            noise,
+            f"{noise}_{i}" if isinstance(noise, str) else noise,
             further,
             _numbered(symbol, i),
             rate,

@@ -163,3 +163,20 @@ DISTURBANCE = next(effect.name for effect in CATALOGUE.values() if not effect.de
 def experiment_between(effect: str, other: str) -> str | None:
     """Which recording tells two effects apart, by their names; None where neither entry knows one."""
     return CATALOGUE[effect].distinguished_by.get(other) or CATALOGUE[other].distinguished_by.get(effect)
+
+
+def random_part(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Of a rig's effects, what no law gives: a filter estimates it, and the model alone has none of it.
+
+    These are the numbers that drive a state by noise, and the shapes of the same effect.
+
+    Args:
+        effects: of a rig, as in its file.
+    """
+    out = {}
+    for name, values in effects.items():
+        noises = {state.noise for state in CATALOGUE[name].states if isinstance(state.noise, str)}
+        shapes = {item.name for item in CATALOGUE[name].parameters if not item.is_size}
+        if any(values.get(noise) for noise in noises):
+            out[name] = {key: value for key, value in values.items() if key in noises | shapes}
+    return out

@@ -14,7 +14,14 @@ from pam_antagonist.estimation import metrics
 from pam_antagonist.report.table import number
 from pam_antagonist.rig import Rig
 from pam_antagonist.validation.paper import linear
-from pam_antagonist.validation.paper.comparison import COMPARED_S, Model, comparison_figure, comparison_table, ranked
+from pam_antagonist.validation.paper.comparison import (
+    COMPARED_S,
+    OFFLINE,
+    Model,
+    comparison_figure,
+    comparison_table,
+    ranked,
+)
 from pam_antagonist.validation.paper.offline import consistency
 from pam_antagonist.validation.paper.result import Beside, Context, Result
 from pam_antagonist.validation.paper.seed_work import (
@@ -120,6 +127,7 @@ def result(context: Context) -> Result:
     torque = rig.friction.lever_force * rig.geometry.radius
     findings = (
         *order,
+        OFFLINE,
         "Why: with tuning published the median ℚ of the four laws of friction is within a factor of "
         f"{number(differ['published'])}, with default {number(differ['default'])}. The published Q adds 0.18° to the "
         "angle in each step, which shakes the sigma points out of stiction and averages any law of friction away "

@@ -17,7 +17,14 @@ from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Seri
 from pam_antagonist.report.style import MEASURED, PALETTE, QUIET
 from pam_antagonist.report.table import MISSING, Table, number
 from pam_antagonist.validation.paper.bench import static_fits, with_fits
-from pam_antagonist.validation.paper.comparison import COMPARED_S, Model, comparison_figure, comparison_table, ranked
+from pam_antagonist.validation.paper.comparison import (
+    COMPARED_S,
+    OFFLINE,
+    Model,
+    comparison_figure,
+    comparison_table,
+    ranked,
+)
 from pam_antagonist.validation.paper.offline import consistency
 from pam_antagonist.validation.paper.result import Beside, Context, Result
 from pam_antagonist.validation.paper.seed_work import TUNINGS, SeedWork, filtered, judged
@@ -129,6 +136,7 @@ def _findings(context: Context) -> tuple[str, ...]:
     ]
     return (
         *order,
+        OFFLINE,
         *(
             [
                 f"Left out where the static test does not determine the coefficients: {', '.join(undetermined)}. A map "

@@ -218,6 +218,10 @@ def _findings(context: Context) -> tuple[str, ...]:
         out.append(
             f"{name.capitalize()}: rigs at or above the paper's {100.0 * _PAPER[mode]:g} %: {', '.join(shares)}."
         )
+    out.append(
+        "Two things are added to the paper's PI. The integral stops while a valve is at its limit (anti-windup), and a "
+        "loop that takes over starts from the valves' present voltages (bumpless start). The paper tells of neither."
+    )
     return tuple(out)
 
 

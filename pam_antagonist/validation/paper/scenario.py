@@ -16,7 +16,7 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.schema import Curve, Valve
 from pam_antagonist.simulation import excitation
-from pam_antagonist.simulation.plant import Plant
+from pam_antagonist.simulation.plant import SCATTER_GROUPS, Plant
 from pam_antagonist.strict_yaml import Strict, read_mapping, validated
 
 Floats = NDArray[np.float64]
@@ -179,6 +179,31 @@ def virtual_rig(scenario: Scenario, seed: int) -> VirtualRig:
         name=f"virtual_{seed}", source=source, effects={**declared.effects, "hysteresis": hysteresis}, **valves
     )
     return VirtualRig(declared, actual, seed, size.parameters)
+
+
+def told(declared: Rig, size: Mismatch) -> Rig:
+    """The declared rig with the mismatches declared: what the filter is told is how far its virtual rigs are off.
+
+    The hysteresis stands in it at its mean size. Each group of parameters is a direction, as uncertain as it is
+    scattered, and so is each muscle's hysteresis. Valve curves are left out: a rig file has no uncertainty for them.
+
+    Args:
+        declared: the rig as estimators know it otherwise.
+        size: of the mismatches.
+    """
+    loop = size.hysteresis
+    groups = enumerate(SCATTER_GROUPS, 1)
+    return declared.replaced(
+        name=f"{declared.name}_told",
+        effects={
+            **declared.effects,
+            "hysteresis": {"amplitude_1": loop.amplitude, "amplitude_2": loop.amplitude, "width": loop.width},
+        },
+        uncertainty={f"effects.hysteresis.amplitude_{i}": loop.spread * loop.amplitude for i in (1, 2)},
+        directions={
+            f"group_{k}": {name: size.parameters * declared.value(name) for name in group} for k, group in groups
+        },
+    )
 
 
 def _off(valve: Valve, spread: float, rng: np.random.Generator) -> Valve:

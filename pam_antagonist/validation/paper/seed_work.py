@@ -15,7 +15,7 @@ from pam_antagonist.estimation import Estimator, metrics, simulate_model
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Reading, Rig
 from pam_antagonist.simulation import excitation
-from pam_antagonist.validation.paper.scenario import Scenario, Truth, VirtualRig, drive, virtual_rig
+from pam_antagonist.validation.paper.scenario import Scenario, Truth, VirtualRig, drive, told, virtual_rig
 
 Floats = NDArray[np.float64]
 TUNINGS = ("published", "default")
@@ -205,12 +205,22 @@ class SeedWork:
         return self.free if joint == "free" else self.locked
 
     def track(self, joint: str, method: str) -> Track:
-        """The declared rig's model over the profile: ``model`` alone, or the filter with a tuning of that name."""
+        """The declared rig's model over the profile.
+
+        Args:
+            joint: ``free`` or ``locked``.
+            method: ``model`` alone, the filter with a tuning of that name, or ``told``: with tuning default and the
+                mismatches declared.
+        """
         key = joint, method
         if key not in self._tracks:
             rig, recording = self.rig.declared, self.recording(joint)
-            alone = method == "model"
-            self._tracks[key] = modelled(rig, recording, joint) if alone else filtered(rig, recording, method, joint)
+            if method == "model":
+                self._tracks[key] = modelled(rig, recording, joint)
+            elif method == "told":
+                self._tracks[key] = filtered(told(rig, self.scenario.mismatch), recording, "default", joint)
+            else:
+                self._tracks[key] = filtered(rig, recording, method, joint)
         return self._tracks[key]
 
     def once(self, name: str, compute: Callable[[], float]) -> float:

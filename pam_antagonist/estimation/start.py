@@ -1,0 +1,100 @@
+"""How the filter starts: the state that a first sample tells, and its covariance.
+
+A joint with valves starts at rest under its first pressures, each state as uncertain as the tuning says.
+
+Sealed chambers whose charge is known tell the angle, also in the middle of a motion. Their pressures are
+
+    P_i = P_i,closed(ψ) + s_i + e_i,
+
+with s_i what an effect has between reading and chamber (the drift of a sensor), and e_i the charge's own error. The
+tuning's variances are those of ψ, s_i and e_i *before* the sample; the sample is then taken in by the update that every
+other one gets, equations (23) and (24). So angle and drift start as correlated as they are. The joint may slide either
+way or stick: a torque from outside that the filter estimates starts in the middle of friction's band, as uncertain as
+the band is wide.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pam_antagonist._jit import in_place
+from pam_antagonist.estimation import ukf
+from pam_antagonist.model import dynamics, equilibrium, sensor
+from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
+from pam_antagonist.model.parameters import BASE_STATES, CHARGE, LOCKED, SLOT_OF
+
+_DISTURBANCE = SLOT_OF[CATALOGUE[DISTURBANCE].states[0].name]
+_NEAR = 1e-5
+"""[rad] To either side, for the slope of a closed chamber's pressure."""
+_start_angle, _make_steady, _closed = equilibrium.start_angle, equilibrium.make_steady, equilibrium.closed_pressure
+_pressure_behind, _chamber, _update = sensor.pressure_behind, dynamics.chamber_pressure, ukf.update
+_torque_needed, _sliding_friction = dynamics.torque_needed, dynamics.sliding_friction
+
+
+@in_place
+def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross, innovation, work):
+    """Set state and covariance to what a first sample tells.
+
+    Args:
+        y: pressures (2,) [Pa].
+        u: voltages (2,) [V].
+        p: parameter vector.
+        initial: diagonal of P(0) (n,).
+        noise: diagonal of R (2,) [Pa²].
+        gain_noise: what stands for R in the gain (2,) [Pa²].
+        lock_angle: angle of a locked joint [rad].
+        x: result (n,).
+        covariance: result (n, n).
+        cross: result (n, m), zero.
+        innovation: (2,) [Pa], NaN afterwards, as of a sample that was not predicted.
+        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
+    """
+    pressure_1, pressure_2 = _pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p)
+    angle = lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
+    _make_steady(x, angle, pressure_1, pressure_2, u, p, 0.0)
+    covariance[:] = 0.0
+    cross[:] = 0.0
+    for i in range(x.shape[0]):
+        covariance[i, i] = initial[i]
+    if p[LOCKED] == 0.0 and p[CHARGE] > 0.0 and p[CHARGE + 1] > 0.0:
+        _closed_covariance(x, covariance, work.scratch, p)
+        innovation[:] = 0.0
+        _update(x, covariance, cross, innovation, noise, gain_noise, True, True, work)
+        innovation[:] = np.nan
+        _torque_from_outside(x, covariance, p)
+
+
+@in_place
+def _closed_covariance(x, covariance, slopes, p):
+    """Covariance of closed chambers before the first sample, from its diagonal, in place; slopes (2 or more, n)."""
+    n = x.shape[0]
+    for i in range(2):
+        for k in range(n):
+            slopes[i, k] = 0.0
+        slopes[i, ANGLE] = (_closed(i, x[ANGLE] + _NEAR, p) - _closed(i, x[ANGLE] - _NEAR, p)) / (2.0 * _NEAR)
+        here = _chamber(i, x, p)
+        for k in range(BASE_STATES, n):
+            # The chamber's pressure is linear in what stands between it and the reading.
+            x[k] += 1.0
+            slopes[i, k] = here - _chamber(i, x, p)
+            x[k] -= 1.0
+    for i in range(2):
+        for j in range(2):
+            for k in range(n):
+                covariance[PRESSURE_1 + i, PRESSURE_1 + j] += slopes[i, k] * slopes[j, k] * covariance[k, k]
+    for i in range(2):
+        for k in range(n):
+            if not PRESSURE_1 <= k < BASE_STATES:
+                covariance[PRESSURE_1 + i, k] = slopes[i, k] * covariance[k, k]
+                covariance[k, PRESSURE_1 + i] = covariance[PRESSURE_1 + i, k]
+
+
+@in_place
+def _torque_from_outside(x, covariance, p):
+    """The torque from outside that holds the joint where it is, known to within the band of friction."""
+    at = int(p[_DISTURBANCE])
+    if at > 0:
+        x[at] = _torque_needed(x, 0.0, 0.0, p)
+        band = _sliding_friction(x, 1.0, p) - _sliding_friction(x, 0.0, p)
+        covariance[at, at] = max(covariance[at, at], band * band / 3.0)

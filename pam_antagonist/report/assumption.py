@@ -1,0 +1,37 @@
+"""What the intervals of a report rest on, where the rig was not identified: one sentence for its first lines."""
+
+from __future__ import annotations
+
+from pam_antagonist.report.document import Finding, Findings
+from pam_antagonist.report.table import number
+from pam_antagonist.rig import Rig
+
+
+def assumption(rig: Rig, tuning: str = "default") -> str | None:
+    """The uncertainty that a rig file claims, as the assumption that it is; None of an identified rig.
+
+    Args:
+        rig: as it was configured.
+        tuning: name of the filter's tuning.
+    """
+    if rig.identified:
+        return None
+    considered = rig.tuning(tuning).consider
+    claimed = [f"{name} ± {_size(rig.value(name), std)}" for name, std in rig.uncertainty.items() if considered]
+    if considered and rig.directions:
+        claimed.append(f"its {len(rig.directions)} directions")
+    known = f"as well as its file claims ({', '.join(claimed)})" if claimed else "exactly, as its file claims,"
+    return (
+        f"Assumption: rig {rig.name} was not identified. Its 95 % intervals are right if its parameters are known "
+        f"{known} and if nothing else is wrong. The NIS tests the pressures only: it cannot show whether that is so."
+    )
+
+
+def in_first_lines(text: str | None) -> tuple[Findings, ...]:
+    """The assumption as a block of a report; nothing where there is none."""
+    return () if text is None else (Findings((Finding("note", text),)),)
+
+
+def _size(value: float, std: float) -> str:
+    """An uncertainty in per cent of the value; by itself where that is 0."""
+    return f"{number(100.0 * std / abs(value), 2)} %" if value else number(std, 2)
