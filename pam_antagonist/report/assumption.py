@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pam_antagonist.report.document import Finding, Findings
+from pam_antagonist.report.document import Text
 from pam_antagonist.report.table import number
 from pam_antagonist.rig import Rig
 
@@ -27,9 +27,9 @@ def assumption(rig: Rig, tuning: str = "default") -> str | None:
     )
 
 
-def in_first_lines(text: str | None) -> tuple[Findings, ...]:
+def in_first_lines(text: str | None) -> tuple[Text, ...]:
     """The assumption as a block of a report; nothing where there is none."""
-    return () if text is None else (Findings((Finding("note", text),)),)
+    return () if text is None else (Text(text),)
 
 
 def _size(value: float, std: float) -> str:
