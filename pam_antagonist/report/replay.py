@@ -61,12 +61,14 @@ class ReplaySettings:
         rig_source: where its values are from.
         sample_period_s: of the rig [s].
         tuning: of the filter.
+        assumption: the uncertainty that the rig claims; None of an identified one.
     """
 
     rig: str
     rig_source: str
     sample_period_s: float
     tuning: TuningSettings
+    assumption: str | None
 
     @classmethod
     def of(cls, replay: Replay) -> ReplaySettings:
@@ -85,6 +87,7 @@ class ReplaySettings:
                 dict(rig.uncertainty) if tuning.consider else {},
                 tuning.gate,
             ),
+            assumption(rig, replay.tuning),
         )
 
 
@@ -98,8 +101,7 @@ def numbers(replays: Sequence[Replay], **more: Any) -> dict[str, Any]:
         replays: at least one, all of one rig and tuning.
         more: further keys.
     """
-    rests_on = {"assumption": assumption(replays[0].rig, replays[0].tuning)}
-    shared = {**rests_on, "settings": ReplaySettings.of(replays[0]), "software": versions(), **more}
+    shared = {"settings": ReplaySettings.of(replays[0]), "software": versions(), **more}
     reports = [replay.report for replay in replays]
     content = plain(reports[0]) if len(reports) == 1 else {"recordings": plain(reports)}
     return {**content, **plain(shared)}
