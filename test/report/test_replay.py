@@ -47,7 +47,7 @@ def report(rig: Rig, free: Recording) -> dict[str, Any]:
 
 def test_report_keys_are_those_that_others_read(report: dict[str, Any]) -> None:
     assert {"samples", "duration_s", "realtime_factor", "ukf", "model_alone", "innovation"} <= set(report)
-    for model, more in (("ukf", {"coverage95"}), ("model_alone", set())):
+    for model, more in (("ukf", {"coverage95", "interval_over_rmse"}), ("model_alone", set())):
         assert {"angle", "torque", "pressure"} <= set(report[model])
         for name, keys in CHANNEL.items():
             assert set(report[model][name]) == set(keys) | more
