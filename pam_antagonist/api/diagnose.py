@@ -162,8 +162,9 @@ def diagnose(
     Example:
         >>> from pam_antagonist import diagnose
         >>> found = diagnose("examples/recordings/leak_locked", "shin2022", profiles=False, estimator=False)
-        >>> found.verdict, [(effect.name, effect.muscle) for effect in found.effects]
-        ('effect', [('leak', 1)])
+        >>> strongest = found.effects[0]
+        >>> found.verdict, strongest.name, strongest.muscle
+        ('effect', 'leak', 1)
     """
     chosen = as_rig(rig)
     fitted, kept = as_recordings(recordings), as_recordings(held_out)

@@ -58,4 +58,4 @@ def test_the_node_is_run_as_ever(tmp_path: Path) -> None:
         "--help",
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0 and "usage: estimator" in done.stdout, done.stderr
+    assert done.returncode == 0 and "estimator [OPTIONS] [--ros-args" in done.stdout, done.stderr
