@@ -56,9 +56,11 @@ def at_bounds(experiments: Sequence[Experiment], model: Model) -> list[str]:
     for experiment, fitted in zip(experiments, model.fits, strict=True):
         for free in fitted.free:
             value = fitted.point.effects.get(free.path, free.item.neutral)
-            stands = next((bound for bound in (free.item.low, free.item.high) if np.isclose(value, bound)), None)
+            # In the number's own scale: a leak of 1e-9 m² is not next to 0.
+            near = 1e-5 * free.item.scale
+            ends = any(np.isclose(value, bound, atol=near) for bound in (free.item.low, free.item.high))
             # A size that is 0 is none.
-            if stands is None or value == 0.0:
+            if not ends or value == 0.0:
                 continue
             name = free.path.split(".", 1)[1]
             meaning = (

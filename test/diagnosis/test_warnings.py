@@ -45,6 +45,14 @@ def test_a_number_that_ends_at_its_bound_is_named() -> None:
     assert time.startswith(f"creep.time ends at its bound, {values['time']:g} s") and "how much further" in time
 
 
+def test_a_small_leak_is_not_at_its_bound() -> None:
+    area = next(item for item in CATALOGUE["leak"].parameters if item.name == "area_1")
+    point = Point(np.zeros(0), {"effects.leak.area_1": 1e-9})
+    free = (FreeEffectParameter(("effects.leak.area_1",), area),)
+    recorded = Recorded(SimpleNamespace(name="free"))
+    assert warnings.at_bounds([recorded], Model(("leak",), (Ended(point, free),))) == []
+
+
 def estimated(angle: float | None, torque: float) -> SimpleNamespace:
     return SimpleNamespace(
         angle=None if angle is None else ChannelErrors("deg", angle, angle, 0.1, None),
