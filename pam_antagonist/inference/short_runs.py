@@ -47,7 +47,7 @@ _RIGHT = 3.0
 """Noises."""
 _PROBE = 1e3
 """[Pa] Of the differences by which the pressures' noise becomes one of the torque."""
-_rk4_step, _torque, _volume = dynamics.rk4_step, dynamics.torque, muscle.volume
+_model_course, _torque, _volume = dynamics.course, dynamics.torque, muscle.volume
 _length, _leverage = muscle.length, muscle.leverage
 _VOLUME_INDEX = par.POLYTROPIC_VOLUME
 
@@ -62,21 +62,25 @@ def _course(x0, voltage, p, dt, substeps, begins, angle, velocity):  # type: ign
     states = np.empty((samples, x0.shape[0]))
     torques = np.empty(samples)
     x = x0.copy()
-    for k in range(samples):
-        if k > 0:
-            for _ in range(substeps):
-                _rk4_step(x, voltage[k], p, dt / substeps, x)
-        if begins[k]:
+    first = 0
+    while first < samples:
+        if begins[first]:
             before, _, _ = _leverage(x[0], p)
-            after, _, _ = _leverage(angle[k], p)
+            after, _, _ = _leverage(angle[first], p)
             for i in range(2):
                 old, _ = _volume(i, _length(i, before, p), p)
                 new, _ = _volume(i, _length(i, after, p), p)
                 x[2 + i] *= (old / new) ** p[_VOLUME_INDEX]
-            x[0] = angle[k]
-            x[1] = velocity[k]
-        states[k] = x
-        torques[k] = _torque(x, p)
+            x[0] = angle[first]
+            x[1] = velocity[first]
+        end = first + 1
+        while end < samples and not begins[end]:
+            end += 1
+        # With one sample more: the next span goes on from there.
+        run, torque = _model_course(x, voltage[first : end + 1], p, dt, substeps)
+        states[first:end], torques[first:end] = run[: end - first], torque[: end - first]
+        x = run[-1]
+        first = end
     return states, torques
 
 
