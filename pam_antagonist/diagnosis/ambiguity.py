@@ -169,7 +169,7 @@ def _about_loops(rig: Rig, names: Sequence[str]) -> str:
     about = [_LOOPS[name].about.format(step=step) for name in names if _LOOPS[name].about]
     return (
         "; ".join(["where the joint slides", *about])
-        + ". Both have one size only, since all turns of the joint are alike"
+        + ". Both have one size only, since all turns of the joint have the same size"
     )
 
 

@@ -1,8 +1,9 @@
 """The part of a recording in which a model leaves more than noise: when something begins, and when it ends.
 
-A model is first fitted to a part of the recording that it can explain. The part that is above noise is then the most
-likely one: noise before and after it, another variance of each channel within. What is outside of it is fitted once
-more, which shows the part more clearly.
+A model is first fitted to parts of the recording. The one that explains most of the rest as well is at the noise where
+nothing has begun. The part that is above noise is then the most likely one: noise before and after it, another variance
+of each channel within. What is outside of it is fitted once more, which shows the part more clearly. Several things may
+begin and end: then there are several such parts.
 """
 
 from __future__ import annotations
@@ -16,13 +17,21 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.stretches import clearest, fitted_to_all
 from pam_antagonist.inference.experiment import Experiment, Point, Span
-from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.gauss_newton import Fitted, effect_jacobian, refit
+from pam_antagonist.inference.likelihood import solve
 from pam_antagonist.inference.trial import Mask, Split
 
 Floats = NDArray[np.float64]
 
-_QUARTERS = (0, 3, 1, 2)
-"""Quarters of a recording on which a model is tried that nothing has bent yet, in this order."""
+_PARTS = (4, 8)
+"""A model that nothing has bent yet is looked for in quarters of a recording, and in eighths."""
+_LEAST_PART = 5.0
+"""[s] Of a recording that is fitted by itself: a few independent errors."""
+_WINDOW = 1.0
+"""[s] In which a model is at its noise or not: one independent error."""
+_GROWTHS = 12
+_MOST_PARTS = 3
+"""More of them do not begin and end: the model is wrong in another way."""
 _BUFFER = 1.0
 """[s] Next to the part above noise that is not fitted: one independent error."""
 _LEAST_REST = 0.2
@@ -59,9 +68,10 @@ def first_change(experiment: Experiment, fitted: Fitted) -> Change | None:
         return None
     if is_noise(experiment, fitted_to_all(experiment, fitted.point, fitted.free).residual):
         return None
-    point = _undisturbed(experiment, fitted, residual)
-    if point is None:
+    quiet = _undisturbed(experiment, fitted, residual)
+    if quiet is None:
         return None
+    point = quiet[0]
     trial, span, rest = experiment.trial, Span(), np.zeros(len(residual), dtype=bool)
     for _ in range(_ROUNDS):
         begin, end = above_noise(experiment.residual(point, whole=True), experiment.noise)
@@ -116,22 +126,100 @@ def above_noise(residual: Floats, noise: Floats) -> tuple[int, int]:
     return begin, end
 
 
-def _undisturbed(experiment: Experiment, fitted: Fitted, residual: Floats) -> Point | None:
-    """A model that is at the noise of a part of a recording: of the fitted one, or of a quarter; else None."""
-    parts = [np.arange(len(residual)) < experiment.errors_from // experiment.trial.block]
-    if is_noise(experiment, residual[parts[0]]):
-        return fitted.point
-    quarter = np.arange(len(residual)) * 4 // len(residual)
-    whole = _on(experiment, np.ones(len(residual), dtype=bool))
+def parts_above_noise(experiment: Experiment, fitted: Fitted) -> tuple[Span, ...]:
+    """All parts of a recording in which a model leaves more than noise, to a second or so.
+
+    Args:
+        experiment: the recording.
+        fitted: its model, whose base and effects are fitted again.
+
+    Returns:
+        None where the model nowhere leaves noise alone, or in too many parts for something that begins and ends.
+    """
+    quiet = _undisturbed(experiment, fitted, experiment.residual(fitted.point, whole=True))
+    if quiet is None:
+        return ()
+    # Between two parts something has to be fitted.
+    not_fitted, count = ~_rest(experiment, quiet[1]), len(quiet[1])
+    block_s, buffer = experiment.trial.block_s, round(_BUFFER / experiment.trial.block_s)
+    spans = [
+        Span((begin + buffer) * block_s if begin else -np.inf, (end - buffer) * block_s if end < count else np.inf)
+        for begin, end in np.flatnonzero(np.diff(not_fitted, prepend=False, append=False)).reshape(-1, 2).tolist()
+    ]
+    return tuple(spans) if len(spans) <= _MOST_PARTS else ()
+
+
+def _undisturbed(experiment: Experiment, fitted: Fitted, residual: Floats) -> tuple[Point, Mask] | None:
+    """A model at the noise of a part of a recording, and the blocks (B,) where it is not; None where there is none.
+
+    It begins with a short part. What its model leaves at the noise elsewhere is fitted as well, so that the part grows.
+    Of several first parts that one serves which grows most; what a part has in it that is wrong explains nothing else.
+
+    Args:
+        experiment: the recording.
+        fitted: its model.
+        residual: it leaves of all of the recording (B, C).
+    """
+    count = len(residual)
+    whole = _on(experiment, np.ones(count, dtype=bool))
     base = whole.jacobian(fitted.point, residual)
-    for number in _QUARTERS:
-        part = quarter == number
-        near = refit(
-            _on(experiment, part), fitted.point, fitted.free, base[part], _ROUNDS, 0, blocks_per_error=1.0, careful=0
+    effect = effect_jacobian(whole, fitted.point, residual, fitted.free)
+    scale = experiment.scale(blocks_per_error=1.0)
+
+    def grown(rest: Mask) -> Mask:
+        above = ~rest
+        for _ in range(_GROWTHS):
+            linear = residual[rest], base[rest], effect[rest]
+            step = solve(*linear, scale, experiment.prior, fitted.point.theta, rounds=1, first=experiment.noise**2)
+            before, above = above, _above(experiment, residual + base @ step.theta + effect @ step.effect)
+            rest = _rest(experiment, above)
+            if np.array_equal(before, above) or not rest.any():
+                break
+        return rest
+
+    rest = max((grown(part) for part in _first_parts(experiment, count)), key=np.mean)
+    point, above = fitted.point, ~rest
+    for _ in range(_ROUNDS):
+        if np.mean(rest) < _LEAST_REST:
+            return None
+        again = refit(
+            _on(experiment, rest), point, fitted.free, base[rest], rounds=_ROUNDS, renewals=1, blocks_per_error=1.0
         )
-        if is_noise(experiment, near.residual):
-            return near.point
-    return None
+        point, left = again.point, experiment.residual(again.point, whole=True)
+        before, above = above, _above(experiment, left)
+        if np.array_equal(before, above):
+            break
+        rest = _rest(experiment, above)
+    at_noise = np.max(experiment.times_noise(left[rest]), initial=0.0) < thresholds.AT_NOISE
+    return (point, above) if at_noise and np.mean(rest) >= _LEAST_REST else None
+
+
+def _first_parts(experiment: Experiment, count: int) -> list[Mask]:
+    """Parts of a recording of so many blocks on which a model is tried: what is fitted, quarters, eighths."""
+    block, seconds = np.arange(count), count * experiment.trial.block_s
+    parts = [block < experiment.errors_from // experiment.trial.block]
+    for many in _PARTS:
+        if seconds / many >= _LEAST_PART:
+            parts += [block * many // count == k for k in range(many)]
+    return parts
+
+
+def _rest(experiment: Experiment, above: Mask) -> Mask:
+    """Blocks (B,) that are not above noise, nor next to what is."""
+    buffer = round(_BUFFER / experiment.trial.block_s)
+    near = np.convolve(above, np.ones(2 * buffer + 1), mode="full")[buffer : buffer + len(above)]
+    return np.asarray(near < 0.5)
+
+
+def _above(experiment: Experiment, residual: Floats) -> Mask:
+    """Which blocks (B,) of a residual (B, C) lie in a window with strong evidence against noise."""
+    window = max(round(_WINDOW / experiment.trial.block_s), 1)
+    begin = np.arange(0, max(len(residual) - window // 2, 1), window)
+    lengths = np.diff(np.append(begin, len(residual)))
+    mean = np.add.reduceat((residual / experiment.noise) ** 2, begin, axis=0) / lengths[:, None]
+    ratio = np.maximum(mean / thresholds.AT_NOISE**2, 1.0)
+    gain = lengths[:, None] / experiment.noise_memory * (ratio - 1.0 - np.log(ratio))
+    return np.asarray(np.repeat(np.max(gain, axis=1) >= thresholds.STRONG + 2.0 * np.log(gain.size), lengths))
 
 
 def _on(experiment: Experiment, part: Mask) -> Experiment:

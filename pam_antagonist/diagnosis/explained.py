@@ -217,6 +217,25 @@ def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bo
     return enough or at_noise(experiments, model)
 
 
+def leader(tried: Sequence[TriedCandidate]) -> TriedCandidate | None:
+    """The effect of the first round that has all others far behind, though it may leave most of the excess.
+
+    What no effect of the catalogue is, several imitate about as well. An effect of another form than its law has no
+    rival. None where there is no such effect.
+
+    Args:
+        tried: the candidates of all rounds.
+    """
+    first = [candidate for candidate in tried if candidate.round == 1]
+    best = max(first, key=lambda candidate: candidate.standing, default=None)
+    if best is None or best.shares is None or best.delta_bic is None or best.held_out_evidence is None:
+        return None
+    second = max((candidate.standing for candidate in first if candidate is not best), default=0.0)
+    certain = min(best.delta_bic, best.held_out_evidence) >= thresholds.STRONG
+    enough = best.standing >= max(thresholds.TAKEN_WITHOUT_STRONG_HELD_OUT, thresholds.LEADS * second)
+    return best if certain and enough and min(best.shares) >= thresholds.EXPLAINED_BY_LEADER else None
+
+
 def explains_in_part(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
     """Whether effects that are the explanation leave something that is worth a warning.
 

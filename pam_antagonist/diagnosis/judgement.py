@@ -45,8 +45,7 @@ def judge(prepared: Prepared, group: Group, selection: Selection, settings: Sett
 def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
     jobs, progress = settings.jobs, settings.progress
     verdict, share = _verdict(group, selection)
-    search = onset.search(group, selection.recalibrated, selection.model, jobs, progress, settings.checkpoint)
-    late = search.found
+    late = onset.search(group, selection.recalibrated, selection.model, jobs, progress, settings.checkpoint)
     if late is not None and _verdict(late.group, late.selection)[0] == "effect":
         group, selection = late.group, late.selection
         verdict, share = _verdict(group, selection)
@@ -79,8 +78,14 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
             judged = _by_effects(prepared, spans, there, _share(spans, there), (note, *about_base), settings)
             if judged.verdict == "effect":
                 return judged
-        if not stretches:
-            about_base = (*warnings.changes(search.above_noise), *about_base)
+        parts = onset.parts_above_noise(group, base, jobs)
+        about_base = (*warnings.changes(parts), *about_base)
+        first = explained.leader(selection.tried)
+        if first is not None and first.model is not None:
+            one = replace(selection, model=first.model)
+            judged = _by_effects(prepared, group, one, _share(group, one), about_base, settings)
+            if judged.verdict == "effect":
+                return judged
     return Judged(group, base, selection, verdict, share, base, warnings=about_base)
 
 

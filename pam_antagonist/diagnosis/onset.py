@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import explained, thresholds
+from pam_antagonist.diagnosis import change_point, explained, thresholds
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
-from pam_antagonist.diagnosis.change_point import first_change, is_noise
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect, Judged
@@ -26,7 +25,6 @@ from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, Linear, Near, cost_of, refit, relinearised
-from pam_antagonist.inference.valve_driven import ValveDriven
 
 _THIRDS = 3
 """Blocks of such a recording that are counted in turn; the last of each three is held out in the selection."""
@@ -88,22 +86,10 @@ class Changing:
     dates: tuple[Mapping[str, Dated], ...]
 
 
-class Search(NamedTuple):
-    """What a search came to.
-
-    Attributes:
-        found: effects that begin or end; None where there are none.
-        above_noise: the part of each recording in which it leaves its noise, by its name; without those that do not.
-    """
-
-    found: Changing | None
-    above_noise: Mapping[str, Span]
-
-
 def search(
     group: Group, base: Model, chosen: Model, jobs: int, progress: Callable[[str], None], checkpoint: Checkpoint
-) -> Search:
-    """Effects that begin or end during the recordings, where these explain what others do not.
+) -> Changing | None:
+    """Effects that begin or end during the recordings, where these explain what others do not; None where none do.
 
     Args:
         group: the recordings.
@@ -114,31 +100,45 @@ def search(
         checkpoint: keeps finished candidates.
     """
     experiments = group.experiments
-    if group.held_out or not all(isinstance(experiment, ValveDriven) for experiment in experiments):
-        return Search(None, {})
-    if _at_noise(experiments, chosen):
-        return Search(None, {})
+    if not _can_change(group) or _at_noise(experiments, chosen):
+        return None
     progress("whether something begins or ends during the recordings")
     best = None
-    above_noise: dict[str, Span] = {}
     # Something may begin beside what acts throughout; but what begins bends the choice of what acts throughout.
     for start in (base, chosen) if chosen.effects else (base,):
-        found, first = _beside(group, start, jobs, progress, checkpoint)
-        above_noise = above_noise or first
+        found = _beside(group, start, jobs, progress, checkpoint)
         if found is None or not _better(experiments, chosen, found):
             continue
         if _at_noise(found.group.experiments, found.selection.model):
-            return Search(found, above_noise)
+            return found
         best = found if best is None else best
-    return Search(best, above_noise)
+    return best
+
+
+def parts_above_noise(group: Group, model: Model, jobs: int) -> dict[str, tuple[Span, ...]]:
+    """The parts of each recording in which it leaves its noise, by its name; without those that do not begin or end.
+
+    Args:
+        group: the recordings.
+        model: their model, which is at the noise of a part of them at least.
+        jobs: threads.
+    """
+    if not _can_change(group):
+        return {}
+    pairs = zip(group.experiments, model.fits, strict=True)
+    found = Parallel(n_jobs=jobs, prefer="threads")(delayed(change_point.parts_above_noise)(*pair) for pair in pairs)
+    return {e.trial.name: parts for e, parts in zip(group.experiments, found, strict=True) if parts}
+
+
+def _can_change(group: Group) -> bool:
+    """Whether effects of these recordings can begin and end."""
+    return not group.held_out and all(experiment.runs_by_itself for experiment in group.experiments)
 
 
 def _beside(
     group: Group, start: Model, jobs: int, progress: Callable[[str], None], checkpoint: Checkpoint
-) -> tuple[Changing | None, dict[str, Span]]:
+) -> Changing | None:
     """Effects that begin or end beside a model, one part of the recordings after the other; None where there are none.
-
-    Also the first part of each recording that is above noise, by the recording's name.
 
     Args:
         group: the recordings.
@@ -152,12 +152,11 @@ def _beside(
     now = [replace(experiment, spans=throughout) for experiment in group.experiments]
     model, dates = start, [dict[str, Dated]() for _ in now]
     tried: list[TriedCandidate] = []
-    found, parts = None, dict[str, Span]()
+    found = None
     while len(model.effects) < thresholds.MOST_EFFECTS:
-        changes = in_threads(delayed(first_change)(*pair) for pair in zip(now, model.fits, strict=True))
+        changes = in_threads(delayed(change_point.first_change)(*pair) for pair in zip(now, model.fits, strict=True))
         if not any(changes):
             break
-        parts = parts or {e.trial.name: c.span for e, c in zip(now, changes, strict=True) if c is not None}
         starts = [f.point if c is None else c.point for f, c in zip(model.fits, changes, strict=True)]
         spans = [THROUGHOUT if change is None else change.span for change in changes]
         for _ in range(_SELECTIONS):
@@ -170,7 +169,7 @@ def _beside(
             selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first, most=most)
             new = [name for name in selection.model.effects if name not in model.effects]
             if not new:
-                return found, parts
+                return found
             progress("when it begins and ends")
             refined = in_threads(delayed(_refined)(*pair) for pair in zip(now, selection.model.fits, strict=True))
             refined = in_threads(
@@ -192,7 +191,7 @@ def _beside(
         base = _fitted(now, *_without_effects([fitted.point for fitted in quiet.fits], model), jobs)
         changed = replace(group, experiments=tuple(now))
         found = Changing(changed, Selection(base, model, tuple(tried)), tuple(dict(when) for when in dates))
-    return found, parts
+    return found
 
 
 def _is_near(one: Span, other: Span) -> bool:
@@ -202,7 +201,9 @@ def _is_near(one: Span, other: Span) -> bool:
 def _at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
     """Whether no stretch of any recording is above noise."""
     pairs = zip(experiments, model.fits, strict=True)
-    return all(is_noise(experiment, experiment.residual(fitted.point, whole=True)) for experiment, fitted in pairs)
+    return all(
+        change_point.is_noise(experiment, experiment.residual(fitted.point, whole=True)) for experiment, fitted in pairs
+    )
 
 
 def _parted(experiment: Experiment, span: Span, model: Model) -> Experiment:

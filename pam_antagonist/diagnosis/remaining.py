@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model
-from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, equation_errors, signals, unit_of
+from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, equation_errors, unit_of
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.likelihood import correlation_length
-from pam_antagonist.inference.valve_driven import ValveDriven
 
 Floats = NDArray[np.float64]
 
@@ -195,7 +194,7 @@ def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingR
             continue
         experiment, point = recorded.corrected(fitted.point)
         around = surroundings(experiment, point)
-        if isinstance(experiment, ValveDriven):
+        if experiment.runs_by_itself:
             out += _of_equations(experiment, point, around)
         whole = experiment.residual(point, whole=True)[: len(experiment.measured)]
         late = experiment.held_samples[:: experiment.trial.block][: len(whole)]
@@ -208,7 +207,7 @@ def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingR
 
 def surroundings(experiment: Experiment, point: Point) -> Surroundings:
     """What was there in each block; pressures and motion are the model's, which have no noise."""
-    given = signals(experiment, point)
+    given = experiment.signals(point)
     pressure = np.column_stack([given["pressure 1"], given["pressure 2"]])
     voltage = np.column_stack([given["voltage 1"], given["voltage 2"]]) if "voltage 1" in given else None
     time = np.asarray(np.arange(len(pressure)) * (experiment.trial.block_s))

@@ -31,7 +31,6 @@ from pam_antagonist.estimation import metrics
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
-from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model import dynamics, flow, muscle, sensor
 
 Floats = NDArray[np.float64]
@@ -117,28 +116,6 @@ def unit_of(channel: Channel) -> str:
     return "deg" if channel.unit == "°" else channel.unit
 
 
-def signals(experiment: Experiment, point: Point) -> dict[str, Floats]:
-    """What a residual may go with, as block means over the whole recording (B,) each.
-
-    Pressures and motion are the model's, which have no noise in common with a residual. A joint without valves has no
-    voltages; a locked one has no motion.
-    """
-    if isinstance(experiment, ValveDriven):
-        model = experiment.trial.blocks(experiment.simulated(point, whole=True))
-        voltage = experiment.trial.blocks(experiment.trial.voltage)
-        out = {
-            "voltage 1": voltage[:, 0],
-            "voltage 2": voltage[:, 1],
-            "pressure 1": model[:, PRESSURE_1],
-            "pressure 2": model[:, PRESSURE_1 + 1],
-        }
-        if experiment.trial.joint == "free":
-            out |= {"angle": model[:, ANGLE], "velocity": np.gradient(model[:, ANGLE], experiment.trial.block_s)}
-        return {name: np.asarray(values, dtype=np.float64) for name, values in out.items()}
-    course = experiment.trial.blocks(experiment.states(point)[0][:, :4])
-    return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
-
-
 def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
     """Residuals of sensors and equations of a model on what was held out.
 
@@ -147,13 +124,12 @@ def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
         point: the model.
     """
     experiment, point = experiment.corrected(point)
-    given = signals(experiment, point)
+    given = experiment.signals(point)
     first = -(-experiment.errors_from // experiment.trial.block)
     step = experiment.trial.block_s
     residual = experiment.residual(point, whole=True)[: len(experiment.measured)]
     out = []
-    # A model that is given the measured angle at every step shows the errors of its equations in its residuals.
-    if isinstance(experiment, ValveDriven):
+    if experiment.runs_by_itself:
         equations = equation_errors(experiment, point)
         late = equations.begin >= first
         # A window's error is due to what was there while it lasted: the signals' means over it.
@@ -184,7 +160,7 @@ def of_innovations(experiment: Experiment, point: Point, time: Floats, innovatio
         innovation: of the pressures there, in standard deviations (M, 2).
     """
     experiment, point = experiment.corrected(point)
-    given = signals(experiment, point)
+    given = experiment.signals(point)
     step = experiment.trial.block_s
     block = (time / step).astype(np.int64)
     first, count = -(-experiment.errors_from // experiment.trial.block), len(experiment.measured)

@@ -19,7 +19,6 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model, likelier
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.selection import recalibrate
-from pam_antagonist.inference.angle_driven import AngleDriven
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, Linear
 from pam_antagonist.inference.trial import Split
@@ -115,7 +114,7 @@ def recalibrated(group: Group, jobs: int) -> tuple[Group, Model]:
         group: the recordings.
         jobs: threads.
     """
-    if not all(isinstance(experiment, AngleDriven) for experiment in group.experiments):
+    if any(experiment.runs_by_itself for experiment in group.experiments):
         return group, recalibrate(group.experiments, jobs)
     base = recalibrate([_whole(experiment) for experiment in group.experiments], jobs)
     pairs = zip(group.experiments, base.fits, strict=True)

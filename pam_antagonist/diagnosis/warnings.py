@@ -64,9 +64,9 @@ def at_bounds(experiments: Sequence[Experiment], model: Model) -> list[str]:
                 continue
             name = free.path.split(".", 1)[1]
             meaning = (
-                "what acts is larger than this law may be, or something else"
+                "the effect is larger than this bound, or it is another effect"
                 if free.item.is_size
-                else "the recording does not tell how much further it is; its standard error says nothing"
+                else "the recording does not show how much further the value is; the standard error has no meaning"
             )
             out.append(f"{name} ends at its bound, {value:g} {free.item.unit}, in {experiment.trial.name}: {meaning}")
     return out
@@ -81,17 +81,22 @@ def above_noise(stretches: Sequence[Stretch]) -> list[str]:
     ]
 
 
-def changes(above_noise: Mapping[str, Span]) -> list[str]:
+def changes(above_noise: Mapping[str, Sequence[Span]]) -> list[str]:
     """When recordings leave their noise, where no effect explains it.
 
     Args:
-        above_noise: the part of each recording, by its name.
+        above_noise: the parts of each recording, by its name; one that lasts throughout says nothing.
     """
-    return [
-        f"{name}: something {' and '.join(f'{what} at {time:.1f} s' for what, time in _edges(span))}; outside of that "
-        "part the model leaves what the sensors' noise explains"
-        for name, span in above_noise.items()
-    ]
+    out = []
+    for name, spans in above_noise.items():
+        acts = [" and ".join(f"{what} at {time:.1f} s" for what, time in _edges(span)) for span in spans]
+        if all(acts):
+            part = "that part" if len(acts) == 1 else "these parts"
+            out.append(
+                f"{name}: something {', then '.join(acts)}; outside of {part} the model leaves what the sensors' noise "
+                "explains"
+            )
+    return out
 
 
 def _edges(span: Span) -> list[tuple[str, float]]:
@@ -112,7 +117,7 @@ def over_spans(experiments: Sequence[Experiment], base: Model, model: Model) -> 
             old, new = (100.0 * experiment.right(fitted.point) for fitted in fits)
             each.append(f"{experiment.trial.name}: {old:.0f} % before, {new:.0f} % with the effect")
     return (
-        "the joint sticks and slips, which no model foretells for long: the verdict rests on predictions over "
+        "the joint sticks and slips, which no model predicts for long: the verdict rests on predictions over "
         f"{RUN_S:g} s that start from the measured angle. Share of the held-out time in which they show the angle: "
         f"{'; '.join(each)}. Errors in this report are those of the model that runs by itself"
     )
@@ -121,7 +126,7 @@ def over_spans(experiments: Sequence[Experiment], base: Model, model: Model) -> 
 def not_firm(effect: str, firm: Firmness) -> str:
     """What to say of an effect that was selected and that most splits do not support."""
     return (
-        f"{effect} was selected, but only {firm.in_words()}: it hangs on which part of the recording is held out and "
+        f"{effect} was selected, but only {firm.in_words()}: it depends on which part of the recording is held out and "
         "is not called found"
     )
 
@@ -173,7 +178,7 @@ def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
 
 
 def few_sweeps(prepared: Prepared) -> list[str]:
-    """A warning where a joint that is driven by its angle slides too seldom: all samples of a sweep err alike."""
+    """A warning where a joint that is driven by its angle slides too seldom: samples of a sweep have one error."""
     if not prepared.angle_driven:
         return []
     cuts = {number: e.fitted for g in prepared.groups for number, e in zip(g.numbers, g.experiments, strict=True)}

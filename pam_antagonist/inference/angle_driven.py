@@ -220,6 +220,16 @@ class AngleDriven(Experiment):
         """Parameter vector as configured: the joint is moved by its angle, not by its torques."""
         return self.rig.parameters("locked", 0.0)
 
+    @property
+    def runs_by_itself(self) -> bool:
+        """It does not: the angle is given at every step."""
+        return False
+
+    def signals(self, point: Point) -> dict[str, Floats]:
+        """Pressures and motion."""
+        course = self.trial.blocks(self.states(point)[0][:, :4])
+        return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
+
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """Effects that this part can show, beside those that a model has already; the simpler form of each first."""
         present = {path.split(".")[1] for path in taken}

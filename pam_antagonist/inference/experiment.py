@@ -160,6 +160,25 @@ class Experiment(ABC):
             States (N, n), the first of them angle [rad], velocity [rad/s] and pressures [Pa], and torques (N,) [N m].
         """
 
+    @property
+    @abstractmethod
+    def runs_by_itself(self) -> bool:
+        """Whether the model runs from its inputs alone, so that it carries every error along.
+
+        One that is given the measured angle at every step shows the errors of its equations in its residuals.
+        """
+
+    @abstractmethod
+    def signals(self, point: Point) -> dict[str, Floats]:
+        """What a residual may go with, by name: block means over the whole recording (B,) each.
+
+        Pressures and motion are the model's, which have no noise in common with a residual. A joint without valves has
+        no voltages; a locked one has no motion.
+
+        Args:
+            point: the model.
+        """
+
     @abstractmethod
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """Effects that this recording can show, beside those that a model has already.

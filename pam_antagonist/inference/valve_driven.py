@@ -25,7 +25,7 @@ from pam_antagonist.model.joint import quickest_lag
 Floats = NDArray[np.float64]
 
 _START_S = 0.02
-"""[s] At the beginning of a recording, whose means are its start."""
+"""[s] At the beginning of a recording: a straight line through it tells the first sample's true values."""
 _START_ANGLE = 1.7e-3
 """[rad] How well a measured start angle is known, stiction and encoder step together."""
 STARTS = 3
@@ -80,9 +80,22 @@ class ValveDriven(Experiment):
     def start_std(self) -> Floats:
         """How well the start is known (3,) [rad, Pa, Pa]."""
         sensors = self.rig.sensors
-        averaged = self.trial.samples(_START_S)
-        pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))) / np.sqrt(averaged)
-        return np.array([0.0 if self.trial.joint == "locked" else _START_ANGLE, pressure, pressure])
+        sample = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0)))
+        return np.array([0.0 if self.trial.joint == "locked" else _START_ANGLE, *(sample * self.first.share)])
+
+    @property
+    def runs_by_itself(self) -> bool:
+        """It does: from the voltages."""
+        return True
+
+    def signals(self, point: Point) -> dict[str, Floats]:
+        """Voltages, pressures and, of a free joint, its motion."""
+        model, voltage = (self.trial.blocks(v) for v in (self.simulated(point, whole=True), self.trial.voltage))
+        out = {f"voltage {i + 1}": voltage[:, i] for i in (0, 1)}
+        out |= {f"pressure {i + 1}": model[:, PRESSURE_1 + i] for i in (0, 1)}
+        if self.trial.joint == "free":
+            out |= {"angle": model[:, ANGLE], "velocity": np.gradient(model[:, ANGLE], self.trial.block_s)}
+        return {name: np.asarray(values, dtype=np.float64) for name, values in out.items()}
 
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """What could be wrong beside the effects that a model has already.
@@ -209,20 +222,37 @@ class Start:
     Attributes:
         angle: [rad], None where it was not measured.
         pressure: of both muscles (2,) [Pa].
+        share: standard deviation of these (2,), over that of one sample.
     """
 
     angle: float | None
     pressure: Floats
+    share: Floats
 
 
 def start_of(trial: Trial) -> Start:
-    """Means over the first samples of a recording."""
+    """What the first samples of a recording say of its start.
+
+    The means of these samples lie behind it: valves that fill a muscle change its pressure by much more than the noise
+    in that time.
+
+    Args:
+        trial: the recording.
+    """
     first = trial.measured[: trial.samples(_START_S)]
-    pressure = np.nanmean(first[:, PRESSURE_1:], axis=0)
-    if trial.joint == "locked":
-        return Start(trial.lock_angle, pressure)
-    known = first[np.isfinite(first[:, ANGLE]), ANGLE]
-    return Start(float(known.mean()) if known.size else None, pressure)
+    pressure, share = np.transpose([_at_first(first[:, k]) for k in (PRESSURE_1, PRESSURE_1 + 1)])
+    angle = trial.lock_angle if trial.joint == "locked" else _at_first(first[:, ANGLE])[0]
+    return Start(angle if np.isfinite(angle) else None, pressure, share)
+
+
+def _at_first(values: Floats) -> tuple[float, float]:
+    """The straight line through values (N,) at the first of them, and its standard deviation over that of a value."""
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 2:
+        return (float(values[known[0]]), 1.0) if len(known) else (np.nan, 1.0)
+    middle, spread = known.mean(), np.sum((known - known.mean()) ** 2)
+    line = np.polynomial.Polynomial.fit(known, values[known], 1)
+    return float(line(0.0)), float(np.sqrt(1.0 / len(known) + middle**2 / spread))
 
 
 def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None, later: Sequence[Phase] = ()) -> Floats:

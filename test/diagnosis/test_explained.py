@@ -64,3 +64,13 @@ def test_effects_are_the_explanation_of_what_they_take_away(monkeypatch, share, 
     assert explained.explains((), NO_MODEL, Model(("friction",), ())) is explains
     assert explained.explains_in_part((), NO_MODEL, Model(("friction",), ())) is in_part
     assert not explained.explains((), NO_MODEL, NO_MODEL)
+
+
+def test_one_effect_that_leaves_much_leads_where_all_others_are_far_behind() -> None:
+    best = tried(1, 40.0, 0.3, held_out=30.0)
+    assert explained.leader([tried(1, 20.0, 0.1, held_out=10.0), best, tried(2, 99.0, 0.9)]) is best
+    assert explained.leader([best, tried(1, 30.0, 0.1, held_out=10.0)]) is None
+    assert explained.leader([tried(1, 40.0, 0.1, held_out=30.0)]) is None
+    assert explained.leader([tried(1, 60.0, 0.3, held_out=4.0)]) is None
+    assert explained.leader([tried(1, 10.0, 0.3, held_out=8.0)]) is None
+    assert explained.leader([]) is None

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import Diagnosis, change_point, diagnose, onset, splits
+from pam_antagonist.diagnosis import Diagnosis, change_point, diagnose, onset, splits, warnings
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.preparation import Group
@@ -59,7 +59,7 @@ def test_an_effect_that_begins_late_is_found_with_its_onset(late) -> None:
     found = onset.search(
         Group("joint", (experiment,), (0,)), Model((), (fitted,)), Model((), (fitted,)), 1, lambda text: None,
         Checkpoint(),
-    ).found  # fmt: skip
+    )  # fmt: skip
     assert found is not None
     assert found.selection.model.effects == ("pressure_sensor",)
     when = found.dates[0]["pressure_sensor"]
@@ -71,11 +71,22 @@ def test_an_effect_that_begins_late_is_found_with_its_onset(late) -> None:
     assert shown == pytest.approx(5e3, rel=0.2)
 
 
+def test_several_changes_are_told_with_their_times(quiet) -> None:
+    changed = quiet
+    for span in (Span(14.0, 15.0), Span(18.0)):
+        changed = with_effect(changed, OFFSET, span)
+    fitted = refit(changed, changed.origin, rounds=4, renewals=1)
+    first, second = change_point.parts_above_noise(changed, fitted)
+    assert (*first, *second) == pytest.approx((14.0, 15.0, 18.0, np.inf), abs=0.1)
+    (said,) = warnings.changes({"locked": (first, second)})
+    assert said.startswith("locked: something begins at 14.0 s and ends at 15.0 s, then begins at 18.0 s; outside of")
+
+
 def test_a_recording_at_its_noise_has_no_onset(quiet) -> None:
     fitted = refit(quiet, quiet.origin, rounds=4, renewals=1)
     model = Model((), (fitted,))
     group = Group("joint", (quiet,), (0,))
-    assert onset.search(group, model, model, 1, lambda text: None, Checkpoint()) == (None, {})
+    assert onset.search(group, model, model, 1, lambda text: None, Checkpoint()) is None
 
 
 def test_what_is_there_throughout_has_no_onset(quiet) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pam_antagonist import simulate
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
 from pam_antagonist.inference.gauss_newton import refit
-from pam_antagonist.inference.trial import block_noise, blocks, converter_step
-from pam_antagonist.inference.valve_driven import stride_blocks
+from pam_antagonist.inference.trial import block_noise, blocks, converter_step, make_trial
+from pam_antagonist.inference.valve_driven import ValveDriven, stride_blocks
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
 
@@ -46,6 +47,18 @@ def test_a_slope_turns_the_force_map_about_the_middle(rig) -> None:
     assert direction.changes["muscle_1.force.v1"] * middle + direction.changes["muscle_1.force.v2"] == pytest.approx(
         0.0, abs=1e-18
     )
+
+
+def test_a_recording_may_start_while_its_muscles_fill(rig) -> None:
+    voltage = np.full((60, 2), (7.4, 4.4))
+    exact = simulate(rig, voltage, joint="locked", noise=False).pressure[0]
+    deviations = []
+    for seed in range(30):
+        trial = make_trial(simulate(rig, voltage, joint="locked", seed=seed), rig, "locked", 0.0, "filling")
+        experiment = ValveDriven(rig, trial, trial.whole_blocks(len(trial)))
+        deviations.append((experiment.first.pressure - exact) / experiment.start_std[1:])
+    assert np.abs(np.mean(deviations, axis=0)).max() < 0.7
+    assert np.std(deviations) == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_locked_joint_tells_nothing_of_friction(rig, recorded, experiment_of) -> None:

@@ -9,6 +9,9 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.remaining import describe
+from pam_antagonist.diagnosis.residual_statistics import statistics
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, moved
 from pam_antagonist.inference.gauss_newton import best_of_starts, refit, relinearised
@@ -60,6 +63,14 @@ class RegulatorDriven(Experiment):
         end = len(states) if whole else self.fitted
         return np.column_stack([states[:end, 0], torque[:end], states[:end, 2:]])
 
+    @property
+    def runs_by_itself(self) -> bool:
+        return False
+
+    def signals(self, point: Point) -> dict[str, np.ndarray]:
+        pressure = self.trial.blocks(self.trial.measured[:, PRESSURE_1:])
+        return {"pressure 1": pressure[:, 0], "pressure 2": pressure[:, 1]}
+
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         return (Candidate("load_torque"),)
 
@@ -99,3 +110,14 @@ def test_an_effect_is_found_with_its_profile(rig) -> None:
     assert not profile.flat and profile.low is not None and profile.high is not None
     assert abs(profile.best - 0.05) < 4.0 * profile.std
     assert 0.5 * (profile.high - profile.low) == pytest.approx(1.96 * profile.std, rel=0.1)
+
+
+def test_what_it_leaves_is_described_like_that_of_any_other(rig) -> None:
+    names = ("v1", "v2", "w1", "w2")
+    task = experiment(
+        rig, {f"muscle_1.force.{name}": 1.03 * rig.value(f"muscle_1.force.{name}") for name in names}, 0.0
+    )
+    (row,) = statistics(task, task.origin)
+    assert row.channel == "torque" and row.above_noise > 0.9
+    (left,) = describe([task], Model((), (refit(task, task.origin, rounds=0),)))
+    assert left.channel == "torque" and left.times_noise > 5.0 and left.depends_on["pressure"] > 0.9
