@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.api.check import CheckResult, check
 from pam_antagonist.cli import common
-from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import add_options, from_options
 from pam_antagonist.report import terminal
 from pam_antagonist.report.assumption import in_first_lines
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.strict_json import dumps
 
 _DESCRIPTION = """\
 Check recordings before anything is computed from them (seconds).
@@ -74,7 +73,8 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.json != "-" and not any(checked.wrong for checked in results.values()):
         print(f"\n{common.next_command('replay', arguments.bags, f'--rig {arguments.rig} --out DIR')}")
     if arguments.json:
-        _write(arguments.json, results)
+        content = {bag: checked.as_dict() for bag, checked in results.items()}
+        common.give_json(arguments.json, dumps(content) + "\n")
     return common.BAD_INPUT if any(checked.wrong for checked in results.values()) else common.DONE
 
 
@@ -91,18 +91,6 @@ def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> st
     if options:
         lines.append(f"With these options every command reads it corrected: {' '.join(options)}")
     return "\n".join(lines)
-
-
-def _write(where: str, results: dict[str, CheckResult]) -> None:
-    content = {bag: checked.as_dict() for bag, checked in results.items()}
-    text = json.dumps(content, indent=2, ensure_ascii=False)
-    if where == "-":
-        print(text)
-        return
-    try:
-        Path(where).write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"{where}: cannot be written: {error.strerror}") from None
 
 
 if __name__ == "__main__":

@@ -247,13 +247,50 @@ def json_beside(arguments: argparse.Namespace) -> Iterator[None]:
     Raises:
         BadInput: the file cannot be written.
     """
-    where: str | None = arguments.json
-    # Standard output is for JSON alone where it was asked for.
-    with contextlib.redirect_stdout(sys.stderr) if where == "-" else contextlib.nullcontext():
+    with json_alone(arguments.json):
         yield
-    if where is None:
-        return
-    text = (arguments.out / "report.json").read_text(encoding="utf-8")
+    if arguments.json is not None:
+        give_json(arguments.json, (arguments.out / "report.json").read_text(encoding="utf-8"))
+
+
+def add_new_json(parser: argparse.ArgumentParser, what: str) -> None:
+    """``--json``, of a command that writes nothing else and overwrites nothing.
+
+    Args:
+        parser: takes the argument.
+        what: is written, for the help.
+    """
+    parser.add_argument(
+        "--json", type=_new_file, metavar="FILE",
+        help=f"write {what} to FILE as well, a new file; - for standard output, and the tables on standard error",
+    )  # fmt: skip
+
+
+def _new_file(text: str) -> str:
+    if text != "-" and Path(text).exists():
+        raise argparse.ArgumentTypeError(f"{text}: exists; expected a new file, nothing is overwritten")
+    return text
+
+
+def json_alone(where: str | None) -> contextlib.AbstractContextManager[object]:
+    """Standard output for JSON alone, where that is where it goes: what is printed meanwhile goes to standard error.
+
+    Args:
+        where: of ``--json``: a file, - for standard output, or None.
+    """
+    return contextlib.redirect_stdout(sys.stderr) if where == "-" else contextlib.nullcontext()
+
+
+def give_json(where: str, text: str) -> None:
+    """Write JSON where ``--json`` says.
+
+    Args:
+        where: a file, or - for standard output.
+        text: with its last line break.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
     if where == "-":
         sys.stdout.write(text)
         return

@@ -18,7 +18,7 @@ from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import load_rig
 from pam_antagonist.software import versions
-from pam_antagonist.strict_json import write_json
+from pam_antagonist.strict_json import dumps
 from pam_antagonist.validation.benchmark.figure import Figure
 
 _DESCRIPTION = """\
@@ -53,7 +53,7 @@ def parser() -> common.Parser:
     out.add_argument(
         "--soak", type=float, metavar="S", help="run the pipeline for so long, from 15 s on, and no other part"
     )
-    out.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE as well; must not exist")
+    common.add_new_json(out, "the figures")
     return out
 
 
@@ -64,8 +64,6 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
-    if arguments.json is not None and arguments.json.exists():
-        raise BadInput(f"{arguments.json}: exists; expected a new file, nothing is overwritten")
     rig = load_rig(arguments.rig)
     if arguments.soak is not None:
         return _soak(arguments)
@@ -97,8 +95,8 @@ def _soak(arguments: argparse.Namespace) -> int:
         raise BadInput(f"--soak {arguments.soak:g}: expected seconds from 15 to 86400")
     if arguments.only:
         raise BadInput("--soak and --only: expected one of them")
-    html = None if arguments.json is None else arguments.json.with_suffix(".html")
-    if html is not None and (html.exists() or html == arguments.json):
+    html = None if arguments.json in (None, "-") else Path(arguments.json).with_suffix(".html")
+    if html is not None and (html.exists() or html == Path(arguments.json)):
         raise BadInput(f"--json {arguments.json}: {html} is the page that stands beside it; expected another name")
     needs_ros("benchmark --soak")
     from pam_antagonist.validation.benchmark import soak
@@ -126,10 +124,11 @@ def _soak(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-def _report(figures: Sequence[Figure], json: Path | None, more: Mapping[str, object] = {}) -> None:
+def _report(figures: Sequence[Figure], json: str | None, more: Mapping[str, object] = {}) -> None:
     """Print the figures, and write them where that was asked for."""
-    print(terminal.table(_table(figures), indent=""))
-    print("\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures))
+    with common.json_alone(json):
+        print(terminal.table(_table(figures), indent=""))
+        print("\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures))
     if json is not None:
         machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
         content = {
@@ -138,7 +137,7 @@ def _report(figures: Sequence[Figure], json: Path | None, more: Mapping[str, obj
             "software": versions(),
             **more,
         }
-        write_json(json, content)
+        common.give_json(json, dumps(content) + "\n")
 
 
 def _table(figures: Sequence[Figure]) -> Table:

@@ -41,7 +41,7 @@ def parser() -> common.Parser:
     out.add_argument(
         "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
     )
-    out.add_argument("--json", type=Path, metavar="FILE", help="write the table to FILE as well; must not exist")
+    common.add_new_json(out, "the table")
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the table as a Markdown page; replaces FILE")
     return out
 
@@ -55,7 +55,7 @@ def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     needs_ros("faults")
     from pam_antagonist.rig import load_rig
-    from pam_antagonist.strict_json import write_json
+    from pam_antagonist.strict_json import dumps
     from pam_antagonist.validation.faults import table
     from pam_antagonist.validation.faults.catalogue import FAULTS
     from pam_antagonist.validation.faults.fault import Outcome
@@ -65,22 +65,20 @@ def _main(argv: Sequence[str] | None) -> int:
         width = max(len(fault.name) for fault in FAULTS)
         print("\n".join(f"{fault.name.ljust(width)}  {fault.what}" for fault in FAULTS))
         return common.DONE
-    if arguments.json is not None and arguments.json.exists():
-        raise BadInput(f"{arguments.json}: exists; expected a new file, nothing is overwritten")
     faults = chosen(FAULTS, arguments.only)
     load_rig(arguments.rig)
     rig = str(Path(arguments.rig).resolve()) if arguments.rig.endswith((".yaml", ".yml")) else arguments.rig
-    print(table.HEADER, flush=True)
-    with counted(len(faults), "faults") as advance:
+    with common.json_alone(arguments.json), counted(len(faults), "faults") as advance:
+        print(table.HEADER, flush=True)
 
         def done(outcome: Outcome) -> None:
             print(table.line(outcome), flush=True)
             advance(1)
 
         outcomes = run_faults(faults, rig, done)
-    print(f"\n{table.summary(outcomes)}")
+        print(f"\n{table.summary(outcomes)}")
     if arguments.json is not None:
-        write_json(arguments.json, table.content(outcomes))
+        common.give_json(arguments.json, dumps(table.content(outcomes)) + "\n")
     if arguments.docs is not None:
         _write(arguments.docs, table.page(outcomes))
     return common.DONE if all(outcome.held for outcome in outcomes) else common.FAILED

@@ -88,6 +88,7 @@ def test_what_it_refuses(arguments: list[str], words: str, capsys: pytest.Captur
 
 
 @pytest.mark.ros
+@pytest.mark.realtime
 def test_a_short_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rclpy")
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")  # it takes a free one and leaves that behind
@@ -108,3 +109,21 @@ def test_a_short_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert "Round trip" in html and "<script src=" not in html.split("<script>")[0]
     assert benchmark.main(["--soak", "15", "--json", str(tmp_path / "soak.html")]) == 2
     assert "soak_memory_growth" in capsys.readouterr().out
+
+
+def test_the_figures_as_json_on_standard_output(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from pam_antagonist.validation.benchmark import kernels
+
+    monkeypatch.setattr(kernels, "measure", lambda rig: [at_most("step", "what a step costs", 2.0, 3.0, "", {})])
+    assert benchmark.main(["--only", "kernels", "--json", "-"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["figures"]["step"]["value"] == 2.0
+    assert "what a step costs" in printed.err
+
+
+def test_a_file_of_figures_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "figures.json").write_text("{}")
+    assert benchmark.main(["--only", "kernels", "--json", str(tmp_path / "figures.json")]) == 2
+    assert "exists; expected a new file" in capsys.readouterr().err
