@@ -80,7 +80,7 @@ setup(
             "hypothesis>=6.80",
             "mypy==2.4.1",
             "pytest>=7.4",
-            "pytest-xdist>=3.5",
+            "pytest-xdist>=3.8",
             "ruff==0.17.5",
             "types-PyYAML",
         ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,17 @@ from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
 
+SLOW_S = 10  # of a test that is marked slow without saying how slow [s]
 FIRST_NS = 1_700_000_000_000_000_000
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes longest begins first: of two processes, none is left with a long file at the end."""
+    seconds: Counter[Path] = Counter()
+    for item in items:
+        if (slow := item.get_closest_marker("slow")) is not None:
+            seconds[item.path] += slow.args[0] if slow.args else SLOW_S
+    items.sort(key=lambda item: -seconds[item.path])
 
 
 @pytest.fixture(scope="session")

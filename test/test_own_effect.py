@@ -25,7 +25,7 @@ name: lab
 effects:
   {effects}
 """
-STEPS = "--profile", "steps", "--duration", "60", "--seed", "3"
+STEPS = "--profile", "steps", "--duration", "36", "--seed", "3"
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -117,12 +117,12 @@ print("followed")
 """
 
 
-@pytest.mark.slow
+@pytest.mark.slow(45)
 def test_the_filter_estimates_a_state_of_the_lab_s_own(run: Run) -> None:
     assert good(run("-c", FILTER)) == "followed\n"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(35)
 def test_close_loop_finds_the_effect_by_its_name(lab: Path, run: Run) -> None:
     good(run("-m", "pam_antagonist", "simulate", "--rig", "end_stop.yaml", "--out", "bag", *STEPS))
     told = good(run("-m", "pam_antagonist", "close_loop", "bag", "--rig", "shin2022", "--out", "found", "--no-figures"))
@@ -171,7 +171,7 @@ print(cache_dir(), dx[1])
 """
 
 
-@pytest.mark.slow
+@pytest.mark.slow(20)
 def test_a_change_of_the_file_is_noticed(tmp_path: Path) -> None:
     install(tmp_path, {"end_stop": FILES["end_stop"]})
     (tmp_path / "end_stop.yaml").write_text(RIG.format(effects="end_stop: {stiffness: 8.0}"), encoding="utf-8")

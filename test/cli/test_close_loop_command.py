@@ -36,6 +36,7 @@ def done(leaking: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_report_and_rig_are_written(done: Path) -> None:
     assert sorted(path.name for path in done.iterdir()) == ["report.html", "report.json", "rig_extended.yaml"]
     assert not (done.parent / "found.part").exists()
@@ -104,6 +105,7 @@ def test_a_recording_cannot_be_held_out_from_itself(
     assert not (tmp_path / "o.part").exists()
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_to_the_same_report(
     leaking: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,6 +152,7 @@ def test_fits_run_on_the_workers_of_a_scheduler() -> None:
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="recordings of rig A are not beside the project")
+@pytest.mark.slow(20)
 def test_a_shifted_valve_of_rig_a(tmp_path: Path) -> None:
     out = tmp_path / "out"
     arguments = [str(DATA / "case_valve_offset" / "locked"), "--rig", "shin2022", "--out", str(out), "--no-figures"]
@@ -166,6 +169,7 @@ def test_valves_that_move_are_not_those_of_a_sealed_rig(
     assert "the chambers of rig sealed_joint are sealed" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_damaged_bag_is_read_up_to_the_damage_if_that_is_asked_for(
     leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,10 +40,11 @@ def test_pressures_alone_name_what_cannot_be_seen(rig, recorded) -> None:
 
 @pytest.fixture(scope="module")
 def one_leaks(rig, recorded):
-    both = [recorded("leak", 1, "seeping", 15.0, seconds=24.0), recorded(seconds=24.0, take=1)]
+    both = [recorded("leak", 1, "seeping", 15.0, seconds=21.0), recorded(seconds=21.0, take=1)]
     return diagnose(both, rig, joint="locked", jobs=1, profiles=False, estimator=False)
 
 
+@pytest.mark.slow(15)
 def test_one_recording_shows_what_the_other_rules_out(one_leaks) -> None:
     first, second = (part.recording for part in one_leaks.by_recording)
     assert one_leaks.effects[0].recordings == (first,)

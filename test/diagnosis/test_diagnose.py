@@ -18,9 +18,10 @@ from pam_antagonist.rig.write import write_rig
 
 @pytest.fixture(scope="module")
 def leaking(rig, recorded):
-    return diagnose([recorded("leak", 1, "seeping", 15.0)], rig, joint="locked", jobs=1)
+    return diagnose([recorded("leak", 1, "seeping", 15.0, seconds=24.0)], rig, joint="locked", jobs=1)
 
 
+@pytest.mark.slow(15)
 def test_a_leak_is_found_on_its_muscle(leaking) -> None:
     assert leaking.verdict == "effect"
     first = leaking.effects[0]
@@ -105,7 +106,7 @@ def test_a_wrong_parameter_is_no_effect(rig, recorded) -> None:
 
 
 def test_what_is_in_no_catalogue_is_unexplained(rig, recorded) -> None:
-    faulty = recorded("exchange", None, "chambers exchange air", 25.0)
+    faulty = recorded("exchange", None, "chambers exchange air", 25.0, seconds=24.0)
     found = diagnose([faulty], rig, joint="locked", jobs=1, estimator=False)
     assert found.verdict == "unexplained"
     assert found.effects == ()
@@ -129,8 +130,11 @@ def kept(tmp_path_factory) -> Checkpoint:
     return Checkpoint(tmp_path_factory.mktemp("kept"))
 
 
+@pytest.mark.slow(15)
 def test_pressures_alone_say_so(rig, recorded, kept) -> None:
-    bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
+    bare = dataclasses.replace(
+        recorded("valve_offset", 2, "shift and gain", 15.0, seconds=24.0), angle=None, torque=None
+    )
     found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False, store=kept)
     assert any("Pressures alone" in line for line in found.unseen)
     assert found.errors.extended.torque is None
@@ -144,7 +148,9 @@ def test_pressures_alone_say_so(rig, recorded, kept) -> None:
 def test_innovations_that_do_not_agree_have_the_last_word(rig, recorded, kept, monkeypatch) -> None:
     """The pressures of a model that is run alone may call for an effect that tells an estimator nothing."""
     monkeypatch.setattr(held_out, "innovation_evidence", lambda prepared, compared, jobs: 5.0)
-    bare = dataclasses.replace(recorded("valve_offset", 2, "shift and gain", 15.0), angle=None, torque=None)
+    bare = dataclasses.replace(
+        recorded("valve_offset", 2, "shift and gain", 15.0, seconds=24.0), angle=None, torque=None
+    )
     found = diagnose([bare], rig, joint="locked", jobs=1, profiles=False, estimator=False, store=kept)
     assert found.verdict == "unexplained" and not found.effects
     assert found.share == 0.0  # the extended model is the recalibrated one

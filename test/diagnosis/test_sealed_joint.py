@@ -40,7 +40,7 @@ def joint() -> Rig:
 def recorded(joint: Rig) -> Callable[..., Recording]:
     """Records a simulated joint without friction of its own, with effects, driven to and fro."""
 
-    def make(effects: dict[str, dict[str, float]], seconds: float = 24.0, seed: int = 3) -> Recording:
+    def make(effects: dict[str, dict[str, float]], seconds: float = 18.0, seed: int = 3) -> Recording:
         rig = moved(joint, PLAIN)
         rig = rig.replaced(effects=effects)
         rng = np.random.default_rng(seed)
@@ -65,6 +65,7 @@ def diagnosed(recording: Recording, rig: Rig) -> Diagnosis:
     return diagnose([recording], rig, profiles=False, estimator=False)
 
 
+@pytest.mark.slow
 def test_friction_and_a_leak_of_one_muscle_are_found_with_their_sizes(recorded, joint) -> None:
     found = diagnosed(recorded({"friction": {"coulomb": 0.2}, "leak": {"area_1": 8e-12}}), joint)
     assert found.verdict == "effect"
@@ -181,6 +182,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @measured_only
+@pytest.mark.slow(25)
 def test_the_measured_joint(measured: Path, tmp_path: Path, capsys) -> None:
     """Fitted on the first two thirds of a real recording, judged on the rest."""
     out = tmp_path / "found"

@@ -24,22 +24,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="rclpy is not installed: ./run test brings it"))
 
 
-def _isolated(patch: pytest.MonkeyPatch) -> None:
-    patch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+def _isolated(patch: pytest.MonkeyPatch, node: pytest.Item | pytest.Collector) -> None:
+    # Pipelines run beside other nodes: neither side takes a domain that the other one is about to use.
+    side = node.get_closest_marker("realtime") is not None
+    patch.setenv("ROS_DOMAIN_ID", str(next(domain for domain in iter(free_domain, None) if domain % 2 == side)))
     patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 @pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
+def domain(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """A ROS domain for one test."""
-    _isolated(monkeypatch)
+    _isolated(monkeypatch, request.node)
 
 
 @pytest.fixture(scope="module")
-def module_domain() -> Iterator[None]:
+def module_domain(request: pytest.FixtureRequest) -> Iterator[None]:
     """A ROS domain for the tests of one module."""
     with pytest.MonkeyPatch.context() as patch:
-        _isolated(patch)
+        _isolated(patch, request.node)
         yield
 
 

@@ -17,7 +17,7 @@ from pam_antagonist.nodes.processes import Processes, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.replays.accounting import account
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 PERIOD_NS = 1_000_000
 SAFE = (5.0, 5.25)  # not the default, so that nothing else can be taken for it; exact as float32

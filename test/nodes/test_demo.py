@@ -42,6 +42,7 @@ def descendants(text: str) -> list[int]:
 
 
 @pytest.mark.ros
+@pytest.mark.realtime
 def test_torque_demo_ends_with_tables_and_reports(tmp_path: Path, domain: None) -> None:
     out = tmp_path / "out"
     process = start("--mode", "torque", "--duration", "5", "--no-figures", "--out", str(out), "--seed", "2")
@@ -72,6 +73,7 @@ def test_torque_demo_ends_with_tables_and_reports(tmp_path: Path, domain: None) 
 
 
 @pytest.mark.ros
+@pytest.mark.realtime
 def test_ctrl_c_stops_every_process_and_keeps_a_whole_bag(tmp_path: Path, domain: None) -> None:
     out = tmp_path / "out"
     process = start("--duration", "60", "--out", str(out))
@@ -92,6 +94,7 @@ def test_ctrl_c_stops_every_process_and_keeps_a_whole_bag(tmp_path: Path, domain
 
 
 @pytest.mark.ros
+@pytest.mark.realtime
 def test_a_failing_process_stops_the_demo_with_its_own_words(tmp_path: Path, domain: None) -> None:
     """Here the plant: it dies in the middle of the experiment."""
     out = tmp_path / "out"

@@ -9,7 +9,7 @@ import pytest
 from pam_antagonist.validation.faults.catalogue import FAULTS
 from pam_antagonist.validation.faults.command import chosen
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.slow]
 
 MOST_IMPORTANT = (
     *("controller killed", "device unplugged", "pressure stuck", "second commander", "bridge killed"),

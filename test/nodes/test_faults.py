@@ -13,7 +13,7 @@ import pytest
 
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 SAFE = (5.0, 5.2)  # not the default, so that nothing else can be taken for it
 LIMIT_MS = 50.0

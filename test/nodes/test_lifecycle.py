@@ -13,7 +13,7 @@ import pytest
 
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 SAFE = (5.0, 5.2)
 SECOND = 10**9

@@ -18,7 +18,7 @@ from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.replays.accounting import Accounting, account
 from pam_antagonist.rig import RigIdentity, fingerprint, load_rig
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 PERIOD_NS = 1_000_000
 STALL = 0.3

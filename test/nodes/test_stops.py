@@ -19,7 +19,7 @@ import pytest
 
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 PLANT_SAFE = (5.0, 5.2)
 CONTROLLER_SAFE = (5.3, 5.1)

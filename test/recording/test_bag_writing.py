@@ -187,7 +187,9 @@ def test_a_write_that_fails_is_reported(rig: FakeRig, tmp_path: Path, monkeypatc
 
 
 RECORDER = """
-import sys, time
+import signal, sys, time
+# A shell that starts the tests in the background has its children ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path[:0] = {path!r}
 import pam_antagonist.recording.writer as writer
 from pathlib import Path

@@ -159,12 +159,23 @@ class Case:
         """How far its effects move each channel, root mean square over the sensor's noise, by ``joint channel``."""
         out = {}
         for joint in JOINTS:
-            with_them, without = (self.channels(joint, duration, effects) for effects in (True, False))
-            out.update({f"{joint} {name}": value for name, value in _apart(with_them, without).items()})
+            without = _bare(self.parameters(joint), self.voltage(joint, duration), load_rig(RIG).sample_period)
+            moved = _apart(self.channels(joint, duration), without)
+            out.update({f"{joint} {name}": value for name, value in moved.items()})
         return out
 
     def _random(self, joint: str, what: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, JOINTS.index(joint), ("base", "voltage", "noise").index(what), 7])
+
+
+def _bare(p: np.ndarray, voltage: Floats, period: float) -> Channels:
+    """A joint without effects: sizes of many effects are measured against the same."""
+    return _bare_of(p.tobytes(), voltage.tobytes(), period)
+
+
+@lru_cache(maxsize=4)
+def _bare_of(p: bytes, voltage: bytes, period: float) -> Channels:
+    return _played(np.frombuffer(p).copy(), np.frombuffer(voltage).reshape(-1, 2), [], period)
 
 
 def _apart(one: Channels, other: Channels) -> dict[str, float]:
@@ -184,7 +195,7 @@ def _of_size(case: Case, index: int) -> tuple[Deviation, float]:
     """One of a case's effects with the amount that gives it its size, and the size that it then has."""
     form, muscle, size = FORMS[case.form[index]], case.effects[index][1], case.sizes[index]
     p, voltage, period = case.parameters("free"), case.voltage("free"), load_rig(RIG).sample_period
-    without = _played(p, voltage, [], period)
+    without = _bare(p, voltage, period)
     amount, tried = size, []
     for _ in range(_ROUNDS):
         amount = min(max(amount, form.smallest), form.largest)

@@ -242,6 +242,7 @@ class WrongRig:
             now, note = bench.kill(self.node), ""
         else:
             now, note = time.time_ns(), _last_words(bench.folder / f"{self.node}.log")
+        bench.watcher.collect()  # what the old one said last is not the new one's
         before = len(bench.watcher.statuses)
         bench.start(self.node)
         self._wait_for_it(bench, before)

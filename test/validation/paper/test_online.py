@@ -14,7 +14,7 @@ from pam_antagonist.validation.paper.result import Context
 from pam_antagonist.validation.paper.scenario import START
 from pam_antagonist.validation.paper.seed_work import SeedWork
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.slow]
 SECONDS = 6.0
 
 
