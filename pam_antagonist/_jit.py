@@ -30,6 +30,8 @@ EFFECTS_GROUP = "pam_antagonist.effects"
 
 _PACKAGE = Path(__file__).parent
 _FOLDERS = ("model", "estimation")
+_DESCRIPTIONS = ("Effect", "EffectParameter", "AddedState", "per_muscle", "state_per_muscle")
+"""What effects are described by: their sentences, which have spaces and which no kernel sees, make no other code."""
 _IMPORT = re.compile(r"^\s*(?:from|import) (pam_antagonist[\w.]*)(?: import (\([^)]*\)|[^\n(]*))?", re.MULTILINE)
 
 
@@ -39,8 +41,8 @@ def _source_hash() -> str:
 
     numba looks at the file of a cached function only, not at those of the functions that it calls: after an update of
     the package, an unchanged estimator would go on with yesterday's physics. A cache folder of its own for each state
-    of the code rules that out. Comments, docstrings and files without kernels do not count: they change no machine
-    code.
+    of the code rules that out. Comments, docstrings, sentences about effects and files without kernels do not count:
+    they change no machine code.
     """
     raw = hashlib.sha256(numba.__version__.encode())
     sources = [(path.relative_to(_PACKAGE).as_posix(), path.read_bytes()) for path in _kernel_sources()]
@@ -65,9 +67,13 @@ def _source_hash() -> str:
 
 
 def _code(content: bytes) -> str:
-    """Source code without comments, docstrings and the places of its lines."""
+    """Source code without comments, docstrings, the sentences of effects, and the places of its lines."""
     tree = ast.parse(content)
     for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _DESCRIPTIONS:
+            for part in ast.walk(node):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str) and " " in part.value:
+                    part.value = ""
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
             first = node.body[0] if node.body else None
             if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):

@@ -49,6 +49,13 @@ def test_comments_and_docstrings_make_no_other_code() -> None:
     assert _jit._code(plain) == _jit._code(said) != _jit._code(plain.replace(b"1", b"2"))
 
 
+def test_sentences_about_an_effect_make_no_other_code() -> None:
+    effect = b'EFFECT = Effect(name="leak", meaning="Air escapes.", hooks={"mass_loss": leaked}, sealed=Sealed(at=1))'
+    assert _jit._code(effect) == _jit._code(effect.replace(b"Air escapes.", b"Some air escapes."))
+    assert _jit._code(effect) != _jit._code(effect.replace(b"mass_loss", b"cooling"))
+    assert _jit._code(effect) != _jit._code(effect.replace(b'"leak"', b'"creep"'))
+
+
 def test_all_that_kernels_are_made_of_counts_and_nothing_else() -> None:
     package = ROOT / "pam_antagonist"
     found = {path.relative_to(package).as_posix() for path in _jit._kernel_sources()}

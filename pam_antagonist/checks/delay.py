@@ -60,7 +60,9 @@ def delay_of_voltages(
     delay = float(np.average(delays, weights=weights))
     apart = float(np.ptp(delays)) / 2.0
     if abs(delay) < max(_LATE, 2.0 * apart) or min(shares) < _LATE_SHARE:
-        return [Finding("good", f"voltages and pressures are stamped alike (within {1e3 * _LATE:.0f} ms)")], now
+        return [
+            Finding("good", f"no delay between the stamps of voltages and pressures (within {1e3 * _LATE:.0f} ms)")
+        ], now
     if delay > 0.0:
         text = (
             f"the pressures come {1e3 * delay:.0f} ± {1e3 * max(apart, 0.0005):.0f} ms late: the voltages are stamped "

@@ -72,7 +72,7 @@ def arrangement(recording: Recording, model: Prediction) -> tuple[list[Finding],
         )
         return [Finding("doubtful", text)], None
     if better - worse < _LEAST_CONTRAST:
-        text = "both valves were driven alike: whether valves or pressure lines are exchanged cannot be told"
+        text = "both valves had the same voltages: exchanged valves or pressure lines do not show"
         return [Finding("untested", text)], False
     if straight >= crossed:
         return [Finding("good", f"each pressure follows its own valve (correlation {straight:.3f})")], False

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..optional import needs
+from .csv_text import shown
 
 Floats = NDArray[np.float64]
 Reader = Callable[[Path, list[str], int], dict[str, NDArray[Any]]]
@@ -94,21 +95,36 @@ def _name(path: Path, quantity: str, column: int | str, there: Mapping[str, Any]
         if len(wide) == 1 and len(there) == 1:
             return f"{wide[0]}(:,{column})"
         if column > len(there):
-            raise BadInput(f"{path}: {quantity} is column {column}, and the file has {len(there)} ({_listed(there)})")
+            raise BadInput(f"{path}: {quantity} is column {column}, and the file has {len(there)} ({listed(there)})")
         return list(there)[column - 1]
     name = column.strip()
     plain = _MATRIX.sub(r"\1", name)
     if plain not in there:
-        lower = {known.lower(): known for known in there}
-        close = difflib.get_close_matches(plain.lower(), lower, 1, cutoff=0.4)
-        hint = f"; did you mean {lower[close[0]]!r}?" if close else ""
-        raise BadInput(f"{path}: {quantity}: there is no column {name!r}, expected one of {_listed(there)}{hint}")
+        raise no_column(path, quantity, name, there)
     return name
 
 
-def _listed(there: Mapping[str, Any]) -> str:
-    more = f" and {len(there) - _LISTED} more" if len(there) > _LISTED else ""
-    return ", ".join(list(there)[:_LISTED]) + more
+def no_column(path: Path, quantity: str, name: str, there: Iterable[str]) -> BadInput:
+    """The refusal of a column that a file does not have.
+
+    Args:
+        path: the file.
+        quantity: that the column should hold.
+        name: that the map gives it.
+        there: names of the columns that there are.
+    """
+    known = list(there)
+    lower = {other.lower(): other for other in known}
+    close = difflib.get_close_matches(_MATRIX.sub(r"\1", name).lower(), lower, 1, cutoff=0.4)
+    hint = f"; did you mean {lower[close[0]]!r}?" if close else ""
+    return BadInput(f"{path}: {quantity}: there is no column {name!r}, expected one of {listed(known)}{hint}")
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names of columns as a message shows them: not too many, and each in one short line."""
+    known = list(names)
+    more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
+    return ", ".join(shown(name) for name in known[:_LISTED]) + more
 
 
 def _column(path: Path, quantity: str, name: str, arrays: Mapping[str, NDArray[Any]]) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import re
 from collections.abc import Callable, Mapping
@@ -22,7 +21,6 @@ Floats = NDArray[np.float64]
 MAX_ROWS = 2_000_000
 """Most rows that are imported: over half an hour at 1 kHz; a bag of them takes about 4 GB of memory to write."""
 _BLOCK = 10_000  # lines that are turned into numbers at once
-_LISTED = 20  # columns named in a message
 _NO_VALUE = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"})
 
 
@@ -146,12 +144,12 @@ def _head(path: Path, layout: Layout, lines: Lines) -> _Head:
 def _find(path: Path, layout: Layout, head: _Head, quantity: str, column: Name) -> int:
     """Index of a column."""
     names, width = head.names, head.width
-    listed = f"{width} without names" if names is None else _listed(names)
+    known = f"{width} without names" if names is None else array_files.listed(names)
     if width == 1 and (other := other_delimiter(layout, names[0] if names else head.first.text if head.first else "")):
-        raise BadInput(f"{path}: one column only ({shown(listed)}): is the delimiter {other}? give file.delimiter")
+        raise BadInput(f"{path}: one column only ({shown(known)}): is the delimiter {other}? give file.delimiter")
     if isinstance(column, int):
         if column > width:
-            raise BadInput(f"{path}: {quantity} is column {column}, and the file has {width} ({listed})")
+            raise BadInput(f"{path}: {quantity} is column {column}, and the file has {width} ({known})")
         return column - 1
     assert names is not None  # a map without a header has numbers only
     if names.count(column.strip()) > 1:
@@ -160,15 +158,7 @@ def _find(path: Path, layout: Layout, head: _Head, quantity: str, column: Name) 
         )
     if column.strip() in names:
         return names.index(column.strip())
-    lower = {name.lower(): name for name in names}
-    close = difflib.get_close_matches(column.lower(), lower, 1, cutoff=0.4)
-    hint = f"; did you mean {lower[close[0]]!r}?" if close else ""
-    raise BadInput(f"{path}: {quantity}: there is no column {column!r}, expected one of {listed}{hint}")
-
-
-def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return ", ".join(shown(name) for name in names[:_LISTED]) + more
+    raise array_files.no_column(path, quantity, column, names)
 
 
 @dataclass

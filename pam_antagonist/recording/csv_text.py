@@ -15,8 +15,7 @@ _LONGEST_LINE = 1 << 20
 _SNIFFED = 4096
 _DELIMITERS = {"tab": "\t", "space": " "}
 _BINARY = {b"PK\x03\x04": "a zip file, such as of a spreadsheet program: save it as CSV there",
-           b"\x1f\x8b": "packed with gzip: unpack it first", b"\x89HDF": "an HDF5 file: export it as CSV",
-           b"MATLAB": "a MATLAB file: export it as CSV", b"\x89MCAP": "a bag already"}  # fmt: skip
+           b"\x1f\x8b": "packed with gzip: unpack it first", b"\x89MCAP": "a bag already"}  # fmt: skip
 
 
 def check_file(path: Path) -> int:
@@ -123,7 +122,7 @@ class Lines:
             text = self._stream.readline(_LONGEST_LINE)
         except UnicodeError:
             raise BadInput(
-                f"{self._path}: after line {self._number} a character is not {self._layout.encoding}; give "
+                f"{self._path}: in or after line {self._number + 1} a character is not {self._layout.encoding}; give "
                 "file.encoding in the map, cp1252 for files of older Windows programs"
             ) from None
         self._number += 1

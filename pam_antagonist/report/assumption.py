@@ -7,12 +7,13 @@ from pam_antagonist.report.table import number
 from pam_antagonist.rig import Rig
 
 
-def assumption(rig: Rig, tuning: str = "default") -> str | None:
+def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> str | None:
     """The uncertainty that a rig file claims, as the assumption that it is; None of an identified rig.
 
     Args:
         rig: as it was configured.
         tuning: name of the filter's tuning.
+        identified: whether the report compares it with the rig that was identified from it.
     """
     if rig.identified:
         return None
@@ -21,9 +22,12 @@ def assumption(rig: Rig, tuning: str = "default") -> str | None:
     if considered and rig.directions:
         claimed.append(f"its {len(rig.directions)} directions")
     known = f"as well as its file claims ({', '.join(claimed)})" if claimed else "exactly, as its file claims,"
+    its = "As configured, its" if identified else "Its"
+    also = " The intervals of the identified rig follow from the recordings." if identified else ""
     return (
-        f"Assumption: rig {rig.name} was not identified. Its 95 % intervals are right if its parameters are known "
-        f"{known} and if nothing else is wrong. The NIS tests the pressures only: it cannot show whether that is so."
+        f"Assumption: rig {rig.name} was not identified. {its} 95 % intervals are right if its parameters are known "
+        f"{known} and if nothing else is wrong.{also} The NIS tests the pressures only: it cannot show whether that is "
+        "so."
     )
 
 

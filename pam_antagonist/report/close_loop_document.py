@@ -222,7 +222,7 @@ def calibration_table(report: CloseLoopReport) -> Table:
         )
         for item in report.calibration
     )
-    caption = "Too much that a sensor reads, or too early that stamps are. No effect: nothing is wrong with the joint."
+    caption = "How much too high a sensor reads, or how much too early it is stamped. The joint itself is right."
     return Table(("Calibration", "value", "std. error", "ΔBIC", "by recording"), rows, caption)
 
 

@@ -68,7 +68,7 @@ def report(recordings: Sequence[Given], found: Identified, judged: Sequence[Judg
         warnings=found.warnings,
         settings=Settings(found.start.name, asked.free, asked.frozen, asked.holdout, asked.starts, asked.seed),
         software=versions(),
-        assumption=assumption(found.start),
+        assumption=assumption(found.start, identified=True),
     )
 
 

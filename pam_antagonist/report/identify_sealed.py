@@ -178,7 +178,7 @@ def report(found: SealedIdentified, judged: Sequence[Judged]) -> SealedReport:
             for whole in [item.whole["identified"].report]
         ),
         software=versions(),
-        assumption=assumption(found.start),
+        assumption=assumption(found.start, identified=True),
     )
 
 
@@ -256,9 +256,9 @@ _TERMS = ("Held out", "As configured", "UKF", "RMSE 𝕀, ratio ℚ", "Standard 
 
 def _tuning(tuning: SealedTuning) -> tuple[Block, ...]:
     text = (
-        "R is the noise of the pressures. With the other values the errors of the measured angle are most likely, on "
-        "the fitted part, while the innovations are as large as the filter expects. What the readings drift is a state "
-        "of its own, and not in R."
+        "R is the noise of the pressures. The other values maximise the likelihood of the errors of the measured angle "
+        "on the fitted part, while the innovations are as large as the filter expects. The drift of the readings is a "
+        "state of its own, and not in R."
     )
     rows = (
         ("R [Pa²]", tuning.measurement.before[0], tuning.measurement.after[0]),

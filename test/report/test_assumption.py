@@ -24,6 +24,13 @@ def test_a_filter_that_knows_of_no_uncertainty_claims_exact_parameters(tuning: s
     assert text is not None and "known exactly" in text and "±" not in text
 
 
+def test_beside_an_identified_rig_it_is_said_of_which_rig_it_is() -> None:
+    text = assumption(RIG, identified=True)
+    assert text is not None and "As configured, its 95 % intervals" in text
+    assert "intervals of the identified rig follow from the recordings" in text
+    assert "As configured" not in (assumption(RIG) or "")
+
+
 def test_an_identified_rig_assumes_nothing() -> None:
     assert load_rig("sealed_joint").identified
     assert assumption(RIG.replaced(identified="free, locked")) is None

@@ -4,10 +4,9 @@ r"""Creep of a muscle.
 F_i = F + c_i - y_i,\qquad \dot c_i = (y_i - c_i)/T,\qquad y_i = \varphi_i F - \kappa\, l_i,\qquad F = F(l_i, P_i).
 ```
 
-$y_i$ is what of the force is borne by parts that give way: a share of the whole, and a spring of the tube's own that
-does not depend on the pressure. Of a step of $F$ the share $1 - \varphi$ comes at once, the rest with the time
-constant $T$; a step of the length is opposed by $\kappa\,\Delta l$ at first. Where `hysteresis` is there too, its
-part does not creep.
+$y_i$ is the force in the parts that give way: a share of the whole force, and a spring of the tube that does not depend
+on the pressure. After a step of $F$ the share $1 - \varphi$ comes at once, and the rest with the time constant $T$. A
+step of the length is opposed by $\kappa\,\Delta l$ at first. The force of `hysteresis` does not creep.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ EFFECT = Effect(
     signature="Torque and rest angle drift for seconds after a step while the pressures are constant. κ alone "
     "shows only while the joint moves.",
     parameters=(
-        *per_muscle("share", "-", -0.5, 0.5, 0.02, "share of a change of force that comes late", symbol=r"\varphi"),
+        *per_muscle("share", "-", -0.5, 0.5, 0.02, "late share of a change of force", symbol=r"\varphi"),
         EffectParameter(
             "stiffness", "N/m", 0.0, -2000.0, 2000.0, 50.0, "stiffness of a muscle that relaxes", r"\kappa"
         ),

@@ -34,14 +34,14 @@ def extra_coulomb(coulomb, stribeck, velocity, joint_velocity):
 
 EFFECT = Effect(
     name="friction",
-    meaning="Friction of another kind than (10): constant, or larger at rest than in motion.",
+    meaning="Friction that (10) does not have: constant, or larger at rest than in motion.",
     law="T_s + T_p gains c + d exp(−|ψ̇|/v)",
     source="Coulomb and Stribeck; Tondu and Lopez (2000)",
     signature="The joint sticks longer or shorter than it should. Flow and the torque of a locked joint are right.",
     parameters=(
         EffectParameter("coulomb", "N m", 0.0, -0.5, 2.0, 0.02, "constant Coulomb torque", "c"),
         EffectParameter("stribeck", "N m", 0.0, -0.5, 2.0, 0.02, "further torque at rest", "d"),
-        EffectParameter("velocity", "rad/s", 0.3, 0.01, 10.0, 0.3, "velocity over which that fades", "v"),
+        EffectParameter("velocity", "rad/s", 0.3, 0.01, 10.0, 0.3, "velocity over which the torque at rest fades", "v"),
     ),
     hooks={"coulomb_torque": extra_coulomb},
     sentence="the joint's friction is of another kind (friction)",

@@ -5,9 +5,9 @@ F_i = F(l_i, P_i) + a_i z_i,\qquad
 \dot z_i = \frac{1}{s}\left[\dot l_i - \tfrac12\left(|\dot l_i|\, z_i + \dot l_i\, |z_i|\right)\right].
 ```
 
-$z_i$ stays within ±1 and goes to +1 while the muscle gets longer: it then pulls harder by $a_i$, and less by $a_i$
-while it gets shorter. The width of the loop in force is $2 a_i$. Only $dz/dl$ enters, so the speed does not matter; a
-cycle costs the work $\oint F\,dl > 0$ for $a_i > 0$.
+$z_i$ stays within ±1. It goes to +1 while the muscle gets longer, which then pulls harder by $a_i$. It goes to −1 while
+the muscle gets shorter. The loop in force is $2 a_i$ wide. The speed does not matter, since only $dz/dl$ enters. For
+$a_i > 0$ a cycle takes the work $\oint F\,dl > 0$.
 """
 
 from __future__ import annotations
@@ -57,19 +57,19 @@ def turned_round(length_rate):
 
 EFFECT = Effect(
     name="hysteresis",
-    meaning="The contraction force depends on which way the length came: braid and tube rub while they move.",
+    meaning="The contraction force depends on the direction in which the length changes: braid and tube rub.",
     law="F_i gains a_i z_i, dz_i/dt = (dl_i/dt − (|dl_i/dt| z_i + dl_i/dt |z_i|)/2)/s",
     source="Bouc (1967), Wen (1976), with A = 1, β = γ = 1/2, n = 1; for muscles: Vo-Minh et al. (2011)",
     signature="Torque and rest angle differ between shortening and lengthening, at any speed.",
     parameters=(
-        *per_muscle("amplitude", "N", -60.0, 60.0, 4.0, "half the width of the force's loop", symbol="a"),
-        EffectParameter("width", "m", 2e-3, 2e-4, 2e-2, 2e-3, "length over which the force turns round", "s"),
+        *per_muscle("amplitude", "N", -60.0, 60.0, 4.0, "half the width of the force loop", symbol="a"),
+        EffectParameter("width", "m", 2e-3, 2e-4, 2e-2, 2e-3, "length over which the force reverses", "s"),
     ),
     states=state_per_muscle(
         "hysteresis", "-", "amplitude", 0.5, 1e-4, symbol="z", rate=loop_rate, steady_value=turned_round
     ),
     hooks={"contraction_force": loop_force},
-    sentence="the force of the muscles depends on which way their length came (hysteresis)",
+    sentence="the force of the muscles depends on the direction in which their length changes (hysteresis)",
     experiment="turn the joint slowly to and fro at constant pressures and plot torque over angle",
     distinguished_by={
         "friction": "turn the joint by hand with both muscles vented: friction of the shaft stays, hysteresis of the "

@@ -4,9 +4,9 @@ r"""A leak from a muscle to the atmosphere.
 m_i = m_i^{(5)} - A_i \left(\frac{P_i - P_{out}}{350\,\mathrm{kPa}}\right)^{n-1} q(P_i, P_{out}),
 ```
 
-with the orifice flow $q$ of (5). With $n = 1$ the leak is an orifice. A fine crack or capillary resists by viscosity,
-and its flow grows with nearly the square of the pressure: $n$ up to 2. The leak is in the muscle: what escapes does
-not pass the line of `line_resistance`.
+with the orifice flow $q$ of (5). With $n = 1$ the leak is an orifice. The flow of a fine crack or capillary is viscous
+and grows with nearly the square of the pressure: $n$ is up to 2. The leak is in the muscle: this air does not pass the
+line of `line_resistance`.
 """
 
 from __future__ import annotations

@@ -4,8 +4,9 @@ r"""A torque on the joint beside the muscles'.
 J\ddot\psi = \tau + b + a\,\sin\psi - T_f - k_s\psi .
 ```
 
-(For a pulley $\psi$ takes the place of $\sin\psi$, as in (2).) A spring about the joint is $a < 0$; a limb that hangs
-down, $a < 0$; one that stands up, $a > 0$. $\tau$, which is measured and estimated, remains the muscles' torque (9).
+For a pulley $\psi$ takes the place of $\sin\psi$, as in (2). A spring about the joint has $a < 0$, as has a limb that
+hangs down. A limb that stands up has $a > 0$. $\tau$, which is measured and estimated, is still the torque (9) of the
+muscles.
 """
 
 from __future__ import annotations

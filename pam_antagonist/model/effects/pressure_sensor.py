@@ -86,12 +86,12 @@ EFFECT = Effect(
     meaning="A pressure sensor reads with a wrong offset or gain, or its reading drifts.",
     law="reading_i = (1 + g_i) P_i + o_i + s_i; s_i a second-order Gauss–Markov process with the time constant T",
     source="linear sensor error; drift: Matérn process of the order 3/2",
-    signature="Torque and steady pressure are wrong together, as if the muscle had another pressure than its "
+    signature="Torque and steady pressure are wrong together, as if the pressure in the muscle were not what the "
     "sensor reads.",
     parameters=(
         *per_muscle("offset", "Pa", -60e3, 60e3, 3e3, "offset of the sensor", symbol="o"),
-        *per_muscle("gain", "-", -0.3, 0.3, 0.01, "error of the sensor's gain", symbol="g"),
-        *per_muscle("drift", "Pa/s^1.5", 0.0, 1e8, 1e4, "noise that drives the drift", symbol="n"),
+        *per_muscle("gain", "-", -0.3, 0.3, 0.01, "gain error of the sensor", symbol="g"),
+        *per_muscle("drift", "Pa/s^1.5", 0.0, 1e8, 1e4, "noise that drives the drift of the sensor", symbol="n"),
         EffectParameter("drift_time", "s", 0.1, 0.01, 100.0, 0.1, "time constant of the drift", "T"),
     ),
     states=(

@@ -6,8 +6,8 @@ P_{tank} \to P_{tank} + s,\qquad
 m_{in,i} = A_0\,\alpha_i\, q(P_{tank}+s, P_i).
 ```
 
-A valve of this kind goes on drawing $m_{in}$ in the steady state, where as much flows out. So the supply does not
-come back wholly: it stays low by $cT$ times that flow.
+A valve of this kind draws $m_{in}$ in the steady state as well, since as much flows out. So the supply does not recover
+completely: it stays low by $cT$ times this flow.
 """
 
 from __future__ import annotations

@@ -47,12 +47,12 @@ def warmth_rate(share, time, warmth, polytropic_rate):
 
 EFFECT = Effect(
     name="thermal",
-    meaning="The gas warms when it is compressed and cools with time, so the pressure goes on moving.",
+    meaning="The gas warms when it is compressed and cools with time, and the pressure with it.",
     law="dP_i/dt loses q_i/T, dq_i/dt = χ_i dP_i/dt|(4) − q_i/T",
     source="first-order heat exchange with the wall about the polytropic law (4)",
     signature="After each filling or emptying, the pressure goes back a little for seconds.",
     parameters=(
-        *per_muscle("share", "-", -0.5, 0.9, 0.05, "share of a change of pressure that is warmth", symbol=r"\chi"),
+        *per_muscle("share", "-", -0.5, 0.9, 0.05, "thermal share of a change of pressure", symbol=r"\chi"),
         EffectParameter("time", "s", 1.0, 0.05, 30.0, 1.0, "time constant of the heat exchange", "T"),
     ),
     states=state_per_muscle("warmth", "Pa", "share", 500.0, 20.0, symbol="q", rate=warmth_rate),

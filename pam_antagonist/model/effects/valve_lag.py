@@ -6,9 +6,9 @@ r"""A valve that follows its voltage late.
 ```
 
 $\alpha_i^*$ is the open rate that the voltage asks for: $\kappa(u_i)$, or what `valve_offset` makes of it. With $w =
-1$ nothing is ever limited, and $T_i$ is the time constant. Otherwise the valve's full speed is $1/T_i$, so that a
-full stroke takes $T_i$, and its last part $w$ is a lag with the time constant $w\,T_i$ (or half a step of the
-integration, where that is longer).
+1$ the speed has no limit, and $T_i$ is the time constant. With $w < 1$ the full speed of the valve is $1/T_i$: a full
+stroke takes $T_i$. The last part $w$ of a stroke is a lag with the time constant $w\,T_i$, or half a step of the
+integration if that is longer.
 """
 
 from __future__ import annotations
@@ -63,14 +63,14 @@ def small_signal_lag(time, reach):
 
 EFFECT = Effect(
     name="valve_lag",
-    meaning="The valve follows its voltage late: with a delay of first order, and no quicker than it can.",
+    meaning="The valve follows its voltage with a lag of first order, and at most at its full speed.",
     law="dα_i/dt = (κ(u_i) − α_i)/(w T_i), at most 1/T_i either way",
     source="first-order spool whose drive saturates: the small-signal and the full-stroke time of data sheets",
     signature="The mass flow is wrong for milliseconds after each change of voltage. In the steady state "
     "nothing is wrong.",
     parameters=(
-        *per_muscle("time", "s", 0.0, 2.0, 0.01, "time constant, or of a full stroke, of the valve", symbol="T"),
-        EffectParameter("reach", "-", 1.0, 1e-2, 1.0, 0.05, "lag of the open rate from which on speed is full", "w"),
+        *per_muscle("time", "s", 0.0, 2.0, 0.01, "time constant, or time of a full stroke, of the valve", symbol="T"),
+        EffectParameter("reach", "-", 1.0, 1e-2, 1.0, 0.05, "open rate still to go above which the speed is full", "w"),
     ),
     states=state_per_muscle(
         "open_rate",
@@ -84,7 +84,7 @@ EFFECT = Effect(
         lag=small_signal_lag,
     ),
     hooks={"open_rate": position},
-    sentence="{valve} follows its voltage late (valve_lag)",
+    sentence="{valve} follow{s} the voltage late (valve_lag)",
     experiment="step one valve by 1 V every 0.2 s",
     distinguished_by={
         "line_resistance": "step the valve at different pressures: a lag is the same, what a line adds grows with the "

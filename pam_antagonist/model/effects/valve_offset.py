@@ -33,15 +33,15 @@ EFFECT = Effect(
     meaning="The valve's curve is shifted: along the voltage, along the open rate, or both.",
     law="α_i = κ(u_i − δ_i) + ρ_i, within 0 and 1",
     source="null shift of a proportional valve: of its electronics δ, of its spool or seat ρ",
-    signature="The steady pressure of one muscle is that of another voltage. δ shows most where the curve is "
+    signature="The steady pressure of one muscle belongs to another voltage. δ shows most where the curve is "
     "steep, ρ shows everywhere.",
     parameters=(
-        *per_muscle("voltage", "V", -2.0, 2.0, 0.1, "shift of the curve along the voltage", symbol=r"\delta"),
-        *per_muscle("open_rate", "-", -0.1, 0.1, 0.01, "shift of the curve along the open rate", symbol=r"\rho"),
+        *per_muscle("voltage", "V", -2.0, 2.0, 0.1, "voltage shift of the curve of the valve", symbol=r"\delta"),
+        *per_muscle("open_rate", "-", -0.1, 0.1, 0.01, "open-rate shift of the curve of the valve", symbol=r"\rho"),
     ),
     hooks={"voltage_shift": voltage_shift, "open_rate_shift": open_rate_shift},
     sentence="the curve of {valve} is shifted (valve_offset)",
-    experiment="hold each of six voltages for 10 s: the steady pressures tell it",
+    experiment="hold each of six voltages for 10 s, and compare the steady pressures with the model's",
     distinguished_by={
         "pressure_sensor": "vent the muscle and read the sensor at the atmosphere's pressure",
     },

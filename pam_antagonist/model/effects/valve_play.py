@@ -6,11 +6,11 @@ v_i \in \left[u_i - \tfrac12 b_i,\; u_i + \tfrac12 b_i\right],\qquad
 \alpha_i = \kappa(v_i).
 ```
 
-$v_i$ is the voltage for which the spool stands. It stays while the command $u_i$ moves within the play, and is taken
-along at a distance of $b_i/2$ once the command has left it. A command that goes to and fro by more than $b_i$ opens
-the valve along two branches of the curve, $b_i$ apart. $T$ is the quickest lag that a step of the integration
-follows, so that the speed does not matter. A spool whose command has stood for long starts in the middle of its
-play, $v_i = u_i$. Shift and lag of the valve (`valve_offset`, `valve_lag`) come after the play.
+$v_i$ is the voltage that the position of the spool stands for. It stays while the command $u_i$ moves within the play.
+Beyond the play it follows the command at a distance of $b_i/2$. A command that goes to and fro by more than $b_i$ opens
+the valve along two branches of the curve, $b_i$ apart. $T$ is the shortest lag that a step of the integration can
+follow, so the speed does not matter. After a long rest the spool is in the middle of its play, $v_i = u_i$. Shift
+and lag of the valve (`valve_offset`, `valve_lag`) come after the play.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def in_the_middle(valve_voltage):
 
 EFFECT = Effect(
     name="valve_play",
-    meaning="There is play between a valve's command and its spool: the spool stays while the command turns round.",
+    meaning="There is play between a valve's command and its spool: the spool stays while the command reverses.",
     law="α_i = κ(v_i), where v_i is held within u_i ± b_i/2 and stays otherwise",
     source="play operator: Krasnosel'skii and Pokrovskii (1989); backlash and hysteresis of valves: Tao and Kokotović "
     "(1996), the hysteresis of data sheets of proportional valves",

@@ -57,7 +57,7 @@ EFFECT = Effect(
     signature="Torque and rest angle drift from the start on, by more at higher pressure. No step of voltage "
     "or angle starts the drift, and the pressures are right.",
     parameters=(
-        *per_muscle("share", "-", -0.3, 0.3, 0.02, "share of the pressure's force that is lost", symbol="s"),
+        *per_muscle("share", "-", -0.3, 0.3, 0.02, "lost share of the pressure's force", symbol="s"),
         EffectParameter("time", "s", 40.0, 5.0, 600.0, 40.0, "time constant of the warming", "T"),
     ),
     states=(AddedState("warmed", "-", "share_1", 0.1, 1e-3, ("share_2",), symbol="w", rate=warming),),

@@ -105,17 +105,27 @@ def content(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 _PAGE = """\
 # The fault matrix
 
-Written by `./run faults --docs docs/faults.md`; not to be edited by hand. {summary}.
-Machine: {cores} cores, {machine}, not idle otherwise; {month}.
+{summary}.
 
-Each line is a fault that was made on purpose in a running pipeline: device emulator, bridge, estimator and controller
-as processes of their own at 1 kHz, with a reference of 10°. Times are those of the device's own log of what its valves
-had: from the fault to the safe voltages that lasted until it was over or, after a stop, until that was cleared. Whose
-safe voltages they were follows from their values. A voltage is wrong if neither the controller nor any safe action can
-have meant it. Where messages are lost, twice or late, a relay stands between the nodes; where `/clock` is set back, the
-plant in simulated time stands for device and bridge. Where the machine's clock is set, the nodes add a common offset to
-it, since setting it for real would set it for everything else. Control is back when the valves have other than safe
-voltages; after a restart that includes the start of the process.
+Machine: {cores} cores, {machine}, not idle otherwise; {month}. `./run faults --docs docs/faults.md` writes this page:
+do not edit it by hand.
+
+Each line is one fault that was made on purpose in a running pipeline. Device emulator, bridge, estimator and controller
+ran as processes of their own at 1 kHz. The reference was 10°.
+
+* **Safe after** is the time from the fault to the safe voltages. These lasted until the fault was over or, after a
+  stop, until the stop was cleared. The time is that of the device's own log of its valves.
+* **By** says whose safe voltages these were: of the device, the bridge or the controller. Each has values of its own.
+* **Control** is back when the valves have other voltages again. After a restart this includes the start of the process.
+* **A wrong voltage** is one that neither the controller nor any safe action can have meant. None occurred unless the
+  line says so.
+
+How some faults are made:
+
+* Where messages are lost, twice or late, a relay stands between the nodes.
+* Where `/clock` is set back, the plant in simulated time takes the place of device and bridge.
+* Where the machine's clock is set, the nodes add a common offset to it. Setting it for real would change it for every
+  other program.
 
 | fault | how it was made | valves | control | `/diagnostics` | as expected |
 |---|---|---|---|---|---|
@@ -123,8 +133,8 @@ voltages; after a restart that includes the start of the process.
 
 [Safety](how-to/safety.md) says what each stop does and why, [hardware](how-to/hardware.md) what device and bridge do.
 
-Not in the table: a device that stands still for good. Its valves keep their voltages, and no program elsewhere can do
-anything about that: let the microcontroller's own watchdog restart it ([firmware](reference/protocol.md#firmware)).
+Not in the table: a device that stands still for good. Its valves keep their voltages, and no program elsewhere can
+change that. The microcontroller's own watchdog has to restart it ([firmware](reference/protocol.md#firmware)).
 """
 
 

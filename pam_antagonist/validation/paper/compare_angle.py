@@ -130,18 +130,18 @@ def result(context: Context) -> Result:
         OFFLINE,
         "Why: with tuning published the median ℚ of the four laws of friction is within a factor of "
         f"{number(differ['published'])}, with default {number(differ['default'])}. The published Q adds 0.18° to the "
-        "angle in each step, which shakes the sigma points out of stiction and averages any law of friction away "
-        "(docs/explanation/model.md, correction 11); a small Q lets the law decide.",
-        f"Simple friction: the paper's 13.7, taken as a force on the lever, is {number(torque)} N m, several times "
-        "the shaft's friction in the same paper (about 0.1 N m): the filtered joint sticks where the rig moves. "
+        "angle in each step. This moves the sigma points out of stiction, and the law of friction hardly matters "
+        "(docs/explanation/model.md, correction 11). With a small Q it does.",
+        f"Simple friction: the paper's 13.7, taken as a force on the lever, is {number(torque)} N m. This is several "
+        "times the shaft's friction in the same paper (about 0.1 N m). The filtered joint sticks where the rig moves. "
         f"Fitted to data, the constant comes out {constants['simple'].text()} times as large, and the median ℚ with "
         f"tuning default falls from {_ratio(context, 'simple')} to {_ratio(context, 'simple_fitted')} (proposed: "
         f"{_ratio(context, 'proposed')}). In which unit the paper takes its constant cannot be told from it.",
         f"Tondu's law: fitted constants are {constants['tondu'].text()} times the paper's, and the median ℚ with "
         f"tuning default goes from {_ratio(context, 'tondu')} to {_ratio(context, 'tondu_fitted')}.",
-        "The plant follows the proposed law of friction (with a hysteresis beside it), which favours the proposed "
-        "model; the linear model and the fitted constants come from 60 s of data of the very rig that they are tried "
-        "on, the proposed model's parameters do not, which favours the others.",
+        "Two choices favour one side. The plant follows the proposed law of friction (with a hysteresis beside it): "
+        "this favours the proposed model. The linear model and the fitted constants come from 60 s of data of the rig "
+        "that they are tried on, and the proposed model's parameters do not: this favours the others.",
         "The 95 % intervals of the other laws of friction do not know of their error: the declared uncertainties are "
         "those of the proposed model's parameters.",
     )

@@ -85,10 +85,10 @@ def result(context: Context) -> Result:
         name="compare_torque",
         title="Comparison of force maps: torque",
         question=(
-            f"The first {COMPARED_S:g} s of the profile with the joint locked at 0°. The four forms of the contraction "
-            "force are each fitted to the same static test of the virtual rig's muscles (6 lengths, 11 pressures, "
-            "both ways, 0.5 N noise) and put into the same filter. Below, the same four fitted to a real muscle's "
-            "measured force map."
+            f"The first {COMPARED_S:g} s of the profile with the joint locked at 0°. Each of the four forms of the "
+            "contraction force is fitted to the same static test of the virtual rig's muscles (6 lengths, 11 "
+            "pressures, both ways, 0.5 N noise). Each then runs in the same filter. Below, the same four are fitted "
+            "to the measured force map of a real muscle."
         ),
         beside=_beside(context),
         tables=tuple(tables),
@@ -145,11 +145,11 @@ def _findings(context: Context) -> tuple[str, ...]:
             if undetermined
             else []
         ),
-        f"All four err alike (largest over least median 𝕀: {number(wide)}). Two of the other forms contain equation "
-        "(6): with c3 = c6 = c7 = 0 Hildebrandt's is linear in pressure and length, with c4 = c6 = 0 the 2012 "
-        "polynomial is. The virtual rig's muscles follow (6), so a fit to the same data finds it again in each, and "
-        "what is left is noise. In the paper their ℚ is 1.8 to 3.2 times that of (6): that is not a property of the "
-        "forms, but of the coefficients or of the data that they were fitted to, which the paper does not tell.",
+        f"All four have about the same error (largest over least median 𝕀: {number(wide)}). Two of the other forms "
+        "contain equation (6): with c3 = c6 = c7 = 0 Hildebrandt's is linear in pressure and length, with c4 = c6 = 0 "
+        "the 2012 polynomial is. The virtual rig's muscles follow (6), so a fit to the same data finds (6) in each, "
+        "and only noise is left. In the paper their ℚ is 1.8 to 3.2 times that of (6). This comes from the "
+        "coefficients or from the data of their fit, which the paper does not give, and not from the forms.",
         "A simulated muscle that follows (6) cannot tell which form real muscles follow; the measured map below can.",
     )
 

@@ -152,8 +152,8 @@ def result(context: Context) -> Result:
         name="influence",
         title="Proposition 1 and the influence of parameters",
         question=(
-            "The declared model, driven to the same voltages by a step, slowly (over 120 s), and by a pulse beyond "
-            "them, with one parameter at a time half as large again."
+            "One parameter of the declared model at a time is 1.5 times as large. The model is driven to the same "
+            "voltages in three ways: by a step, slowly (over 120 s), and by a pulse beyond them."
         ),
         beside=tuple(beside),
         tables=(table,),
@@ -206,22 +206,22 @@ def _findings(changed: dict[str, Response], base: Response) -> tuple[str, ...]:
     )
     lengths = ", ".join(f"{length:g}" for length in _PULSES_S)
     sentence = (
-        "A joint that is thrown into the band in which friction holds it stays where it got to, and how far that is "
-        "is a matter of transients. The proof takes τ − T_f = 0 for an equation with one answer; with dry friction it "
-        "has an interval of them."
+        "A pulse moves the joint beyond its final place. It then stops anywhere in the band in which friction holds "
+        "it, and the transient decides where. The proof assumes that τ − T_f = 0 has one solution. With dry friction "
+        "the solutions are an interval."
         if math.radians(pulse) > _SAME_RAD
-        else "So it holds for a joint that was thrown beyond its place, too."
+        else "So it also holds for a joint that a pulse has moved beyond its final place."
     )
     thrown = np.degrees(np.subtract(changed["μ_s"].pulse_angles, base.pulse_angles)[-1])
     return (
-        "Pressures: the proposition holds; no parameter of the five moves a steady pressure (largest change "
-        f"{number(pressure)} Pa, what is left of the transient).",
-        "Angle: for a joint that comes to its place from one side, slowly or by a step, A_0, k_1 and k_2 change it "
-        f"by at most {number(plain, 2)}°: the proposition holds. After pulses of {lengths} s to the extreme voltages "
-        f"they change it by up to {number(pulse)}°. {sentence}",
-        "The guideline on T_p' and μ_s holds for a joint that comes from the middle. One that comes back from beyond "
-        f"stops on the other side of the band: after a pulse of {_PULSES_S[-1]:g} s, more μ_s changes its angle by "
-        f"{_signed(float(thrown))}°.",
+        "Pressures: the proposition holds. None of the five parameters changes a steady pressure (largest change "
+        f"{number(pressure)} Pa, the rest of the transient).",
+        "Angle: the proposition holds for a joint that reaches its final place from one side, slowly or by a step. "
+        f"A_0, k_1 and k_2 then change the angle by at most {number(plain, 2)}°. After pulses of {lengths} s to the "
+        f"extreme voltages they change it by up to {number(pulse)}°. {sentence}",
+        "The guideline on T_p' and μ_s holds for a joint that comes from the middle. A joint that comes back from "
+        f"beyond stops on the other side of the band: after a pulse of {_PULSES_S[-1]:g} s, a larger μ_s changes its "
+        f"angle by {_signed(float(thrown))}°.",
     )
 
 

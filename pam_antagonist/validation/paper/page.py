@@ -19,10 +19,9 @@ SOURCE = (
     "Validation: Sensor-less Angle and Torque Control with UKF”, 2022"
 )
 CAUTION = (
-    "Every number called ours is of a virtual rig: this package's own simulator with declared mismatches, which "
-    "neither model nor estimator is told. It shows how models and estimators compare under those mismatches, and says "
-    "nothing about a real joint. The paper's numbers are of its authors' real rig, and stand beside ours for "
-    "comparison only."
+    "Our numbers are of a virtual rig: the simulator of this package with declared mismatches, which model and "
+    "estimator do not know. They show how models and estimators compare under these mismatches. They say nothing about "
+    "a real joint. The paper's numbers are of its authors' real rig and stand beside ours for comparison only."
 )
 MARK = "<!-- Written by `./run paper --docs FILE`; do not edit. -->"
 _UNITS = ("%", "ms")

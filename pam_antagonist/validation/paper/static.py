@@ -120,8 +120,8 @@ def result(context: Context) -> Result:
         findings=(
             f"v and w are straight in length, as in the paper (R² of seed {work.seed}: "
             + ", ".join(f"muscle {i + 1} {one:.4f} and {two:.4f}" for i, (one, two) in enumerate(straight))
-            + "); they have to be, since the virtual muscle follows (6) and (7). The measured muscle of the comparison "
-            "of force maps below is not.",
+            + "). This must be so, since the virtual muscle follows (6) and (7). Those of the measured muscle, in the "
+            "comparison of force maps below, are not.",
         ),
         figures=_figures(work) if context.with_figures else (),
         numbers={"coefficients": numbers, "seeds": list(context.seeds), "of_seed": list(context.of_seeds)},
