@@ -68,7 +68,7 @@ def test_a_measured_force_map_is_fitted_by_leaving_lengths_out(tmp_path: Path) -
 
 def test_every_form_says_that_the_rig_is_virtual(report: Path) -> None:
     for path in (report / "out/report.html", report / "out/report.json", report / "paper.md"):
-        assert "own simulator with declared mismatches" in path.read_text(encoding="utf-8"), path
+        assert "the simulator of this package with declared mismatches" in path.read_text(encoding="utf-8"), path
 
 
 def test_markdown_has_every_table(report: Path) -> None:
