@@ -65,6 +65,13 @@ def test_unknown_name_is_refused_before_anything_is_set_up(checkout: Path) -> No
     assert not (checkout / ".venv").exists()
 
 
+def test_every_executable_is_a_name_that_is_known(checkout: Path) -> None:
+    (checkout / ".venv").mkdir()
+    (checkout / ".venv/mine").touch()  # so that nothing is set up: it ends behind the check of the name
+    for name in COMMANDS:
+        assert "did not make it" in start(name, "--help", root=checkout).stderr, name
+
+
 @pytest.mark.skipif(
     "ROS_DISTRO" in os.environ or Path("/opt/ros/jazzy").exists(),
     reason="with an installed ROS, other things are missing",
