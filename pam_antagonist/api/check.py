@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.api.given import Bag, RigGiven, as_rig
+from pam_antagonist.api.given import Bag, RigGiven, as_rig, calibration
 from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.optional import needs
 from pam_antagonist.recording import Recording, read_bag
@@ -78,7 +78,8 @@ def check(recording: Bag, rig: RigGiven, joint: str = "auto", lock_angle: float 
         >>> checked.joint, len(checked.wrong)
         ('free', 0)
     """
-    read = recording if isinstance(recording, Recording) else read_bag(recording, judge=False)
     configured = as_rig(rig)
+    known = calibration(configured)
+    read = recording if isinstance(recording, Recording) else read_bag(recording, corrections=known, judge=False)
     found = check_recording(read, configured, joint, lock_angle)
     return CheckResult(found.findings, found.corrections, found.joint, assumption(configured))

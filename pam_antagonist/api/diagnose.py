@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig
-from pam_antagonist.diagnosis import Diagnosis
+from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig, corrections
+from pam_antagonist.diagnosis import Diagnosis, calibrations
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.optional import needs
@@ -20,6 +20,7 @@ from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import terminal
 from pam_antagonist.report.close_loop_document import summary, write_report
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.write import write_rig
 
 if TYPE_CHECKING:
@@ -115,11 +116,13 @@ class DiagnoseResult(Diagnosis):
         remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
         names = ", ".join(own for own, _ in self.own)
         source = f"extended by close_loop from {names}; started from: {self.start.source}"
-        write_rig(_named(self.rig_extended, name, source), folder / "rig_extended.yaml", remarks)
+        common = _calibrated(self.rig_extended, self.typed, {item.name: item.value for item in self.calibrations})
+        write_rig(_named(common, name, source), folder / "rig_extended.yaml", remarks)
         for number, (own, rig) in enumerate(self.own if len(self.own) > 1 else (), 1):
             remark = f"The values of {own} alone; those that suit all recordings are in rig_extended.yaml."
+            found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
             named = _named(rig, name, f"{source}; with the values of {own} alone")
-            write_rig(named, folder / f"rig_extended_{number}.yaml", [*remarks, remark])
+            write_rig(_calibrated(named, self.typed, found), folder / f"rig_extended_{number}.yaml", [*remarks, remark])
 
 
 def diagnose(
@@ -167,7 +170,7 @@ def diagnose(
         ('effect', 'leak', 1)
     """
     chosen = as_rig(rig)
-    fitted, kept = as_recordings(recordings), as_recordings(held_out)
+    fitted, kept = as_recordings(recordings, chosen), as_recordings(held_out, chosen)
     found = _diagnose(
         fitted, chosen, joint=joint, lock_angle=lock_angle, holdout=holdout, held_out=kept, jobs=jobs, seed=seed,
         progress=progress, profiles=profiles, estimator=estimator, store=store,
@@ -178,7 +181,14 @@ def diagnose(
         hashes=tuple(recording_hash(recording) for recording in (*fitted, *kept)),
         seed=seed,
         kept=tuple(bag_name(recording.path) for recording in kept) or holdout,
+        typed=corrections(recordings, chosen),
     )
+
+
+def _calibrated(rig: Rig, typed: Corrections, found: Mapping[str, float]) -> Rig:
+    """A rig that knows how its recordings are corrected: as they were read, and by what was found in them."""
+    corrected = typed.followed_by(calibrations.corrections(found))
+    return rig.replaced(calibration=Calibration(**corrected.calibration()))
 
 
 def _named(rig: Rig, name: str, source: str) -> Rig:

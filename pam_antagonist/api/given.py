@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.recording import Recording as _Recording
 from pam_antagonist.rig import Rig, load_rig
 
@@ -25,20 +26,44 @@ def as_rig(rig: RigGiven) -> Rig:
     return rig if isinstance(rig, Rig) else load_rig(rig)
 
 
-def as_recording(bag: Bag) -> Recording:
-    """The recording itself.
+def calibration(rig: Rig) -> Corrections:
+    """What a rig file says of its recordings.
+
+    Args:
+        rig: the rig.
+    """
+    return Corrections(**dict(rig.calibration))
+
+
+def as_recording(bag: Bag, rig: Rig) -> Recording:
+    """The recording itself; a bag is read with the calibration of its rig.
 
     Args:
         bag: or its bag.
+        rig: of the recording.
     """
-    return bag if isinstance(bag, _Recording) else read_bag(bag)
+    return bag if isinstance(bag, _Recording) else read_bag(bag, corrections=calibration(rig))
 
 
-def as_recordings(bags: Bag | Sequence[Bag]) -> list[Recording]:
-    """Recordings, one by one.
+def as_recordings(bags: Bag | Sequence[Bag], rig: Rig) -> list[Recording]:
+    """Recordings, one by one; bags are read with the calibration of their rig.
 
     Args:
         bags: one or several.
+        rig: of the recordings.
     """
-    several = [bags] if isinstance(bags, (_Recording, str, Path)) else bags
-    return [as_recording(bag) for bag in several]
+    return [as_recording(bag, rig) for bag in _several(bags)]
+
+
+def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:
+    """Those with which recordings are read here: none of recordings that were read elsewhere.
+
+    Args:
+        bags: one or several.
+        rig: of the recordings.
+    """
+    return Corrections() if any(isinstance(bag, _Recording) for bag in _several(bags)) else calibration(rig)
+
+
+def _several(bags: Bag | Sequence[Bag]) -> Sequence[Bag]:
+    return [bags] if isinstance(bags, (_Recording, str, Path)) else bags

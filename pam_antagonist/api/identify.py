@@ -168,7 +168,7 @@ def identify(
     chosen = as_rig(rig)
     read = [
         (recording, joint_condition(recording, joint, lock_angle), bag_name(recording.path))
-        for recording in as_recordings(recordings)
+        for recording in as_recordings(recordings, chosen)
     ]
     if chosen.valves.sealed:
         return _sealed(read, chosen, holdout, seed, progress, [*free, *freeze])

@@ -105,5 +105,6 @@ def replay(
         >>> result.run.rows["angle"].shape  # [rad], with the covariance of angle, velocity and torque beside it
         (6000,)
     """
-    done = _replay(as_recording(recording), as_rig(rig), tuning, joint, lock_angle, read_seconds, progress)
+    chosen = as_rig(rig)
+    done = _replay(as_recording(recording, chosen), chosen, tuning, joint, lock_angle, read_seconds, progress)
     return ReplayResult(**{item.name: getattr(done, item.name) for item in fields(Replay)})

@@ -65,7 +65,7 @@ def _main(argv: Sequence[str] | None) -> int:
     for bag in arguments.bags:
         recording = read_bag(
             bag, topics=common.topics(arguments), namespace=arguments.namespace, joint_name=arguments.joint_name,
-            recover=arguments.recover, corrections=from_options(arguments), judge=False,
+            recover=arguments.recover, corrections=from_options(arguments, dict(rig.calibration)), judge=False,
         )  # fmt: skip
         results[str(bag)] = check(recording, rig, arguments.joint, lock_angle)
         if arguments.json != "-":

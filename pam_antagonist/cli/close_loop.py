@@ -110,7 +110,8 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
             shutil.rmtree(kept, ignore_errors=True)
         raise
     damage = given.damage(arguments, recordings)
-    found = replace(found, warnings=(*damage, *found.warnings), typed=corrections.from_options(arguments))
+    corrected = corrections.from_options(arguments, dict(rig.calibration))
+    found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
     found.save(arguments.out, figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
     print(found.summary())

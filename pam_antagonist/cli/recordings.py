@@ -118,7 +118,7 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
             namespace=arguments.namespace,
             joint_name=arguments.joint_name,
             recover=arguments.recover,
-            corrections=corrections.from_options(arguments),
+            corrections=corrections.from_options(arguments, dict(rig.calibration)),
         )
         for bag in bags
     ]

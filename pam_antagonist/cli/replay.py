@@ -112,7 +112,7 @@ def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Name
         joint_name=arguments.joint_name,
         restarts=arguments.restarts,
         recover=arguments.recover,
-        corrections=corrections.from_options(arguments),
+        corrections=corrections.from_options(arguments, dict(rig.calibration)),
     )
     given.refuse_wrong(recording, rig, arguments)
     read_seconds = time.perf_counter() - begin

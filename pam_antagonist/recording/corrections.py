@@ -7,7 +7,9 @@ are typed for it are made from the same table.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -147,6 +149,10 @@ class Corrections:
             **delays,
         )
 
+    def calibration(self) -> dict[str, float]:
+        """Zeros, scale and delays alone, by name, as the ``calibration`` of a rig file holds them."""
+        return {name: getattr(self, name) for name in _TYPED}
+
     def options(self) -> list[str]:
         """What to type for these corrections."""
         out = []
@@ -218,7 +224,7 @@ _HELP = {
     "flip_torque": "the torque meter counts in the other direction",
     "encoder_zero": "the encoder reads so many degrees too high",
     "torque_zero": "the torque meter reads so many N m too high",
-    "torque_scale": "the torque meter reads so many times the torque (default: 1)",
+    "torque_scale": "the torque meter reads so many times the torque",
     "delay_voltage": "the voltages are stamped so many milliseconds too early",
     "delay_angle": "the angle is stamped so many milliseconds too early",
     "delay_torque": "the torque is stamped so many milliseconds too early",
@@ -232,27 +238,36 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     Args:
         parser: takes them.
     """
-    group = parser.add_argument_group("corrections of a recording (`check` and `close_loop` say which ones it needs)")
+    group = parser.add_argument_group(
+        "corrections of a recording (`check` and `close_loop` say which ones it needs)",
+        "Zeros, scale and delays that are not given are those of the rig file (calibration).",
+    )
     for item in fields(Corrections):
         option: dict[str, Any] = {"help": _HELP[item.name], "default": item.default}
         if isinstance(item.default, bool):
             option["action"] = "store_true"
         elif isinstance(item.default, float):
-            typed = _TYPED[item.name]
-            option |= {"metavar": typed.metavar, "type": float, "default": item.default / typed.factor}
+            option |= {"metavar": _TYPED[item.name].metavar, "type": float, "default": None}
         else:
             option["metavar"] = "UNIT"
         group.add_argument(_option(item.name), **option)
 
 
-def from_options(arguments: argparse.Namespace) -> Corrections:
-    """The corrections that were asked for.
+def from_options(arguments: argparse.Namespace, known: Mapping[str, float] = MappingProxyType({})) -> Corrections:
+    """The corrections that were asked for, and what the rig file knows of the others.
 
     Args:
         arguments: of a parser with :func:`add_options`.
+        known: zeros, scale and delays of the rig file, by name; default: none.
 
     Raises:
         BadInput: a unit that does not exist, or a number that cannot be.
     """
     values = {item.name: getattr(arguments, item.name) for item in fields(Corrections)}
-    return Corrections(**{**values, **{name: values[name] * typed.factor for name, typed in _TYPED.items()}})
+    for name, typed in _TYPED.items():
+        given = values.pop(name)
+        if given is not None:
+            values[name] = given * typed.factor
+        elif name in known:
+            values[name] = known[name]
+    return Corrections(**values)

@@ -81,7 +81,8 @@ def calibration_findings(report: CloseLoopReport) -> tuple[Finding, ...]:
         return ()
     what = "; ".join(item.sentence for item in report.calibration)
     text = f"{what[0].upper()}{what[1:]}. To correct that, give every command `{' '.join(report.corrections)}`"
-    return (Finding("warn", f"{text} beside the recordings."),)
+    rig = "An extended rig file has it already: then the options are not needed."
+    return (Finding("warn", f"{text} beside the recordings. {rig}"),)
 
 
 def _title(name: str) -> str:

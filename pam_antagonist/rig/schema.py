@@ -186,6 +186,28 @@ class Sensors(Strict):
         return self.reading(quantity).error
 
 
+class Calibration(Strict):
+    """Zeros, scale and clocks of the recordings, which are corrected by them while they are read; no node uses them."""
+
+    encoder_zero: float = Field(
+        default=0.0, ge=-math.pi, le=math.pi, description="so much too high the encoder reads [rad]"
+    )
+    torque_zero: float = Field(
+        default=0.0, ge=-1e3, le=1e3, description="so much too high the torque meter reads [N m]"
+    )
+    torque_scale: float = Field(
+        default=1.0, ge=0.1, le=10.0, description="so many times the torque the meter reads [-]"
+    )
+    delay_voltage: float = Field(
+        default=0.0, ge=-1.0, le=1.0, description="so much too early the voltages are stamped [s]"
+    )
+    delay_angle: float = Field(default=0.0, ge=-1.0, le=1.0, description="so much too early the angle is stamped [s]")
+    delay_torque: float = Field(default=0.0, ge=-1.0, le=1.0, description="so much too early the torque is stamped [s]")
+    delay_pressure: float = Field(
+        default=0.0, ge=-1.0, le=1.0, description="so much too early the pressures are stamped [s]"
+    )
+
+
 _Diagonal = Tuple[float, float, float, float]  # noqa: UP006
 
 
@@ -229,6 +251,7 @@ class Rig(Strict):
     joint: Joint
     friction: Friction
     sensors: Sensors
+    calibration: Calibration = Calibration()
     effects: Dict[str, Dict[str, float]] = Field({}, description="what the paper's model lacks: docs/effects.md")  # noqa: UP006
     uncertainty: Dict[str, float]  # noqa: UP006
     directions: Dict[str, Dict[str, float]] = Field(  # noqa: UP006

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import pam_antagonist
-from pam_antagonist import BadInput, Estimator, Recording, ReplayResult, check, read_bag, replay, simulate
+from pam_antagonist import BadInput, Estimator, Recording, ReplayResult, check, load_rig, read_bag, replay, simulate
+from pam_antagonist.api import given
 from pam_antagonist.rig import Rig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -144,3 +145,14 @@ def test_each_step_gives_a_row_of_its_own(rig: Rig) -> None:
     before = float(first["angle"])  # type: ignore[index]
     second = estimator.step_in_place(7_000_000, 480e3, 440e3, 5.5, 5.5)
     assert float(first["angle"]) == float(second["angle"]) != before  # type: ignore[index]
+
+
+def test_a_bag_is_corrected_by_the_calibration_of_its_rig() -> None:
+    bag = ROOT / "examples/recordings/leak_free"
+    rig = load_rig("shin2022")
+    off = rig.replaced(calibration=rig.calibration.replaced(encoder_zero=0.1))
+    plain, corrected = (given.as_recording(bag, one) for one in (rig, off))
+    assert np.allclose(plain.angle - corrected.angle, 0.1)
+    # Read elsewhere, it is taken as it is.
+    assert given.as_recording(plain, off) is plain
+    assert given.corrections([bag], off).encoder_zero == 0.1 and given.corrections(plain, off).encoder_zero == 0.0

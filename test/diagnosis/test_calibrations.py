@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
-from pam_antagonist import simulate
-from pam_antagonist.diagnosis import calibrations, diagnose, explained
+from pam_antagonist import load_rig, simulate
+from pam_antagonist.api.diagnose import DiagnoseResult
+from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, explained
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.selection import recalibrate, select
 from pam_antagonist.inference.trial import make_trial
@@ -53,6 +54,16 @@ def test_a_report_says_the_calibration_and_what_to_type(late, rig) -> None:
     shown = " ".join(terminal.render(summary(report)).split())
     assert "the voltages are stamped" in shown and "ms too early" in shown
     assert delay in shown
+
+
+def test_the_extended_rig_corrects_its_recordings(late, rig, tmp_path) -> None:
+    found = {item.name: getattr(late, item.name) for item in fields(Diagnosis)}
+    read = Corrections(delay_voltage=0.01, encoder_zero=0.2, gauge=True)
+    result = DiagnoseResult(**found, start=rig, hashes=("-",), seed=0, kept=1 / 3, typed=read)
+    extended = load_rig(result.save(tmp_path / "found", figures=False) / "rig_extended.yaml")
+    # What was typed already counts; what it says of bags is no number of the rig.
+    assert extended.calibration.delay_voltage == pytest.approx(0.04, abs=1.5e-3)
+    assert (extended.calibration.encoder_zero, extended.calibration.torque_scale) == (0.2, 1.0)
 
 
 def test_errors_are_those_of_the_calibrated_recording(late) -> None:

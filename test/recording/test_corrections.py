@@ -21,10 +21,10 @@ def recording() -> Recording:
     return Recording(Path("one"), np.arange(1000) * 1_000_000, pressure, voltage, wave, 2.0 * wave)
 
 
-def typed(*arguments: str) -> Corrections:
+def typed(*arguments: str, **known: float) -> Corrections:
     parser = argparse.ArgumentParser()
     add_options(parser)
-    return from_options(parser.parse_args(arguments))
+    return from_options(parser.parse_args(arguments), known)
 
 
 def test_zeros_and_scale_are_taken_away() -> None:
@@ -74,3 +74,10 @@ def test_further_corrections_do_what_both_do_in_turn() -> None:
 def test_what_cannot_be_is_refused(arguments: tuple[str, str]) -> None:
     with pytest.raises(BadInput, match=arguments[0]):
         typed(*arguments)
+
+
+def test_what_the_rig_file_knows_counts_where_nothing_is_typed() -> None:
+    known = {"encoder_zero": 0.02, "torque_scale": 1.03, "delay_angle": 0.0}
+    corrections = typed("--encoder-zero", "0", "--delay-angle", "5", **known)
+    assert corrections == Corrections(encoder_zero=0.0, torque_scale=1.03, delay_angle=0.005)
+    assert corrections.calibration()["torque_scale"] == 1.03
