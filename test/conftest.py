@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -13,6 +14,10 @@ from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
+
+# A busy machine is slow now and then, which is no defect of what is tested.
+hypothesis.settings.register_profile("project", deadline=None)
+hypothesis.settings.load_profile("project")
 
 SLOW_S = 10  # of a test that is marked slow without saying how slow [s]
 FIRST_NS = 1_700_000_000_000_000_000

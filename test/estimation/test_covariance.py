@@ -16,7 +16,7 @@ RIG = load_rig("shin2022")
 PRESSURE = st.one_of(st.floats(-1e6, 3e6), st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1e30, -1e30]))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     samples=st.lists(st.tuples(PRESSURE, PRESSURE, st.floats(-20, 30), st.integers(0, 50)), min_size=5, max_size=60),
     tuning=st.sampled_from(["default", "published"]),

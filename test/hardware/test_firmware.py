@@ -264,7 +264,7 @@ def test_the_emergency_stop_is_stronger_than_commands() -> None:
     assert bench.firmware.voltage == SAFE
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.lists(st.one_of(st.binary(max_size=60), st.builds(frame, st.binary(min_size=1, max_size=60))), max_size=10))
 def test_no_bytes_make_it_crash_or_leave_its_safe_voltages(received: list[bytes]) -> None:
     bench = Bench().started()

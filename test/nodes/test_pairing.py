@@ -70,7 +70,7 @@ def interleavings(draw):
     return count, missing, order
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(interleavings(), st.sampled_from([0, MS // 100, 5 * MS]))
 def test_any_interleaving_gives_the_same_samples(case, pace):
     """Also in bursts that are further apart than the time-out, in stamps and in time, as after a stall."""

@@ -26,7 +26,6 @@ from pam_antagonist.recording.notes import read_notes
 DEEP = bool(os.environ.get("PAM_PROOF"))
 EXAMPLES = settings(
     max_examples=1500 if DEEP else 50,
-    deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large],
 )

@@ -32,7 +32,7 @@ def header(sec: int, nanosec: int, frame: str):
     return types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](sec, nanosec), frame)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(joint_states, min_size=1, max_size=6))
 def test_any_mix_of_layouts_decodes_like_message_by_message(messages) -> None:
     payloads = []

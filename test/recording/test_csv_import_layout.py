@@ -219,7 +219,7 @@ def test_progress_adds_up_to_the_file(lab: Lab) -> None:
     assert len(seen) == 3 and min(seen) > 0
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 @given(
     text=st.text(alphabet=st.sampled_from('tpu12 ,;\t"\n\r.#-+eE0\u00e9\u2028naN'), max_size=120), header=st.booleans()
 )
@@ -234,7 +234,7 @@ def test_any_text_is_read_or_refused_in_one_line(lab: Lab, text: str, header: bo
         assert np.nanmin(recording.pressure) >= 80e3
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
 @given(content=st.binary(max_size=200))
 def test_any_bytes_are_refused(lab: Lab, content: bytes) -> None:
     lab.csv.write_bytes(content)

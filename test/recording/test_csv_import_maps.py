@@ -163,7 +163,7 @@ _VALUES = st.recursive(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=120, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=120)
 @given(
     entry=st.sampled_from(["file", "time", "atmosphere", "pressure_1", "valve_2", "angle", "other"]),
     key=st.sampled_from(["column", "unit", "scale", "offset", "constant", "sealed", "rate", "delimiter", "encoding",

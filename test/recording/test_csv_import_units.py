@@ -134,7 +134,7 @@ def test_a_voltage_that_holds_from_its_row_on_belongs_to_the_next_sample(lab: La
     assert voltage[:, 1].tolist() == [5.5, 5.4, 5.3, 5.2]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
 @given(
     pressure=st.lists(st.floats(90e3, 900e3), min_size=6, max_size=40),
     unit=st.sampled_from(sorted(UNITS["pressure"])),

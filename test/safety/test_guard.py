@@ -181,7 +181,7 @@ def test_parameters_that_make_no_sense_are_refused() -> None:
 number = st.floats(allow_nan=True, allow_infinity=True)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(number, number, st.integers(-5 * MS, 40 * MS), st.booleans()), max_size=40))
 def test_whatever_comes_the_valves_get_numbers_within_limits_and_slew(
     events: list[tuple[float, float, int, bool]],
