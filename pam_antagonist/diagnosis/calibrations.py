@@ -294,7 +294,7 @@ def found(
     weighed: Sequence[TriedCandidate],
     rivals: Mapping[str, tuple[str, ...]],
 ) -> tuple[FoundCalibration, ...]:
-    """The calibrations that recordings need, each with its value.
+    """The calibrations that recordings need, each with its value; none that may as well be 0.
 
     Args:
         experiments: the recordings.
@@ -312,10 +312,11 @@ def found(
                 experiments[r].trial.name: (value, float(np.hypot(std, experiments[r].trial.dt * _STAMP_STD)))
                 for r, (value, std) in seen.items()
             }
-        unit = calibration.CALIBRATIONS[name].unit
-        out.append(
-            FoundCalibration(name, *_mean(list(by_recording.values())), unit, gain, by_recording, rivals.get(name, ()))
-        )
+        value, std = _mean(list(by_recording.values()))
+        # One that was taken before an effect was found that begins late may turn out to have been a part of that.
+        if abs(value) >= thresholds.CERTAIN_SIZE * std:
+            unit = calibration.CALIBRATIONS[name].unit
+            out.append(FoundCalibration(name, value, std, unit, gain, by_recording, rivals.get(name, ())))
     return tuple(out)
 
 

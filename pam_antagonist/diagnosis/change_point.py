@@ -134,7 +134,8 @@ def parts_above_noise(experiment: Experiment, fitted: Fitted) -> tuple[Span, ...
         fitted: its model, whose base and effects are fitted again.
 
     Returns:
-        None where the model nowhere leaves noise alone, or in too many parts for something that begins and ends.
+        Begin and end of each [s]; none where the model nowhere leaves noise alone, or where there are more parts than
+        of something that begins and ends.
     """
     quiet = _undisturbed(experiment, fitted, experiment.residual(fitted.point, whole=True))
     if quiet is None:

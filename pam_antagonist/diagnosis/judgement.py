@@ -46,7 +46,7 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
     jobs, progress = settings.jobs, settings.progress
     verdict, share = _verdict(group, selection)
     late = onset.search(group, selection.recalibrated, selection.model, jobs, progress, settings.checkpoint)
-    if late is not None and _verdict(late.group, late.selection)[0] == "effect":
+    if late is not None and _is_taken(late, group, selection):
         group, selection = late.group, late.selection
         verdict, share = _verdict(group, selection)
     else:
@@ -87,6 +87,20 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
             if judged.verdict == "effect":
                 return judged
     return Judged(group, base, selection, verdict, share, base, warnings=about_base)
+
+
+def _is_taken(late: onset.Changing, group: Group, selection: Selection) -> bool:
+    """Whether effects that begin or end are the explanation.
+
+    Where effects that act throughout explain the recordings well, only if nothing but noise is left: what an effect of
+    another form leaves may come and go as well.
+    """
+    if _verdict(late.group, late.selection)[0] != "effect":
+        return False
+    base, chosen = selection.recalibrated, selection.model
+    well = explained.explains(group.experiments, base, chosen)
+    well = well and not explained.explains_in_part(group.experiments, base, chosen)
+    return not well or onset.at_noise(late.group.experiments, late.selection.model)
 
 
 def _verdict(group: Group, selection: Selection) -> tuple[Verdict, float]:

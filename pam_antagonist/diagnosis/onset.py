@@ -100,7 +100,7 @@ def search(
         checkpoint: keeps finished candidates.
     """
     experiments = group.experiments
-    if not _can_change(group) or _at_noise(experiments, chosen):
+    if not _can_change(group) or at_noise(experiments, chosen):
         return None
     progress("whether something begins or ends during the recordings")
     best = None
@@ -109,7 +109,7 @@ def search(
         found = _beside(group, start, jobs, progress, checkpoint)
         if found is None or not _better(experiments, chosen, found):
             continue
-        if _at_noise(found.group.experiments, found.selection.model):
+        if at_noise(found.group.experiments, found.selection.model):
             return found
         best = found if best is None else best
     return best
@@ -198,8 +198,13 @@ def _is_near(one: Span, other: Span) -> bool:
     return all(a == b or abs(a - b) <= _FAR for a, b in zip(one, other, strict=True))
 
 
-def _at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
-    """Whether no stretch of any recording is above noise."""
+def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
+    """Whether no stretch of any recording is above noise.
+
+    Args:
+        experiments: the recordings.
+        model: their models.
+    """
     pairs = zip(experiments, model.fits, strict=True)
     return all(
         change_point.is_noise(experiment, experiment.residual(fitted.point, whole=True)) for experiment, fitted in pairs

@@ -10,8 +10,10 @@ import pytest
 from pam_antagonist import load_rig, simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, explained
+from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.selection import recalibrate, select
+from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
@@ -105,6 +107,11 @@ def test_a_zero_to_which_the_base_parameters_have_bent_is_found(rig, zero, names
     if names:
         (found,) = calibrations.found(experiments, [chosen.model], chosen.calibrations, chosen.rivals)
         assert np.degrees(found.value) == pytest.approx(zero, abs=0.06)
+        # Beside what else is found, it may turn out to be nothing.
+        (fitted,) = chosen.model.fits
+        nothing = Point(fitted.point.theta, {"calibration.encoder_zero": found.std})
+        models = Model((), (replace(fitted, point=nothing),)), chosen.model
+        assert calibrations.found(experiments, models, chosen.calibrations, chosen.rivals) == ()
 
 
 def test_an_effect_and_a_calibration_beside_it_are_both_named(rig, recorded) -> None:
