@@ -29,7 +29,7 @@ from pam_antagonist.identification.sealed import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.inference.calibration import CALIBRATIONS
 from pam_antagonist.inference.gauss_newton import refit
-from pam_antagonist.inference.short_runs import RUN_S, ShortRuns
+from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
@@ -92,7 +92,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
             ranking,
             reference,
             prepared.angle_driven,
-            any(isinstance(experiment, ShortRuns) for j in judged for experiment in j.group.experiments),
+            any(isinstance(experiment, MeasuredMotion) for j in judged for experiment in j.group.experiments),
         ),
         effects=effects,
         calibrations=calibrated,
@@ -298,7 +298,7 @@ def sentence(
     ranking: Sequence[TriedCandidate],
     reference: Mapping[str, float] | None,
     mean_pressure: bool,
-    over_spans: bool = False,
+    along_motion: bool = False,
 ) -> str:
     """The verdict in a sentence.
 
@@ -313,7 +313,8 @@ def sentence(
         ranking: all candidates.
         reference: errors of maps that know no physics.
         mean_pressure: whether the mean of the pressures is what the model is compared by, not each of them.
-        over_spans: whether the verdict rests on predictions over short spans, not on the model that runs by itself.
+        along_motion: whether the verdict rests on the model along the measured motion, not on the one that runs by
+            itself.
     """
     recalibrated, extended = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
     beside = f" The recordings need a calibration: {'; '.join(calibrated)}." if calibrated else ""
@@ -329,10 +330,11 @@ def sentence(
         what = " ".join(f"{words[0].upper()}{words[1:]}." for words in effects)
         these = "these effects" if len(effects) > 1 else "this effect"
         gone = f"{100 * share:.0f} % of the excess over the sensors' noise is explained"
-        if over_spans:
+        if along_motion:
             text = (
-                f"{what} The joint sticks, so predictions over spans of {RUN_S:g} s decide: with {these} {gone} on "
-                f"held-out data. The model that runs by itself errs there by {recalibrated} without, {extended} with."
+                f"{what} The joint sticks, so the balance of its torques along the measured motion decides: with "
+                f"{these} {gone} on held-out data. The model that runs by itself errs there by {recalibrated} without, "
+                f"{extended} with."
             )
         else:
             text = (

@@ -71,11 +71,11 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
         judged = _by_effects(prepared, group, selection, share, about_base, settings)
         return judged if late is None else onset.dated(judged, late)
     if verdict == "unexplained":
-        over_spans = sticking.search(group, selection, settings)
-        if over_spans is not None:
-            spans, there = over_spans
-            note = warnings.over_spans(spans.experiments, there.recalibrated, there.model)
-            judged = _by_effects(prepared, spans, there, _share(spans, there), (note, *about_base), settings)
+        along = sticking.search(group, selection, settings)
+        if along is not None:
+            moving, there = along
+            note = warnings.along_motion(moving.experiments, there.recalibrated, there.model)
+            judged = _by_effects(prepared, moving, there, _share(moving, there), (note, *about_base), settings)
             if judged.verdict == "effect":
                 return judged
         parts = onset.parts_above_noise(group, base, jobs)

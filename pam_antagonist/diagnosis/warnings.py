@@ -18,7 +18,7 @@ from pam_antagonist.inference.experiment import Experiment, Point, Span
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.inference.likelihood import solve
-from pam_antagonist.inference.short_runs import RUN_S, ShortRuns
+from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.inference.trial import ANGLE, TORQUE
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, Effect
 
@@ -103,23 +103,23 @@ def _edges(span: Span) -> list[tuple[str, float]]:
     return [(what, time) for what, time in zip(("begins", "ends"), span, strict=True) if np.isfinite(time)]
 
 
-def over_spans(experiments: Sequence[Experiment], base: Model, model: Model) -> str:
-    """What to say of a verdict that rests on predictions over short spans.
+def along_motion(experiments: Sequence[Experiment], base: Model, model: Model) -> str:
+    """What to say of a verdict that rests on the model along the measured motion.
 
     Args:
-        experiments: the recordings, those of a joint that sticks in spans.
+        experiments: the recordings, those of a joint that sticks along their motion.
         base: the model without effects.
         model: the one with friction.
     """
     each = []
     for experiment, *fits in zip(experiments, base.fits, model.fits, strict=True):
-        if isinstance(experiment, ShortRuns):
+        if isinstance(experiment, MeasuredMotion):
             old, new = (100.0 * experiment.right(fitted.point) for fitted in fits)
             each.append(f"{experiment.trial.name}: {old:.0f} % before, {new:.0f} % with the effect")
     return (
-        "the joint sticks and slips, which no model predicts for long: the verdict rests on predictions over "
-        f"{RUN_S:g} s that start from the measured angle. Share of the held-out time in which they show the angle: "
-        f"{'; '.join(each)}. Errors in this report are those of the model that runs by itself"
+        "the joint sticks and slips, which no model predicts for long: the verdict rests on the balance of its torques "
+        f"along the measured motion. Share of the held-out time in which they are in balance: {'; '.join(each)}. "
+        "Errors in this report are those of the model that runs by itself"
     )
 
 
