@@ -56,18 +56,47 @@ class DiagnoseResult(Diagnosis):
 
     @property
     def worse(self) -> tuple[str, ...]:
-        """Where nothing was explained: what the recalibrated model does worse on held-out data than the rig file.
+        """What the rig for all recordings does worse on held-out data than the rig as configured.
 
-        Such a rig is not written.
+        Asked where nothing was explained, and where one rig has to suit several recordings. Such a rig is not written.
         """
-        if self.verdict != "unexplained":
+        if self.errors_of_one_rig is not None:
+            now = self.errors_of_one_rig
+        elif self.verdict == "unexplained":
+            now = self.errors.extended
+        else:
             return ()
-        before, now = self.errors.as_configured, self.errors.extended
+        before = self.errors.as_configured
         pairs = [("angle", a.rmse, b.rmse, "°") for a, b in ((before.angle, now.angle),) if a and b]
         pairs += [("torque", a.rmse, b.rmse, " N m") for a, b in ((before.torque, now.torque),) if a and b]
         pressures = zip(before.rmse_pa, now.rmse_pa, strict=True)
         pairs += [(f"pressure {k}", a / 1e3, b / 1e3, " kPa") for k, (a, b) in enumerate(pressures, 1)]
         return tuple(f"{name} {b:.3g}{unit} off, {a:.3g}{unit} before" for name, a, b, unit in pairs if b > _MARGIN * a)
+
+    @property
+    def no_common_rig(self) -> str:
+        """Why there is no rig that suits all recordings, in a sentence; empty where there is one."""
+        apart = [
+            (one, other)
+            for number, one in enumerate(self.effects)
+            for other in self.effects[number + 1 :]
+            if one.name == other.name and not set(one.recordings) & set(other.recordings)
+        ]
+        if apart and len(self.own) > 1:
+            where = " and ".join(f"on muscle {item.muscle} in {', '.join(item.recordings)}" for item in apart[0])
+            return f"no rig suits all recordings: {apart[0][0].name} is {where}"
+        if not self.worse:
+            return ""
+        what = "without an effect it" if self.verdict == "unexplained" else "one rig for all recordings"
+        return f"{what} would be worse than {self.start.name} ({'; '.join(self.worse)})"
+
+    @property
+    def rig_files(self) -> tuple[str, ...]:
+        """Names of the rig files that :meth:`save` writes: the one for all recordings first, if there is one."""
+        if self.no_common_rig and self.verdict == "unexplained":
+            return ()
+        own = [f"rig_extended_{number}.yaml" for number in range(1, len(self.own) + 1)] if len(self.own) > 1 else []
+        return (*([] if self.no_common_rig else ["rig_extended.yaml"]), *own)
 
     def summary(self) -> str:
         """The tables that the command prints."""
@@ -76,7 +105,8 @@ class DiagnoseResult(Diagnosis):
     def save(self, path: str | Path, figures: bool = True) -> Path:
         """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
 
-        Where nothing was explained and the recalibrated rig is :attr:`worse` than the one given, no rig is written.
+        Of several recordings also the rig of each (``rig_extended_1.yaml`` ...). What is no better than the rig as
+        configured is not written, see :attr:`no_common_rig`.
 
         Args:
             path: of a new folder.
@@ -89,8 +119,7 @@ class DiagnoseResult(Diagnosis):
             BadInput: it exists already, or cannot be written.
         """
         with output_folder(Path(path)) as folder:
-            if not self.worse:
-                self._write_rigs(folder)
+            self._write_rigs(folder)
             write_report(folder, self.report, self, with_figures=figures)
         return Path(path)
 
@@ -116,13 +145,20 @@ class DiagnoseResult(Diagnosis):
         remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
         names = ", ".join(own for own, _ in self.own)
         source = f"extended by close_loop from {names}; started from: {self.start.source}"
-        common = _calibrated(self.rig_extended, self.typed, {item.name: item.value for item in self.calibrations})
-        write_rig(_named(common, name, source), folder / "rig_extended.yaml", remarks)
-        for number, (own, rig) in enumerate(self.own if len(self.own) > 1 else (), 1):
-            remark = f"The values of {own} alone; those that suit all recordings are in rig_extended.yaml."
+        for file in self.rig_files:
+            if file == "rig_extended.yaml":
+                common = _calibrated(
+                    self.rig_extended, self.typed, {item.name: item.value for item in self.calibrations}
+                )
+                write_rig(_named(common, name, source), folder / file, remarks)
+                continue
+            own, rig = self.own[int(file.removeprefix("rig_extended_").removesuffix(".yaml")) - 1]
+            remark = f"The values of {own} alone."
+            if not self.no_common_rig:
+                remark += " Those that suit all recordings are in rig_extended.yaml."
             found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
             named = _named(rig, name, f"{source}; with the values of {own} alone")
-            write_rig(_calibrated(named, self.typed, found), folder / f"rig_extended_{number}.yaml", [*remarks, remark])
+            write_rig(_calibrated(named, self.typed, found), folder / file, [*remarks, remark])
 
 
 def diagnose(

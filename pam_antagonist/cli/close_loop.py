@@ -33,8 +33,8 @@ its own (--holdout), is kept to judge by. A rig whose valves are sealed wants a 
 fro by a known torque (docs/evidence/sealed_joint.md).
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
-recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. Where nothing is explained and the
-recalibrated rig would be worse than the one given, no rig is written.
+recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. DIR/rig_extended.yaml is left out
+where it would be worse than the rig given: where nothing is explained, or where the recordings show different faults.
 Status: 0 done (whatever the verdict), 2 bad input (one line says what and where).
 """
 _EXAMPLES = """\
@@ -115,12 +115,16 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     found.save(arguments.out, figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
     print(found.summary())
-    if found.worse:
-        print(f"\nno rig_extended.yaml: without an effect it would be worse than {rig.name} ({'; '.join(found.worse)})")
+    reason, rigs = found.no_common_rig, found.rig_files
+    if reason:
+        instead = f"; {', '.join(rigs)} have each recording's own values" if rigs else ""
+        print(f"\nno rig_extended.yaml: {reason}{instead}")
+    if not rigs:
         common.announce_report(arguments, arguments.out)
-    else:
-        given.announce_output(arguments, "rig_extended.yaml")
-        print(common.next_command("replay", arguments.bags, f"--rig {arguments.out / 'rig_extended.yaml'} --out DIR"))
+        return common.DONE
+    given.announce_output(arguments, rigs[0])
+    bags = arguments.bags[:1] if reason else arguments.bags
+    print(common.next_command("replay", bags, f"--rig {arguments.out / rigs[0]} --out DIR"))
     return common.DONE
 
 

@@ -48,7 +48,8 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         timings: what took how long.
     """
     jobs, progress = settings.jobs, settings.progress
-    compared = tuple(c for j in judged for c in held_out.compare(*_with_an_end(prepared, j, jobs), j.values))
+    ended = [_with_an_end(prepared, j, jobs) for j in judged]
+    compared = tuple(c for end, j in zip(ended, judged, strict=True) for c in held_out.compare(*end, j.values))
     rivals = tuple(
         rival
         for j in judged
@@ -77,6 +78,10 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     )
     timings.end("remaining residual")
     verdict, share = _overall(judged)
+    one_rig = None
+    if verdict == "effect" and prepared.fitted > 1:
+        models = [(group, model, j.values) for (group, _, model), j in zip(ended, judged, strict=True)]
+        one_rig = held_out.errors_of_one_rig(models, common["extended"])
     ranking = tuple(_ranked(j, tried) for j in judged for tried in j.selection.tried)
     reference = held_out.static_map(prepared)
     return Diagnosis(
@@ -108,6 +113,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         share=share,
         parts=tuple(PartVerdict(j.group.name, j.verdict, j.share) for j in judged),
         errors=totals,
+        errors_of_one_rig=one_rig,
         by_recording=entries,
         reference=reference,
         remaining=remaining,

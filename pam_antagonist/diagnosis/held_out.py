@@ -22,7 +22,7 @@ from pam_antagonist.estimation import EstimateRun, Estimator, metrics
 from pam_antagonist.identification.tuning import innovation_likelihood
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.angle_driven import sweeps
-from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.recording import Recording
@@ -179,6 +179,34 @@ def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[Record
     known = [(errors, samples[number]) for number in sorted(samples) if (errors := entries[number].errors) is not None]
     by_model = zip(*(errors.all for errors, _ in known), strict=True)
     return ModelErrors(*(total_of(parts, [count for _, count in known]) for parts in by_model))
+
+
+def errors_of_one_rig(models: Sequence[tuple[Group, Model, Mapping[str, float]]], rig: Rig) -> Errors:
+    """Errors of the model alone with one extended rig for all recordings, on the samples that were held out.
+
+    Args:
+        models: each group of recordings, its extended model, and values of its effects for one rig, by dotted path.
+        rig: that rig.
+    """
+    found: dict[int, tuple[Errors, int]] = {}
+    for group, model, effects in models:
+        common = common_point(group.experiments, model, effects)
+        # Zeros, scales and late stamps belong to a recording, not to the rig.
+        runs = [
+            (experiment, number, Point(common.theta, {**common.effects, **_calibrations(fitted.point)}))
+            for experiment, number, fitted in zip(group.experiments, group.numbers, model.fits, strict=True)
+        ]
+        if group.held_out:
+            runs = [(other, number, common) for number, other in enumerate(group.held_out, len(group.experiments))]
+        for experiment, number, point in runs:
+            if number not in found:
+                part = HeldOutComparison(experiment.free_run, {"extended": experiment.started(point)}, "both", number)
+                found[number] = model_errors(part, "extended", rig), int(part.experiment.held_samples.sum())
+    return total_of(*map(list, zip(*found.values(), strict=True)))
+
+
+def _calibrations(point: Point) -> dict[str, float]:
+    return {dotted: value for dotted, value in point.effects.items() if calibration.is_calibration(dotted)}
 
 
 @dataclass(frozen=True, eq=False)

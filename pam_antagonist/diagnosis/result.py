@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 from pam_antagonist.diagnosis.calibrations import FoundCalibration
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
-from pam_antagonist.diagnosis.errors import ModelErrors
+from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import ResidualRow
@@ -278,8 +278,9 @@ class Diagnosis:
         ranking: all candidates of all rounds, with their models.
         share: share of the held-out excess over noise (:mod:`explained`) that the extended model removes.
         parts: the verdict on each part of the joint that was judged by itself.
-        errors: of the three models.
-        by_recording: the same and more, for each recording.
+        errors: of the three models, on each recording with its own values.
+        errors_of_one_rig: of ``rig_extended`` on all of several recordings; None where nothing was found in several.
+        by_recording: errors of the three models and more, for each recording.
         reference: errors of maps that know no physics, by name [N m]; None where there is none to compare with.
         remaining: what is not explained, described.
         unseen: what these recordings cannot show.
@@ -307,6 +308,7 @@ class Diagnosis:
     share: float
     parts: tuple[PartVerdict, ...]
     errors: ModelErrors
+    errors_of_one_rig: Errors | None
     by_recording: tuple[RecordingEntry, ...]
     reference: Mapping[str, float] | None
     remaining: tuple[RemainingResidual, ...]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from pam_antagonist.report.document import (
     Tiles,
     background,
 )
+from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
 from pam_antagonist.report.replay_findings import DEFINITIONS, findings, overall_verdict, verdict
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
@@ -126,15 +127,20 @@ def document(
         "voltages. The report compares its angle and torque with the measured ones."
     )
     parts: list[Block] = [Text(lede, "lede"), Text(overall_verdict(reports), "verdict")]
-    parts += in_first_lines(assumption(replays[0].rig, replays[0].tuning))
+    rests_on = in_first_lines(assumption(replays[0].rig, replays[0].tuning))
     if len(replays) == 1:
-        parts += [*first, *_recording(replays[0], with_figures)]
+        parts += [*rests_on, *first, *_recording(replays[0], _figures(replays[0], with_figures), with_figures)]
     else:
-        parts += [overview(reports), *first]
-        parts += [
-            Section(replay.name, (Text(verdict(replay.report)), *_recording(replay, with_figures)), 2, f"r{place}")
-            for place, replay in enumerate(replays, 1)
-        ]
+        # A figure comes first, before the table of all recordings pushes it below the first screen.
+        shown = [_figures(replay, with_figures) for replay in replays]
+        parts += [replace(figure, title=f"{replays[0].name}: {figure.title}") for figure in shown[0][:1]]
+        parts += [*rests_on, overview(reports), *first]
+        shown[0] = shown[0][1:]
+        for place, (replay, figures) in enumerate(zip(replays, shown, strict=True), 1):
+            above = " Its first figure is at the top of the page." if place == 1 and with_figures else ""
+            head = Text(verdict(replay.report) + above)
+            blocks = (head, *_recording(replay, figures, with_figures))
+            parts.append(Section(replay.name, blocks, 2, f"r{place}"))
     parts += background(DEFINITIONS, _provenance(replays))
     return Document("Replay of a pneumatic muscle joint", name, tuple(parts))
 
@@ -162,9 +168,12 @@ def write_report(folder: Path, replays: Sequence[Replay], with_figures: bool = T
     html.write(folder, document(replays, with_figures=with_figures), numbers(replays))
 
 
-def _recording(replay: Replay, with_figures: bool) -> list[Block]:
+def _figures(replay: Replay, with_figures: bool) -> Sequence[Figure]:
+    return replay_figures(replay) if with_figures else ()
+
+
+def _recording(replay: Replay, figures: Sequence[Figure], with_figures: bool) -> list[Block]:
     report = replay.report
-    figures = replay_figures(replay) if with_figures else ()
     inside = filter_figures(replay) if with_figures else ()
     return [
         *figures[:1],

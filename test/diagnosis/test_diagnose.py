@@ -73,6 +73,31 @@ def test_no_rig_is_written_that_explains_nothing_and_is_worse(rig, leaking, tmp_
     assert not better.worse
 
 
+def test_recordings_with_different_faults_get_a_rig_each(rig, leaking, tmp_path) -> None:
+    fields = {item.name: getattr(leaking, item.name) for item in dataclasses.fields(Diagnosis)}
+    fields["own"] = (("one", leaking.rig_extended), ("two", leaking.rig_extended))
+    found = DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
+    assert found.rig_files == ("rig_extended.yaml", "rig_extended_1.yaml", "rig_extended_2.yaml")
+
+    (leak,) = leaking.effects
+    apart = tuple(dataclasses.replace(leak, muscle=k, recordings=(name,)) for k, name in ((1, "one"), (2, "two")))
+    different = dataclasses.replace(found, effects=apart)
+    assert different.no_common_rig == "no rig suits all recordings: leak is on muscle 1 in one and on muscle 2 in two"
+    different.save(tmp_path / "different", figures=False)
+    rigs = sorted(path.name for path in (tmp_path / "different").glob("*.yaml"))
+    assert rigs == ["rig_extended_1.yaml", "rig_extended_2.yaml"]
+    assert "rig_extended.yaml" not in (tmp_path / "different" / rigs[0]).read_text(encoding="utf-8")
+
+    both = tuple(dataclasses.replace(item, recordings=("one", "two")) for item in apart)
+    assert "rig_extended.yaml" in dataclasses.replace(found, effects=both).rig_files
+    worse = dataclasses.replace(leaking.errors.as_configured, rmse_pa=(1e6, 1.0))
+    alike = dataclasses.replace(found, effects=both, errors_of_one_rig=worse)
+    assert alike.no_common_rig.startswith(
+        "one rig for all recordings would be worse than shin2022 (pressure 1 1e+03 kPa"
+    )
+    assert "rig_extended.yaml" not in alike.rig_files
+
+
 def test_what_a_locked_joint_cannot_show_is_said(leaking) -> None:
     assert any("friction" in line and "locked" in line for line in leaking.unseen)
 

@@ -21,7 +21,8 @@ from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, writ
 from pam_antagonist.recording.notes import SEALED, write_notes
 from pam_antagonist.replays import ReplayReport, replay
 from pam_antagonist.replays.result import JointFacts, RecordedRig
-from pam_antagonist.report.document import Text
+from pam_antagonist.report.document import Section, Text
+from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.html import render
 from pam_antagonist.report.replay import document, numbers, write_report
 from pam_antagonist.report.replay_findings import live_rig
@@ -244,6 +245,16 @@ def test_one_recording_stands_at_the_top_and_several_in_a_list(rig: Rig, free: R
     both = numbers([one, other])
     assert set(both) == {"recordings", "settings", "software"}
     assert [entry["joint"]["condition"] for entry in both["recordings"]] == ["free", "locked"]
+
+    # The first figure comes before the tables, so that it is seen without scrolling.
+    page = document([one, other])
+    lede, verdict, figure, *below = page.blocks
+    assert [getattr(block, "kind", None) for block in (lede, verdict)] == ["lede", "verdict"]
+    assert isinstance(figure, Figure) and figure.title.startswith(f"{one.name}: Joint angle")
+    sections = [block for block in below if isinstance(block, Section) and block.anchor]
+    assert [section.title for section in sections] == [one.name, other.name]
+    shown = [[block.title for block in section.blocks if isinstance(block, Figure)] for section in sections]
+    assert not any(title.startswith("Joint angle") for title in shown[0]) and all(shown)
 
 
 def test_a_report_names_no_folder_of_this_machine(rig: Rig, free: Recording, tmp_path: Path) -> None:
