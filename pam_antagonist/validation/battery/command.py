@@ -51,6 +51,9 @@ def parser() -> common.Parser:
     out.add_argument(
         "--nothing", type=int, default=0, metavar="N", help="further cases with nothing wrong (default: 0)"
     )
+    out.add_argument(
+        "--calibrations", type=int, default=0, metavar="N", help="further cases whose only fault is a zero or a clock"
+    )
     out.add_argument("--seed", type=int, default=1, metavar="S", help="of the battery (default: 1)")
     out.add_argument(
         "--shard", type=_shard, default=(1, 1), metavar="I/K", help="every K-th case, from the I-th on (default: 1/1)"
@@ -87,7 +90,7 @@ def _main(argv: Sequence[str] | None) -> int:
         raise BadInput(f"--jobs {arguments.jobs}: expected 1 or more")
     if arguments.remainders:
         return _remainders(_folder(arguments.out))
-    every = cases(arguments.seed, arguments.count, arguments.nothing)
+    every = cases(arguments.seed, arguments.count, arguments.nothing, arguments.calibrations)
     first, shards = arguments.shard
     mine = every[first - 1 :: shards]
     if arguments.bags is not None:
@@ -102,9 +105,8 @@ def _main(argv: Sequence[str] | None) -> int:
     done = [outcomes.load(folder, k, case, arguments.duration) for k, case in every]
     known = {**remainders.known(), **remainders.load(folder / remainders.FILE)}
     finished = [outcome for outcome in done if outcome is not None]
-    _report(
-        page.Run(arguments.seed, arguments.count, arguments.nothing, arguments.duration, finished, known), arguments
-    )
+    asked = arguments.seed, arguments.count, arguments.nothing, arguments.calibrations, arguments.duration
+    _report(page.Run(*asked, finished, known), arguments)
     return common.DONE
 
 
@@ -160,7 +162,7 @@ def _report(run: page.Run, arguments: argparse.Namespace) -> None:
     if not run.done:
         print(f"{arguments.out}: no case is finished yet")
         return
-    print(f"{len(run.done)} of {run.count + run.nothing} cases are finished\n")
+    print(f"{len(run.done)} of {run.asked} cases are finished\n")
     for table in page.tables(run):
         if table.rows:
             print(terminal.table(table, indent="") + "\n")

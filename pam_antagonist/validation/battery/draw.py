@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -19,6 +20,14 @@ LARGE = 4.0
 """Sizes from which on the figures of a battery count; pairs and what is in no catalogue have no smaller ones."""
 NOTHING_FROM = 1000
 """Number of the first of the further cases with nothing wrong."""
+CALIBRATIONS_FROM = 3000
+"""Number of the first of the cases whose only fault is a calibration."""
+CALIBRATIONS = {
+    "encoder_zero": tuple(float(np.radians(size)) for size in (0.2, 0.5, 1.0, 2.0)),
+    "torque_zero": (0.05, 0.1, 0.3),
+    **{f"delay_{clock}": (0.005, 0.01, 0.02, 0.05) for clock in ("voltage", "pressure", "angle", "torque")},
+}
+"""Calibrations and their sizes in SI units. A torque meter's scale is left out: it looks like other muscles."""
 EFFECTS = tuple(dict.fromkeys(form.effect for form in SINGLE))
 """Effects of the catalogue that have forms here; one that a package adds has none."""
 _KIND_SHARES = (("single", 0.5), ("pair", 0.2), ("none", 0.15), ("foreign", 0.15))
@@ -28,7 +37,7 @@ _OTHER_OF = 4
 Item = TypeVar("Item")
 
 
-def cases(seed: int, count: int, nothing: int = 0) -> list[tuple[int, Case]]:
+def cases(seed: int, count: int, nothing: int = 0, calibrations: int = 0) -> list[tuple[int, Case]]:
     """A battery: half of it single effects, the rest pairs, nothing at all, and what is in no catalogue.
 
     Three quarters of the single effects and both of every pair are in forms that the catalogue's law cannot imitate
@@ -38,6 +47,7 @@ def cases(seed: int, count: int, nothing: int = 0) -> list[tuple[int, Case]]:
         seed: of the battery.
         count: how many cases; a longer battery of the same seed begins with the shorter one.
         nothing: how many further cases with nothing wrong.
+        calibrations: how many further cases whose only fault is a zero or late stamps.
 
     Returns:
         Each case with its number.
@@ -45,10 +55,11 @@ def cases(seed: int, count: int, nothing: int = 0) -> list[tuple[int, Case]]:
     Raises:
         BadInput: a negative seed, or numbers of cases that make no battery.
     """
-    if seed < 0 or not 0 <= count <= NOTHING_FROM or nothing < 0 or count + nothing < 1:
+    numbers = count, nothing, calibrations
+    if seed < 0 or min(numbers) < 0 or count > NOTHING_FROM or sum(numbers) < 1:
         raise BadInput(
-            f"battery: seed {seed}, {count} cases and {nothing} with nothing wrong, expected a seed of 0 or more and "
-            f"one case or more, up to {NOTHING_FROM}"
+            f"battery: seed {seed}, {count} cases, {nothing} with nothing wrong and {calibrations} with a calibration, "
+            f"expected a seed of 0 or more and one case or more, up to {NOTHING_FROM}"
         )
     draw = _Draw(np.random.default_rng(seed))
     done = dict.fromkeys(KINDS, 0)
@@ -59,7 +70,19 @@ def cases(seed: int, count: int, nothing: int = 0) -> list[tuple[int, Case]]:
         done[kind] += 1
         out.append((number, _case(number, kind, draw.forms(kind), seed, draw)))
     further = range(NOTHING_FROM, NOTHING_FROM + nothing)
-    return out + [(number, _case(number, "none", [], seed, draw)) for number in further]
+    out += [(number, _case(number, "none", [], seed, draw)) for number in further]
+    # Drawn by themselves, so that they do not depend on how many others there are.
+    draw = _Draw(np.random.default_rng([seed, CALIBRATIONS_FROM]))
+    read = range(CALIBRATIONS_FROM, CALIBRATIONS_FROM + calibrations)
+    return out + [(number, _misread(_case(number, "calibration", [], seed, draw), draw)) for number in read]
+
+
+def _misread(case: Case, draw: _Draw) -> Case:
+    """A joint with nothing wrong, whose recordings need a calibration."""
+    name, size = draw.calibration()
+    return replace(
+        case, name=case.name.replace("none", name), form=(name,), sizes=(abs(size),), calibration=(name, size)
+    )
 
 
 def _case(number: int, kind: str, forms: Sequence[Form], seed: int, draw: _Draw) -> Case:
@@ -102,6 +125,11 @@ class _Draw:
         """The size of a form in the next case of a kind."""
         levels = LEVELS if kind == "single" else tuple(level for level in LEVELS if level >= LARGE)
         return self._next((kind, form.effect if kind == "single" else "size", "size"), levels)
+
+    def calibration(self) -> tuple[str, float]:
+        """Name and value of the next calibration."""
+        name = self._next("calibration", tuple(CALIBRATIONS))
+        return name, self._next((name, "size"), CALIBRATIONS[name]) * float(self.rng.choice((-1.0, 1.0)))
 
     def _form(self, effect: str, always: bool = False) -> Form:
         others, close = self._others[effect], self._close[effect]

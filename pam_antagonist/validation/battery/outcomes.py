@@ -65,6 +65,7 @@ class Outcome:
         threads: that it had.
         reached: sizes that the effects really had.
         code: fingerprint of the program that made the diagnosis.
+        calibrations: that were found.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Outcome:
     threads: int
     reached: tuple[float, ...] = ()
     code: str = ""
+    calibrations: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -92,11 +94,13 @@ class Outcome:
 
     @property
     def right(self) -> bool:
-        """Single: the right effect first. Pair: both found. None: nothing. Foreign: unexplained."""
+        """Single: the right effect first. Pair: both found. None: nothing. Foreign: unexplained. Calibration: named."""
         if self.kind == "single":
             return self.names[:1] == (self.effects[0][0],)
         if self.kind == "pair":
             return {name for name, _ in self.effects} <= set(self.names)
+        if self.kind == "calibration":
+            return self.verdict == "none" and self.calibrations == self.form
         return self.verdict == {"none": "none", "foreign": "unexplained"}[self.kind]
 
     @property
@@ -121,11 +125,12 @@ class Outcome:
 
 
 Diagnose = Callable[[tuple[Recording, Recording]], Any]
-"""Takes the recordings; the result has ``verdict``, ``effects``, ``ambiguous_with``, ``errors`` and ``ranking``."""
+"""Takes the recordings; the result has ``verdict``, ``effects``, ``ambiguous_with``, ``errors``, ``ranking`` and
+``calibrations``."""
 
 
 _LEADING = 3
-_REFUSAL = SimpleNamespace(verdict="refused", effects=(), ambiguous_with=(), errors=None, ranking=())
+_REFUSAL = SimpleNamespace(verdict="refused", effects=(), ambiguous_with=(), errors=None, ranking=(), calibrations=())
 
 
 def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: int = 1) -> Outcome:
@@ -171,6 +176,7 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
         threads=threads,
         reached=case.reached,
         code=fingerprint(),
+        calibrations=tuple(str(item.name) for item in diagnosis.calibrations),
     )
 
 
@@ -267,8 +273,8 @@ def load(folder: Path, number: int, case: Case, duration: float) -> Outcome | No
         for key in ("effects", "found"):
             content[key] = tuple((str(name), muscle) for name, muscle in content[key])
         content["leading"] = tuple(Candidate(*values) for values in content["leading"])
-        for key in ("form", "sizes", "reached", "ambiguous_with"):
-            content[key] = tuple(content[key])
+        for key in ("form", "sizes", "reached", "ambiguous_with", "calibrations"):
+            content[key] = tuple(content.get(key, ()))
         outcome = Outcome(**content)
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise BadInput(f"{path}: no outcome of a battery ({error}); expected one, or no such file") from None

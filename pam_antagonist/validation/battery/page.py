@@ -34,6 +34,7 @@ class Run:
         seed: of the battery.
         count: how many cases.
         nothing: how many further ones with nothing wrong.
+        calibrations: how many further ones whose only fault is a calibration.
         duration: of a recording [s].
         done: outcomes of the cases that are finished.
         remainders: of the forms, by name.
@@ -42,9 +43,15 @@ class Run:
     seed: int
     count: int
     nothing: int
+    calibrations: int
     duration: float
     done: Sequence[Outcome]
     remainders: Mapping[str, Remainder]
+
+    @property
+    def asked(self) -> int:
+        """How many cases there are."""
+        return self.count + self.nothing + self.calibrations
 
 
 def interval_text(interval: tuple[float, float] | None) -> str:
@@ -124,7 +131,7 @@ def misses_table(run: Run) -> Table:
             " + ".join(item.form) or MISSING,
             " + ".join(map(remainder, item.form)) or MISSING,
             " + ".join(f"{size:.1f}" for size in item.reached or item.sizes) or MISSING,
-            words(item.found) if item.verdict == "effect" else item.verdict,
+            ", ".join([words(item.found) if item.verdict == "effect" else item.verdict, *item.calibrations]),
         )
         for item in run.done
         if not item.right or item.superfluous
@@ -191,6 +198,7 @@ def as_json(run: Run) -> dict[str, Any]:
         "seed": run.seed,
         "count": run.count,
         "nothing": run.nothing,
+        "calibrations": run.calibrations,
         "duration": run.duration,
         "finished": len(run.done),
         "code": codes(run),
@@ -257,7 +265,7 @@ def _page(run: Run, image: str) -> list[str]:
         f"Unless a figure says otherwise it counts effects of {LARGE:g} noises or more, as do pairs and what is in no",
         "catalogue. Intervals are 95 % intervals by Clopper and Pearson.",
         "",
-        f"{len(run.done)} of {run.count + run.nothing} cases. Of the {len(with_law)} with effects of the catalogue, "
+        f"{len(run.done)} of {run.asked} cases. Of the {len(with_law)} with effects of the catalogue, "
         f"{len(others)} are in forms with a remainder above 10 %. A diagnosis took "
         f"{seconds[len(seconds) // 2]:.0f} s (median), {seconds[-1]:.0f} s at most, with {_threads(run.done)} "
         f"(`--jobs`). {_code_sentence(run)}",
@@ -314,6 +322,7 @@ def _page(run: Run, image: str) -> list[str]:
 def _command(run: Run) -> str:
     command = f"./run battery --out DIR --count {run.count} --seed {run.seed}"
     command += f" --nothing {run.nothing}" if run.nothing else ""
+    command += f" --calibrations {run.calibrations}" if run.calibrations else ""
     return command + (f" --duration {run.duration:g}" if run.duration != DURATION else "")
 
 

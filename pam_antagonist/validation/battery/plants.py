@@ -11,19 +11,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import scattered
 from pam_antagonist.validation.battery import physics
 from pam_antagonist.validation.battery.forms import FORMS, Deviation
 
 Floats = NDArray[np.float64]
-KINDS = ("single", "pair", "none", "foreign")
+KINDS = ("single", "pair", "none", "foreign", "calibration")
 JOINTS = ("free", "locked")
 RIG = "shin2022"
 SPREAD = 0.01
@@ -68,6 +70,8 @@ class Case:
             that it moves most, in noises of a sample.
         exact: whether the effects are adjusted until they have these sizes; otherwise they are the forms' amounts,
             and right to a factor of about three.
+        calibration: what the recordings need corrected, of a joint with nothing wrong: a name of
+            :class:`~pam_antagonist.recording.corrections.Corrections` and its value in SI units; None for nothing.
     """
 
     name: str
@@ -77,6 +81,7 @@ class Case:
     seed: int
     sizes: tuple[float, ...]
     exact: bool = False
+    calibration: tuple[str, float] | None = None
 
     def recordings(self, duration: float = DURATION) -> tuple[Recording, Recording]:
         """The joint free, then locked at 0°.
@@ -96,7 +101,7 @@ class Case:
         rng = self._random(joint, "noise")
         pressure = _measured(true.pressure, sensors.pressure_std, sensors.pressure_step, rng)
         stamps = _FIRST_STAMP_NS + np.rint(np.arange(1, len(voltage) + 1) * rig.sample_period * 1e9).astype(np.int64)
-        return Recording(
+        made = Recording(
             path=Path(f"{self.name} {joint}"),
             stamp_ns=stamps,
             pressure=pressure,
@@ -104,6 +109,10 @@ class Case:
             angle=_measured(true.angle, sensors.angle_std, sensors.angle_step, rng),
             torque=_measured(true.torque, sensors.torque_std, sensors.torque_step, rng),
         )
+        if self.calibration is None:
+            return made
+        undone: dict[str, Any] = {self.calibration[0]: -self.calibration[1]}
+        return Corrections(**undone).applied(made)
 
     def write(self, folder: Path, duration: float = DURATION) -> None:
         """Write both as bags ``free`` and ``locked`` in a folder.
@@ -142,8 +151,8 @@ class Case:
 
     def deviations(self) -> list[Deviation]:
         """What its effects change."""
-        if self.exact:
-            return [_of_size(self, index)[0] for index in range(len(self.form))]
+        if self.exact or not self.effects:
+            return [_of_size(self, index)[0] for index in range(len(self.effects))]
         rng = np.random.default_rng([self.seed, 1])
         return [
             FORMS[name].make(size, muscle, rng)
@@ -153,7 +162,9 @@ class Case:
     @property
     def reached(self) -> tuple[float, ...]:
         """Sizes that the effects really have: a form may be too small or too large for the one that is wanted."""
-        return tuple(_of_size(self, index)[1] for index in range(len(self.form))) if self.exact else self.sizes
+        if not (self.exact and self.effects):
+            return self.sizes
+        return tuple(_of_size(self, index)[1] for index in range(len(self.effects)))
 
     def moved(self, duration: float = DURATION) -> dict[str, float]:
         """How far its effects move each channel, root mean square over the sensor's noise, by ``joint channel``."""

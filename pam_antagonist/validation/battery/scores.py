@@ -142,6 +142,8 @@ def scores(outcomes: Sequence[Outcome]) -> list[Score]:
         Score.of("one or two effects, some found: none named that is not there",
                  [not item.superfluous for item in (*by_kind["single"], *by_kind["pair"]) if item.names]),
         Score.of("nothing: false alarm", [not item.right for item in by_kind["none"]], 0.02, at_most=True),
+        Score.of("a calibration and nothing else: named, and no effect",
+                 [item.right for item in by_kind["calibration"]], 0.95),
         Score.of("in no catalogue: unexplained", [item.right for item in foreign], 0.95),
         Score("error that a true model takes away, taken away (median)",
               median(reductions) if reductions else None, len(reductions), None, 0.7),
@@ -208,7 +210,7 @@ def confusion(outcomes: Sequence[Outcome]) -> tuple[tuple[str, ...], tuple[tuple
     """
     counts: dict[str, dict[str, int]] = {}
     for item in outcomes:
-        if item.kind != "pair":
+        if item.kind not in ("pair", "calibration"):
             row = "none" if item.kind == "none" else item.effects[0][0]
             row = f"({item.form[0]})" if item.kind == "foreign" else row
             first = item.names[0] if item.names else item.verdict

@@ -35,6 +35,7 @@ def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=No
             SimpleNamespace(effect=n, round=1, delta_bic=30.0, held_out_evidence=8.0, shares=(0.9, 0.8))
             for n, _ in effects
         ],
+        calibrations=[],
         errors=ModelErrors(*(one or errors(1, 1, (1e4, 1e4)) for one in (None, before, after))),
     )
 
@@ -56,6 +57,10 @@ def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=No
         (outcome("foreign", [("exchange", None)], "unexplained"), True),
         (outcome("foreign", [("exchange", None)], "effect", [LEAK]), False),
         (outcome("foreign", [("exchange", None)], "none"), False),
+        (outcome("calibration", [], "none", form=("torque_zero",), calibrations=("torque_zero",)), True),
+        (outcome("calibration", [], "none", form=("torque_zero",), calibrations=("torque_zero", "delay_angle")), False),
+        (outcome("calibration", [], "none", form=("torque_zero",)), False),
+        (outcome("calibration", [], "effect", [LEAK], form=("torque_zero",), calibrations=("torque_zero",)), False),
     ],
 )
 def test_what_is_right(item: outcomes.Outcome, right: bool) -> None:

@@ -17,7 +17,7 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import load_rig
 from pam_antagonist.validation.battery import physics
-from pam_antagonist.validation.battery.draw import EFFECTS, LARGE, LEVELS, NOTHING_FROM, cases
+from pam_antagonist.validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, NOTHING_FROM, cases
 from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Form
 from pam_antagonist.validation.battery.plants import JOINTS, KINDS, Case, staircase
 from pam_antagonist.validation.battery.remainders import is_other, known
@@ -178,6 +178,22 @@ def test_further_cases_with_nothing_wrong() -> None:
     assert {case.kind for _, case in battery[5:]} == {"none"}
     assert len({case.seed for _, case in battery}) == 105
     assert cases(1, 9, 3)[-1] == cases(1, 5, 3)[-1]
+
+
+def test_further_cases_whose_only_fault_is_a_calibration() -> None:
+    battery = cases(1, 5, 0, 24)
+    assert battery[:5] == cases(1, 5)
+    assert cases(1, 0, 2, 24)[2:] == battery[5:]
+    assert {case.form[0] for _, case in battery[5:]} == set(CALIBRATIONS)
+    zero = next(case for _, case in battery if case.form == ("encoder_zero",))
+    late = next(case for _, case in battery if case.form == ("delay_pressure",))
+    right = dataclasses.replace(zero, calibration=None).recording("free", 3.0)
+    assert zero.recording("free", 3.0).angle == pytest.approx(right.angle + zero.calibration[1])
+    right, read = (case.recording("free", 3.0) for case in (dataclasses.replace(late, calibration=None), late))
+    shift = round(late.calibration[1] / 1e-3)  # stamps too early: the same values come sooner
+    inside = slice(100, -100)
+    assert read.pressure[inside] == pytest.approx(np.roll(right.pressure, -shift, axis=0)[inside])
+    assert np.array_equal(read.voltage, right.voltage)
 
 
 @pytest.mark.parametrize("size", [0.5, 16.0])

@@ -19,6 +19,8 @@ def test_scores() -> None:
         outcome("pair", [LEAK, CREEP], "effect", [CREEP]),
         outcome("none"), outcome("none"), outcome("none"), outcome("none", [], "effect", [LEAK]),
         outcome("foreign", [("exchange", None)], "unexplained"),
+        outcome("calibration", form=("encoder_zero",), calibrations=("encoder_zero",)),
+        outcome("calibration", form=("encoder_zero",)),
     ]  # fmt: skip
     values = {score.what: (score.value, score.count, score.holds) for score in scores.scores(items)}
     assert values["single effect: the right one first"] == (pytest.approx(1.0 / 3.0), 3, False)
@@ -30,6 +32,7 @@ def test_scores() -> None:
     assert values["two effects: one of them first"] == (1.0, 1, None)
     assert values["one or two effects, some found: none named that is not there"] == (pytest.approx(2.0 / 3.0), 3, None)
     assert values["nothing: false alarm"] == (0.25, 4, False)
+    assert values["a calibration and nothing else: named, and no effect"] == (0.5, 2, False)
     assert values["in no catalogue: unexplained"] == (1.0, 1, True)
     assert values["error that a true model takes away, taken away (median)"] == (pytest.approx(0.75), 1, True)
     assert all(score.value is None and score.holds is None for score in scores.scores([]))
@@ -60,7 +63,7 @@ def test_intervals_are_those_of_clopper_and_pearson() -> None:
     assert scores.Share(38, 40).interval == pytest.approx((0.8308, 0.9939), abs=1e-4)
     assert scores.Share(0, 12).interval == pytest.approx((0.0, 0.2646), abs=1e-4)
     assert scores.Share(0, 0).interval is None and scores.Share(0, 0).value is None
-    run = page.Run(1, 2, 0, 60.0, [outcome("single", [LEAK], "effect", [LEAK])], {})
+    run = page.Run(1, 2, 0, 0, 60.0, [outcome("single", [LEAK], "effect", [LEAK])], {})
     (first, *_) = page.figures_table(run).rows
     assert first[:4] == ("single effect: the right one first", "100.0 %", "2.5 to 100.0 %", "1")
 
