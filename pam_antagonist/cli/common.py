@@ -249,8 +249,10 @@ def json_beside(arguments: argparse.Namespace) -> Iterator[None]:
     """
     with json_alone(arguments.json):
         yield
-    if arguments.json is not None:
-        give_json(arguments.json, (arguments.out / "report.json").read_text(encoding="utf-8"))
+    report: Path = arguments.out / "report.json"
+    # A command that failed or was interrupted wrote none.
+    if arguments.json is not None and report.is_file():
+        give_json(arguments.json, report.read_text(encoding="utf-8"))
 
 
 def add_new_json(parser: argparse.ArgumentParser, what: str) -> None:

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,6 +49,7 @@ _REST = 1.0  # at the reference 0 before the first step [s]
 _GAINS = {"fast": FAST_GAINS, "published": PUBLISHED_GAINS}
 _DRAIN = 0.3  # from the last sample to the end of those who wait for it [s]
 _LOOP = 0.05  # [s]
+_PATIENCE = 8.0  # longer starts than this one are told why they are long [s]
 
 
 def parser() -> common.Parser:
@@ -208,8 +209,9 @@ def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], d
     from pam_antagonist.nodes.client import ReferenceClient
 
     with ReferenceClient() as watch:
-        processes.wait(watch.missing)
-        took = f"plant, estimator and controller are running after {_since_start():.1f} s"
+        begin = time.monotonic()
+        processes.wait(_patient(watch.missing))
+        took = f"plant, estimator and controller are running after {time.monotonic() - begin:.1f} s"
         print(f"{took}; recording {duration:g} s", flush=True)
         look = "{percentage:3.0f} %|{bar:20}| {n:.1f}/{total:g} s{postfix}"
         with tqdm(total=duration, bar_format=look, disable=None) as bar:
@@ -228,11 +230,19 @@ def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], d
             bar.refresh()
 
 
-def _since_start() -> float:
-    """Time since this process was started [s]."""
-    with open("/proc/self/stat", encoding="ascii") as stat, open("/proc/uptime", encoding="ascii") as uptime:
-        ticks = float(stat.read().rsplit(")", 1)[1].split()[19])
-        return float(uptime.read().split()[0]) - ticks / os.sysconf("SC_CLK_TCK")
+def _patient(missing: Callable[[], str]) -> Callable[[], str]:
+    """The same question, which says once why the answer takes long."""
+    begin, said = time.monotonic(), False
+
+    def asked() -> str:
+        nonlocal said
+        what = missing()
+        if what and not said and time.monotonic() - begin > _PATIENCE:
+            print("still starting: at the first start the nodes are compiled, once (about a minute)", flush=True)
+            said = True
+        return what
+
+    return asked
 
 
 def _seen(watch: ReferenceClient, mode: Mode, reference: float) -> str:

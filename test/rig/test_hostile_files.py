@@ -61,20 +61,20 @@ CONTENTS = {
 def test_no_rig(tmp_path, refusal, content, word):
     path = tmp_path / "bad.yaml"
     path.write_text(content)
-    began = time.perf_counter()
+    began = time.process_time()
     message = refusal(path)
     assert word in message
-    assert time.perf_counter() - began < 20.0
+    assert time.process_time() - began < 20.0
 
 
 @pytest.mark.parametrize(("levels", "word"), [(10, "stand for more than 100000 values"), (4, "geometry.radius")])
 def test_billion_laughs_as_a_value(edited, refusal, levels, word):
     """The message shows what was found, and must not write it out."""
-    began = time.perf_counter()
+    began = time.process_time()
     message = refusal(edited(("radius: 0.0365", f"radius: {laughs_in_place(levels, 10)}")))
     assert word in message
     assert len(message) < 500
-    assert time.perf_counter() - began < 20.0
+    assert time.process_time() - began < 20.0
 
 
 @pytest.mark.parametrize("number", ["0x" + "f" * 9_000, "0b" + "1" * 990, ":".join(["59"] * 9_000), "1e999", "-.inf"])

@@ -15,7 +15,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.report import terminal
 from pam_antagonist.rig import load_rig
-from pam_antagonist.strict_json import write_json
+from pam_antagonist.strict_json import dumps, write_json
 from pam_antagonist.validation.battery import outcomes, page, remainders
 from pam_antagonist.validation.battery.draw import cases
 from pam_antagonist.validation.battery.plants import DURATION, RIG, Case
@@ -66,6 +66,7 @@ def parser() -> common.Parser:
     out.add_argument(
         "--remainders", action="store_true", help="work out how much of each form the catalogue's law cannot imitate"
     )
+    common.add_new_json(out, "summary.json")
     out.add_argument("--bags", type=Path, metavar="DIR", help="write the recordings as bags and diagnose nothing")
     return out
 
@@ -88,6 +89,8 @@ def _main(argv: Sequence[str] | None) -> int:
         raise BadInput(f"--duration {arguments.duration:g}: expected 10 to 3600 s")
     if arguments.jobs < 1:
         raise BadInput(f"--jobs {arguments.jobs}: expected 1 or more")
+    if arguments.json is not None and (arguments.remainders or arguments.bags is not None):
+        raise BadInput("--json: expected without --remainders and --bags, which make no summary.json")
     if arguments.remainders:
         return _remainders(_folder(arguments.out))
     every = cases(arguments.seed, arguments.count, arguments.nothing, arguments.calibrations)
@@ -97,7 +100,7 @@ def _main(argv: Sequence[str] | None) -> int:
         return _bags(mine, arguments)
     folder = _folder(arguments.out)
     waiting = [(k, case) for k, case in mine if outcomes.load(folder, k, case, arguments.duration) is None]
-    with counted(len(waiting), "battery") as advance:
+    with common.json_alone(arguments.json), counted(len(waiting), "battery") as advance:
         for number, case in waiting:
             outcome = outcomes.judge(case, _diagnosis(case, arguments.jobs), arguments.duration, arguments.jobs)
             outcomes.save(folder, number, outcome)
@@ -160,13 +163,19 @@ def _diagnosis(case: Case, jobs: int) -> outcomes.Diagnose:
 
 def _report(run: page.Run, arguments: argparse.Namespace) -> None:
     if not run.done:
+        if arguments.json is not None:
+            raise BadInput(f"{arguments.out}: no case is finished yet, so there is no summary for --json")
         print(f"{arguments.out}: no case is finished yet")
         return
-    print(f"{len(run.done)} of {run.asked} cases are finished\n")
-    for table in page.tables(run):
-        if table.rows:
-            print(terminal.table(table, indent="") + "\n")
-    write_json(arguments.out / "summary.json", page.as_json(run))
+    with common.json_alone(arguments.json):
+        print(f"{len(run.done)} of {run.asked} cases are finished\n")
+        for table in page.tables(run):
+            if table.rows:
+                print(terminal.table(table, indent="") + "\n")
+    summary = page.as_json(run)
+    write_json(arguments.out / "summary.json", summary)
+    if arguments.json is not None:
+        common.give_json(arguments.json, dumps(summary) + "\n")
     if arguments.docs is not None:
         try:
             page.write_page(run, arguments.docs)

@@ -64,6 +64,7 @@ def parser() -> common.Parser:
     map_help = (
         "force map of a real muscle, CSV (default: ../shared/data/measured/force_maps/dmsp_20_300.csv, if it is there)"
     )
+    common.add_json(out)
     add("--force-map", type=Path, metavar="FILE", help=map_help)
     common.add_open(out)
     return out
@@ -76,6 +77,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
+    with common.json_beside(arguments):
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
     options = _options(arguments)
     scenario = load_scenario()
     common.check_output(arguments.out)

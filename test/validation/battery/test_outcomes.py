@@ -210,6 +210,16 @@ def test_goes_on_where_it_was_interrupted(tmp_path: Path, oracle, capsys) -> Non
             assert f"| {item.effects[0][0]} |" in page
 
 
+def test_the_summary_as_json_on_standard_output(tmp_path: Path, oracle, capsys) -> None:
+    out = tmp_path / "result"
+    assert run("--out", out, "--count", 2, "--duration", 10, "--jobs", 1, "--json", "-") == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out) == json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert "2 of 2 cases are finished" in printed.err
+    assert run("--out", out, "--remainders", "--json", "-") == 2
+    assert "--json: expected without --remainders" in capsys.readouterr().err
+
+
 def test_cases_with_nothing_wrong_by_number(tmp_path: Path, oracle, capsys) -> None:
     out = tmp_path / "result"
     assert run("--out", out, "--count", 0, "--nothing", 3, "--duration", 10) == 0

@@ -66,6 +66,14 @@ def test_a_measured_force_map_is_fitted_by_leaving_lengths_out(tmp_path: Path) -
     assert max(ratios) < 0.02
 
 
+def test_the_report_as_json_on_standard_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--out", str(tmp_path / "out"), "--seeds", "1", "--jobs", "1", "--only", "static", "--no-figures"]
+    assert main([*arguments, "--json", "-"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out) == json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
+    assert "after " in printed.err
+
+
 def test_every_form_says_that_the_rig_is_virtual(report: Path) -> None:
     for path in (report / "out/report.html", report / "out/report.json", report / "paper.md"):
         assert "the simulator of this package with declared mismatches" in path.read_text(encoding="utf-8"), path
