@@ -72,7 +72,8 @@ def valve_flow(valve, alpha, pressure, supply, p):
     """Equation (5) from a supply of any pressure, and what of it is drawn from the supply.
 
     A_0 is the inflow area where the sum is positive and the outflow area where it is not. A_0 is a
-    factor of both terms, so the sign is known before the area is.
+    factor of both terms, so the sign is known before the area is. What is drawn passes the inflow orifice, so that its
+    area is A_1 whichever A_0 is.
 
     Args:
         valve: 0 or 1.
@@ -86,8 +87,9 @@ def valve_flow(valve, alpha, pressure, supply, p):
     """
     drawn = alpha * orifice_flow(supply, pressure, p)
     flow = drawn - (1.0 - alpha) * orifice_flow(pressure, p[ATMOSPHERE], p)
-    area = p[VALVE + valve * VALVE_SIZE + (INFLOW_AREA if flow > 0.0 else OUTFLOW_AREA)]
-    return area * flow, area * drawn
+    first = VALVE + valve * VALVE_SIZE
+    area = p[first + (INFLOW_AREA if flow > 0.0 else OUTFLOW_AREA)]
+    return area * flow, p[first + INFLOW_AREA] * drawn
 
 
 @inlined

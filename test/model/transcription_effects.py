@@ -48,7 +48,7 @@ def exchange(t, alpha, at_valve, supply):
     inflow = alpha * paper.nozzle_either_way(t, supply, at_valve)
     per_area = inflow - (1 - alpha) * paper.nozzle_either_way(t, at_valve, t["P_out"])
     area = t["A_11"] if per_area > 0 else t["A_12"]
-    return area * per_area, area * inflow
+    return area * per_area, t["A_11"] * inflow
 
 
 def relaxes(t, e, i, psi, chamber):

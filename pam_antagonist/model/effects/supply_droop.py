@@ -3,8 +3,11 @@ r"""A supply whose pressure falls while air is drawn.
 ```math
 P_{tank} \to P_{tank} + s,\qquad
 \dot s = -c\,(m_{in,1} + m_{in,2}) - s/T,\qquad
-m_{in,i} = A_0\,\alpha_i\, q(P_{tank}+s, P_i).
+m_{in,i} = A_{1i}\,\alpha_i\, q(P_{tank}+s, P_i).
 ```
+
+Air is drawn through the inflow orifice. Its area is $A_{1i}$ also where $A_0$ of (5) is the outflow area: in the steady
+state the net flow is zero, and its sign is chance.
 
 A valve of this kind draws $m_{in}$ in the steady state as well, since as much flows out. So the supply does not recover
 completely: it stays low by $cT$ times this flow.
