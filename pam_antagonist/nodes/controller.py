@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.control import PUBLISHED_GAINS, Mode
-from pam_antagonist.nodes.parameters import RIG, SAFETY, Parameter
+from pam_antagonist.nodes.parameters import JOINT_NAME, RIG, SAFETY, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ _ANGLE, _TORQUE = PUBLISHED_GAINS[Mode.ANGLE], PUBLISHED_GAINS[Mode.TORQUE]
 
 PARAMETERS = (
     RIG,
+    JOINT_NAME,
     *SAFETY,
     Parameter("bias", _ANGLE.bias, "voltage of both valves at rest [V]", 0.0, 10.0, read_only=False),
     Parameter("angle_proportional", _ANGLE.proportional, "T_P for the angle [V/rad]", 0.0, 1e3, read_only=False),
@@ -52,10 +53,10 @@ PARAMETERS = (
 )
 
 
-def _create(_options: None) -> ControllerNode:
+def _create(_options: None, **node_options: Any) -> ControllerNode:
     from pam_antagonist.nodes.controller_node import ControllerNode
 
-    return ControllerNode()
+    return ControllerNode(**node_options)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -35,8 +35,8 @@ def _gains(values: Mapping[str, Any], mode: Mode) -> Gains:
 class ControllerNode(PamNode):
     """One command for each estimate; safe voltages whenever there is nothing to go by."""
 
-    def __init__(self) -> None:
-        super().__init__("controller", PARAMETERS)
+    def __init__(self, **options: Any) -> None:
+        super().__init__("controller", PARAMETERS, **options)
 
     def configure(self) -> None:
         """A controller at rest."""
@@ -86,7 +86,7 @@ class ControllerNode(PamNode):
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/clear_stop", self._on_clear)
         self._rigs = RigWatch(self, announce(self, rig), self._stop)
-        self.start_diagnostics(rig.name)
+        self.start_diagnostics(values["joint_name"])
 
     def cleanup(self) -> None:
         """Nothing may be retuned any more."""

@@ -18,12 +18,10 @@ from pam_antagonist.nodes.health import Health, Level
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, declare
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 
-JOINT_NAME = "joint"
-
 _ANSWER = 0.5  # from a shutdown to the end of the process [s]
 
 SHARED_PARAMETERS = (
-    *("rig", "joint", "lock_angle", "frame_id", "tuning", "max_age"),
+    *("rig", "joint", "joint_name", "lock_angle", "frame_id", "tuning", "max_age"),
     *("safe_voltage", "safe_action", "vent_voltage", "vent_rate", "command_timeout", "max_command_age"),
     *("max_slew", "max_pressure"),
 )
@@ -72,8 +70,9 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     ``LifecyclePublisher`` would look at its state once more for each of 4000 messages a second.
 
     Args:
-        name: of the node.
+        name: of the node, unless it is remapped.
         table: its parameters.
+        options: of ``rclpy.node.Node``, such as ``namespace``, ``context``, ``cli_args`` or ``parameter_overrides``.
 
     Attributes:
         values: the parameters.
@@ -88,13 +87,13 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     finished = False
     active = False
 
-    def __init__(self, name: str, table: Sequence[Parameter]) -> None:
+    def __init__(self, name: str, table: Sequence[Parameter], **options: Any) -> None:
         self._collected: dict[str, Subscription] = getattr(self, "_collected", {})
         self._owned: list[_Owned] = []
         self._reaching: str | None = None  # which transition is under way
         self._transition_error: BaseException | None = None
         self.about_rig: dict[str, str] = {}
-        super().__init__(name, namespace=DEFAULT_NAMESPACE)
+        super().__init__(name, **{"namespace": DEFAULT_NAMESPACE, **options})
         self.values: dict[str, Any] = declare(self, (*table, AUTOSTART, DIAGNOSTICS_PERIOD), SHARED_PARAMETERS)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ros_clock = self.get_clock()
@@ -208,6 +207,8 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         self.active = True
         outcome = self._reach("active", self.activate, super().on_activate, state)
         self.active = outcome is TransitionCallbackReturn.SUCCESS
+        if self.active:
+            self.get_logger().info("active")
         return outcome
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
