@@ -26,6 +26,7 @@ NAVIGATION = {
         "how-to/close_loop",
         "how-to/hardware",
         "how-to/driver",
+        "how-to/references",
         "how-to/several_joints",
         "how-to/safety",
         "how-to/recording",
