@@ -159,6 +159,21 @@ class Steady:
         return max(self._end - now, 0.0)
 
 
+_ROUGH = (1, 2, 3, 5, 10, 15, 20, 30, 45, 60, 90)
+"""Times left that are shown, up to a minute and a half [s]."""
+
+
+def roughly(seconds: float) -> str:
+    """A time that is left, as roughly as it is known: a small change of it is not shown.
+
+    Args:
+        seconds: the time [s].
+    """
+    if seconds > 105.0:
+        return in_words(max(seconds, 120.0))
+    return in_words(min(_ROUGH, key=lambda step: abs(math.log(step / max(seconds, 0.1)))))
+
+
 def in_words(seconds: float) -> str:
     """A time for people: 8 s, 40 s, 3 min, 1.5 h."""
     if seconds < 10.0:
@@ -198,7 +213,7 @@ class _Shown:
             elapsed = self.elapsed()
             done = self._state.fraction(elapsed)
             left = self._steady.left(elapsed, self._state.left(elapsed))
-            rest = "" if math.isnan(left) else f"about {in_words(left)} left"
+            rest = "" if math.isnan(left) else f"about {roughly(left)} left"
             if not (done or self._state.text):  # compiling, most likely: there is nothing to say yet
                 self._line = elapsed + _LINES
             if terminal and elapsed >= _DELAY:

@@ -90,11 +90,11 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(report.sentence, "verdict"),
-        *in_first_lines(report.assumption),
     ]
     before_and_after = drawn.residuals(found) if with_figures else ()
     parts += [
         *before_and_after[:1],
+        *in_first_lines(report.assumption),
         Tiles(_tiles(report)),
         Findings((*calibration_findings(report), *findings(report))),
         errors_table(report),

@@ -65,8 +65,8 @@ def document(
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(verdict(report), "verdict"),
-        *in_first_lines(report.assumption),
         *(drawn.held_out_figures(judged[0], found, 0)[:1] if with_figures else ()),
+        *in_first_lines(report.assumption),
         Tiles(_tiles(report)),
         Findings(findings(report)),
         _held_out(report, found, judged, with_figures),

@@ -227,7 +227,6 @@ def document(numbers: SealedReport, judged: Sequence[Judged], with_figures: bool
         )
         parts.append(Text(text, "verdict"))
         tiles.append(Tile("Angle error (RMS)", f"{ukf.angle.rmse:.3f}°", "from pressures alone, held-out part"))
-    parts += in_first_lines(numbers.assumption)
     if ukf.external_torque is not None and math.isfinite(ukf.external_torque.rmse):
         note = "estimated by the filter; where the joint sticks, friction hides it"
         tiles.append(Tile("External torque (RMS)", f"{ukf.external_torque.rmse:.2f} N m", note))
@@ -239,6 +238,7 @@ def document(numbers: SealedReport, judged: Sequence[Judged], with_figures: bool
         held += [held_out_table(entry), *figures]
     steps = tuple((step.name, f"{number(step.residual)} {step.unit}", step.note) for step in numbers.stages)
     parts += [
+        *in_first_lines(numbers.assumption),
         Tiles(tuple(tiles)),
         Section("On held-out data", tuple(held), 2, "held-out"),
         Section("Parameters", (_values_table(numbers),), 2, "parameters"),

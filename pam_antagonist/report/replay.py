@@ -129,7 +129,7 @@ def document(
     parts: list[Block] = [Text(lede, "lede"), Text(overall_verdict(reports), "verdict")]
     rests_on = in_first_lines(assumption(replays[0].rig, replays[0].tuning))
     if len(replays) == 1:
-        parts += [*rests_on, *first, *_recording(replays[0], _figures(replays[0], with_figures), with_figures)]
+        parts += [*first, *_recording(replays[0], _figures(replays[0], with_figures), with_figures, rests_on)]
     else:
         # A figure comes first, before the table of all recordings pushes it below the first screen.
         shown = [_figures(replay, with_figures) for replay in replays]
@@ -172,11 +172,14 @@ def _figures(replay: Replay, with_figures: bool) -> Sequence[Figure]:
     return replay_figures(replay) if with_figures else ()
 
 
-def _recording(replay: Replay, figures: Sequence[Figure], with_figures: bool) -> list[Block]:
+def _recording(
+    replay: Replay, figures: Sequence[Figure], with_figures: bool, rests_on: Sequence[Block] = ()
+) -> list[Block]:
     report = replay.report
     inside = filter_figures(replay) if with_figures else ()
     return [
         *figures[:1],
+        *rests_on,
         Tiles(tiles(report)),
         Columns(Findings(findings(report)), errors_table(report, "Errors. The smaller one is bold.")),
         *figures[1:],

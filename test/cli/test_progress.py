@@ -7,10 +7,11 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pam_antagonist.cli import progress
-from pam_antagonist.cli.progress import CLOSE_LOOP, IDENTIFY, Counted, Plan, Planned, Steady, in_words
+from pam_antagonist.cli.progress import CLOSE_LOOP, IDENTIFY, Counted, Plan, Planned, Steady, in_words, roughly
 
 PLAN = Plan(1.0, 4.0, {"first": 1.0, "second": 2.0, "third": 1.0})
 
@@ -118,3 +119,11 @@ def test_how_long_it_takes_is_said_first_from_the_recordings_length(capsys: pyte
 
 def test_times_for_people() -> None:
     assert [in_words(value) for value in (0.2, 7.6, 38.0, 200.0, 9000.0)] == ["1 s", "8 s", "40 s", "3 min", "2.5 h"]
+
+
+def test_a_time_that_is_left_is_told_roughly() -> None:
+    """A step to the next one is about a third: what is known no better changes seldom."""
+    told = [roughly(left) for left in np.arange(0.5, 105.0, 0.5)]
+    assert told[0] == "1 s" and told[-1] == "2 min" and len(set(told)) == 11
+    assert [roughly(left) for left in (38.0, 41.0, 44.0)] == ["45 s"] * 3
+    assert [roughly(left) for left in (107.0, 130.0, 200.0, 9000.0)] == ["2 min", "2 min", "3 min", "2.5 h"]
