@@ -297,7 +297,7 @@ def held_residual(experiment: Experiment, fitted: Fitted) -> Floats:
     return np.concatenate([linear.on(split.fitted).residual[split.held] for split in experiment.splits])
 
 
-def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS) -> Fitted:
+def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS, finer: bool = True) -> Fitted:
     """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
 
     Its derivatives by the base coordinates may be those of a point nearby: :func:`relinearised` renews them.
@@ -306,14 +306,15 @@ def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS)
         experiment: the recording; its seed draws the starts.
         fitted: the model at the pace of one that lacks something.
         starts: how many others are drawn.
+        finer: whether a fit that ends at the noise of every channel may count every block.
 
     Returns:
         The best fit; where it ends at the noise of every channel, the finer one that counts every block.
     """
     best = min((fitted, *_from_elsewhere(experiment, fitted, starts)), key=lambda found: found.cost)
-    if np.max(experiment.times_noise(best.residual)) <= _NEAR:
-        finer = refit(experiment, best.point, best.free, best.base, renewals=2, blocks_per_error=1.0, careful=0)
-        best = finer if np.max(experiment.times_noise(finer.residual)) < AT_NOISE else best
+    if finer and np.max(experiment.times_noise(best.residual)) <= _NEAR:
+        every = refit(experiment, best.point, best.free, best.base, renewals=2, blocks_per_error=1.0, careful=0)
+        best = every if np.max(experiment.times_noise(every.residual)) < AT_NOISE else best
     return best
 
 

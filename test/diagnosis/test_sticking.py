@@ -34,6 +34,9 @@ def test_friction_that_falls_with_speed_is_found(asked) -> None:
     group, selection = found
     assert isinstance(group.experiments[0], MeasuredMotion)
     assert selection.model.effects == ("friction",)
+    # Fitted at the noise, and still with priors that weigh as much as without it.
+    paces = [model.fits[0].scale.blocks_per_error for model in (selection.recalibrated, selection.model)]
+    assert paces[0] == paces[1]
     values = selection.model.fits[0].point.effects
     # 0.09 N m times 1.2 at rest.
     at_rest = values.get("effects.friction.coulomb", 0.0) + values.get("effects.friction.stribeck", 0.0)
