@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 
 _START_S = 0.02
 """[s] At the beginning of a recording: a straight line through it tells the first sample's true values."""
+_LATEST_ANGLE_S = 0.5
+"""[s] An angle that begins so late tells the start as well: a node of its own, or its stamps, may be late."""
 _START_ANGLE = 1.7e-3
 """[rad] How well a measured start angle is known, stiction and encoder step together."""
 STARTS = 3
@@ -241,7 +243,9 @@ def start_of(trial: Trial) -> Start:
     """
     first = trial.measured[: trial.samples(_START_S)]
     pressure, share = np.transpose([_at_first(first[:, k]) for k in (PRESSURE_1, PRESSURE_1 + 1)])
-    angle = trial.lock_angle if trial.joint == "locked" else _at_first(first[:, ANGLE])[0]
+    early = trial.measured[: trial.samples(_LATEST_ANGLE_S), ANGLE]
+    begin = int(np.argmax(np.isfinite(early)))
+    angle = trial.lock_angle if trial.joint == "locked" else _at_first(early[begin : begin + len(first)])[0]
     return Start(angle if np.isfinite(angle) else None, pressure, share)
 
 

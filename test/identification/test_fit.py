@@ -157,6 +157,15 @@ def test_a_torque_from_outside_reaches_the_model() -> None:
     assert np.abs(angles[1] - angles[0]).max() > np.radians(1.0)
 
 
+def test_an_angle_that_begins_late_tells_the_start_all_the_same() -> None:
+    whole = record("free", 1)
+    late = np.where(np.arange(len(whole)) < 25, np.nan, whole.angle)  # type: ignore[call-overload]
+    starts = [start_of(make_trial(one, RIG, "free", 0.0, "bag")) for one in (whole, _changed(whole, angle=late))]
+    assert starts[1].angle == pytest.approx(starts[0].angle, abs=3e-4)
+    never = _changed(whole, angle=np.full(len(whole), np.nan))
+    assert start_of(make_trial(never, RIG, "free", 0.0, "bag")).angle is None
+
+
 def test_the_force_map_comes_from_measured_pressures_alone() -> None:
     free = [item for item in free_parameters(RIG) if item.name == "muscle_2.force.w2"]
     values, balance = fit_force_map(trials(1), RIG.parameters(), free, RIG.sensors.torque_std)  # type: ignore[misc]
