@@ -180,7 +180,6 @@ class ControllerNode(PamNode):
         self._heard_ns = now
         self._silent = False
         self._latency.add(now - stamp)
-        self.input.poll()
         if not self._enabled:
             return
         reason = self._supervision.check(stamp, angle, nis, flags)
@@ -205,7 +204,6 @@ class ControllerNode(PamNode):
         decrease, also when the missing estimates come after all, and none of these commands passes for a sample's.
         """
         self._look()
-        self.input.poll()
         if self._heard_ns is None or not self._enabled:
             return
         now = self.now_ns()
