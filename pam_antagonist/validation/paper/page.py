@@ -82,12 +82,16 @@ def page(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], to
         took: time by part [s].
     """
     parts: list[Block] = [Text(f"After {SOURCE}.", "lede"), Text(CAUTION, "verdict")]
+    # A figure comes first, before the tables push it below the first screen.
+    first = next((result for result in results if result.figures), None)
+    if first is not None:
+        parts.append(first.figures[0])
     shown = overview(results)
     if shown.rows:
         parts.append(Section("Beside the paper", (replace(shown, prose=True),), 2, "overview"))
     parts.append(Section("The virtual rigs", (replace(mismatches(scenario, seeds), prose=True),), 2, "rigs"))
     for result in results:
-        parts.append(Section(result.title, _section(result), 2, result.name))
+        parts.append(Section(result.title, _section(result, result is first), 2, result.name))
     parts.append(Section("How long it took", (_times(took),), folded=True))
     return Document(
         "The paper's experiments on a virtual rig",
@@ -96,13 +100,15 @@ def page(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], to
     )
 
 
-def _section(result: Result) -> tuple[Block, ...]:
-    out: list[Block] = [Text(result.question)]
+def _section(result: Result, begun: bool) -> tuple[Block, ...]:
+    """What one experiment gave; where it is begun, its first figure is at the top of the page."""
+    above = " Its first figure is at the top of the page." if begun else ""
+    out: list[Block] = [Text(result.question + above)]
     if result.beside:
         out.append(beside(result.beside))
     if result.findings:
         out.append(Findings(tuple(HtmlFinding("note", text) for text in result.findings)))
-    return (*out, *result.tables, *result.figures)
+    return (*out, *result.tables, *result.figures[1 if begun else 0 :])
 
 
 def _times(took: Mapping[str, float]) -> Table:

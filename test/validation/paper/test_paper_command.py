@@ -66,6 +66,12 @@ def test_a_measured_force_map_is_fitted_by_leaving_lengths_out(tmp_path: Path) -
     assert max(ratios) < 0.02
 
 
+def test_the_page_begins_with_a_figure(report: Path) -> None:
+    text = (report / "out/report.html").read_text(encoding="utf-8")
+    assert text.index("<figcaption>Static characteristics of muscle 1") < text.index("<h2>")
+    assert text.count("Static characteristics of muscle 1") == 2  # the caption, and what is read aloud
+
+
 def test_the_report_as_json_on_standard_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--out", str(tmp_path / "out"), "--seeds", "1", "--jobs", "1", "--only", "static", "--no-figures"]
     assert main([*arguments, "--json", "-"]) == 0
