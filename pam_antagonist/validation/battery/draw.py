@@ -11,7 +11,7 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Form
-from pam_antagonist.validation.battery.plants import KINDS, Case
+from pam_antagonist.validation.battery.plants import Case
 from pam_antagonist.validation.battery.remainders import is_other
 
 LEVELS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -62,7 +62,7 @@ def cases(seed: int, count: int, nothing: int = 0, calibrations: int = 0) -> lis
             f"expected a seed of 0 or more and one case or more, up to {NOTHING_FROM}"
         )
     draw = _Draw(np.random.default_rng(seed))
-    done = dict.fromkeys(KINDS, 0)
+    done = {kind: 0 for kind, _ in _KIND_SHARES}
     out = []
     for number in range(count):
         # The kind that is furthest behind its share.
