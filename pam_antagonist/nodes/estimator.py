@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from pam_antagonist.nodes.parameters import FRAME, JOINT, JOINT_NAME, LOCK_ANGLE, RIG, Parameter
+from pam_antagonist.nodes.parameters import FRAME, JOINT, LOCK_ANGLE, RIG, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ PARAMETERS = (
     RIG,
     JOINT,
     LOCK_ANGLE,
-    JOINT_NAME,
     FRAME,
     Parameter(
         "tuning",
@@ -38,10 +37,10 @@ PARAMETERS = (
 )
 
 
-def _create(_options: None, **node_options: Any) -> EstimatorNode:
+def _create(_options: None) -> EstimatorNode:
     from pam_antagonist.nodes.estimator_node import EstimatorNode
 
-    return EstimatorNode(**node_options)
+    return EstimatorNode()
 
 
 def main(argv: list[str] | None = None) -> int:

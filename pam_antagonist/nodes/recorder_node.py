@@ -42,13 +42,12 @@ class RecorderNode(PamNode):
 
     Args:
         options: where to write, and for how long.
-        node_options: as :class:`PamNode`.
 
     Raises:
         BadInput: the folder exists or cannot be made.
     """
 
-    def __init__(self, options: Options, **node_options: Any) -> None:
+    def __init__(self, options: Options) -> None:
         self._options = options
         self._path = options.out
         self._topics: dict[str, Subscription] = {}
@@ -62,7 +61,7 @@ class RecorderNode(PamNode):
         self._until = math.inf
         # On a terminal only; elsewhere /diagnostics tells.
         self._line = tqdm(bar_format="{desc}", leave=False, disable=None)
-        super().__init__("recorder", PARAMETERS, **node_options)
+        super().__init__("recorder", PARAMETERS)
 
     def configure(self) -> None:
         """Make the bag."""
