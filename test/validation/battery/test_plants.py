@@ -132,7 +132,7 @@ def test_voltages_are_steps_and_ramps_within_the_valves_range() -> None:
 def test_a_battery_holds_all_kinds_and_all_forms() -> None:
     battery = [case for _, case in cases(1, 80)]
     counts = {kind: sum(case.kind == kind for case in battery) for kind in KINDS}
-    assert counts == {"single": 40, "pair": 16, "none": 12, "foreign": 12}
+    assert counts == {"single": 40, "pair": 16, "none": 12, "foreign": 12, "calibration": 0}
     assert {case.effects[0][0] for case in battery if case.kind == "single"} == set(EFFECTS)
     assert len({case.seed for case in battery}) == 80
     largest = {form.name: form.largest for form in (*SINGLE, *FOREIGN)}
