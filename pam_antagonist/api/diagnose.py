@@ -145,14 +145,14 @@ class DiagnoseResult(Diagnosis):
         remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
         names = ", ".join(own for own, _ in self.own)
         source = f"extended by close_loop from {names}; started from: {self.start.source}"
-        for file in self.rig_files:
-            if file == "rig_extended.yaml":
-                common = _calibrated(
-                    self.rig_extended, self.typed, {item.name: item.value for item in self.calibrations}
-                )
-                write_rig(_named(common, name, source), folder / file, remarks)
+        if "rig_extended.yaml" in self.rig_files:
+            found = {item.name: item.value for item in self.calibrations}
+            common = _calibrated(self.rig_extended, self.typed, found)
+            write_rig(_named(common, name, source), folder / "rig_extended.yaml", remarks)
+        for number, (own, rig) in enumerate(self.own, 1):
+            file = f"rig_extended_{number}.yaml"
+            if file not in self.rig_files:
                 continue
-            own, rig = self.own[int(file.removeprefix("rig_extended_").removesuffix(".yaml")) - 1]
             remark = f"The values of {own} alone."
             if not self.no_common_rig:
                 remark += " Those that suit all recordings are in rig_extended.yaml."

@@ -90,6 +90,16 @@ class Motion:
     direction: Floats
 
 
+def filled_in(measured: Floats) -> Floats:
+    """A measured angle (N,) [rad] with a straight line across what is missing.
+
+    Args:
+        measured: the angle (N,) [rad], NaN where missing.
+    """
+    known = np.isfinite(measured)
+    return np.interp(np.arange(len(measured)), np.flatnonzero(known), measured[known])
+
+
 def motion_of(measured: Floats, dt: float) -> Motion:
     """The motion behind a measured angle.
 
@@ -100,7 +110,7 @@ def motion_of(measured: Floats, dt: float) -> Motion:
         dt: sample period [s].
     """
     known = np.isfinite(measured)
-    angle = np.interp(np.arange(len(measured)), np.flatnonzero(known), measured[known])
+    angle = filled_in(measured)
     # The sixth difference of white noise has 924 times its variance, that of a smooth motion is next to nothing.
     noise = float(np.sqrt(np.mean(np.diff(measured[known], 6) ** 2) / 924.0))
     fuzzy = noise * np.sqrt(0.5) / dt

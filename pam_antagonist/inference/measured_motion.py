@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from pam_antagonist._jit import kernel
+from pam_antagonist.inference.angle_driven import Motion, filled_in
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven, initial_state
@@ -86,31 +87,23 @@ def _along(x0, voltage, angle, velocity, acceleration, direction, p, dt, substep
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """A measured motion.
+class ShownMotion(Motion):
+    """The motion that an encoder shows; its direction is −1 or 1, and 0 where it is within the noise.
 
     Attributes:
-        angle: (N,) [rad].
-        velocity: (N,) [rad/s].
-        acceleration: (N,) [rad/s²].
-        direction: of the motion (N,), −1 or 1; 0 where it is within the noise.
         clear: where a parabola follows it (N,).
         noise: standard deviations (3,) of angle [rad], velocity [rad/s] and acceleration [rad/s²].
     """
 
-    angle: Floats
-    velocity: Floats
-    acceleration: Floats
-    direction: Floats
     clear: NDArray[np.bool_]
     noise: Floats
 
 
-def motion_of(trial: Trial) -> Motion:
+def motion_of(trial: Trial) -> ShownMotion:
     """The motion that the encoder of a recording shows."""
     series = trial.measured[:, ANGLE]
     known = np.isfinite(series)
-    filled = np.interp(np.arange(len(series)), np.flatnonzero(known), series[known])
+    filled = filled_in(series)
     half = max(trial.samples(_HALF_S), 2)
     time = np.arange(-half, half + 1) * trial.dt
     basis = np.column_stack([np.ones_like(time), time, 0.5 * time**2])
@@ -127,7 +120,7 @@ def motion_of(trial: Trial) -> Motion:
     direction = _lasting(np.where(np.abs(velocity) > _CLEAR * std[1], np.sign(velocity), 0.0), half)
     # Within a jump a parabola is further off than the encoder's noise.
     angle = np.where(unclear, filled, told[:, 0] + filled.mean())
-    return Motion(angle, velocity, told[:, 2], direction, ~unclear, std)
+    return ShownMotion(angle, velocity, told[:, 2], direction, ~unclear, std)
 
 
 def _lasting(direction: Floats, least: int) -> Floats:
@@ -141,7 +134,7 @@ class MeasuredMotion(ValveDriven):
     """A recording of a free joint, the measured angle an input; the balance of torques has the angle's column."""
 
     @cached_property
-    def motion(self) -> Motion:
+    def motion(self) -> ShownMotion:
         """The measured motion."""
         return motion_of(self.trial)
 
