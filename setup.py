@@ -43,8 +43,9 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *tree("config", (".json", ".xml", ".yaml")),
+        *tree("config", (".json", ".xacro", ".xml", ".yaml")),
         *tree("launch", (".py",)),
+        *tree("urdf", (".xacro",)),
     ],
     install_requires=[
         'backports.zstd>=1; python_version < "3.14"',

@@ -26,6 +26,8 @@ NAVIGATION = {
         "how-to/close_loop",
         "how-to/hardware",
         "how-to/driver",
+        "how-to/references",
+        "how-to/ros2_control",
         "how-to/several_joints",
         "how-to/safety",
         "how-to/recording",

@@ -4,8 +4,11 @@ ros2 launch pam_antagonist pipeline.launch.py
 ros2 launch pam_antagonist pipeline.launch.py namespace:=left/elbow parameters:=/path/to/parameters.yaml \
     source:=bridge
 ros2 launch pam_antagonist pipeline.launch.py source:=bridge enclave:=/pam
+ros2 launch pam_antagonist pipeline.launch.py rig:=my_rig.yaml joint_name:=elbow log_level:=debug
 """
 
+import difflib
+import sys
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -13,10 +16,17 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 from pam_antagonist.paths import config_dir
 
 PACKAGE = "pam_antagonist"
+
+PARAMETERS = ("rig", "joint_name", "use_sim_time", "autostart")
+"""Parameters of every node that are arguments as well; an argument wins over the parameter file."""
+
+RESPAWN_DELAY = 2.0  # [s]
+STOP_TIME = "15"  # [s] for a node to end after Ctrl-C, on a machine that is busy compiling, before launch insists
 
 
 def require_parameters(context: LaunchContext) -> None:
@@ -30,15 +40,55 @@ def require_parameters(context: LaunchContext) -> None:
         raise FileNotFoundError(f"parameters:={path}: no such file; expected a YAML file with parameters of the nodes")
 
 
+def refuse_unknown(context: LaunchContext) -> None:
+    """Refuse arguments on the command line that this file does not have; launch would silently ignore them.
+
+    Where another launch file includes this one, its arguments are that file's matter.
+
+    Raises:
+        ValueError: an unknown argument.
+    """
+    if Path(__file__).name not in {Path(word).name for word in sys.argv[1:]}:
+        return
+    known = [argument.name for argument in arguments()]
+    for word in context.argv:
+        name, given, _ = word.partition(":=")
+        if given and name not in known:
+            close = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {close[0]}?" if close else f"expected one of {', '.join(known)}"
+            raise ValueError(f"{word}: unknown argument; {hint}")
+
+
+def given_parameters(context: LaunchContext) -> dict[str, object]:
+    """The parameters that were given as arguments.
+
+    Raises:
+        ValueError: neither true nor false where one of them is needed.
+    """
+    given: dict[str, object] = {}
+    for name in PARAMETERS:
+        text = LaunchConfiguration(name).perform(context)
+        if text and name in ("use_sim_time", "autostart"):
+            if text.lower() not in ("true", "false"):
+                raise ValueError(f"{name}:={text}: expected true or false")
+            given[name] = text.lower() == "true"
+        elif text:
+            # As text, even where it reads like a number or as true.
+            given[name] = ParameterValue(text, value_type=str)
+    return given
+
+
 def nodes(context: LaunchContext) -> list[Node]:
     """The nodes, each with its own enclave where there are enclaves.
 
     Raises:
-        ValueError: the enclaves' folder is no absolute name.
+        ValueError: the enclaves' folder is no absolute name, or an argument is not what it has to be.
     """
     enclaves = LaunchConfiguration("enclave").perform(context)
     if enclaves and not enclaves.startswith("/"):
         raise ValueError(f"enclave:={enclaves}: expected a name that begins with a slash, such as /pam")
+    given = given_parameters(context)
+    level = LaunchConfiguration("log_level").perform(context)
 
     def node(name: str, **options: object) -> Node:
         common: dict[str, object] = {
@@ -46,11 +96,17 @@ def nodes(context: LaunchContext) -> list[Node]:
             "executable": name,
             "name": name,
             "namespace": LaunchConfiguration("namespace"),
-            "parameters": [LaunchConfiguration("parameters")],
+            "parameters": [LaunchConfiguration("parameters"), *([given] if given else [])],
             "output": "screen",
+            "respawn": LaunchConfiguration("respawn"),
+            "respawn_delay": RESPAWN_DELAY,
+            "sigterm_timeout": STOP_TIME,
         }
-        if enclaves:  # an argument without a value would be refused
-            common["ros_arguments"] = ["--enclave", f"{enclaves.rstrip('/')}/{name}"]
+        extra = ["--log-level", level] if level else []
+        if enclaves:
+            extra += ["--enclave", f"{enclaves.rstrip('/')}/{name}"]
+        if extra:
+            common["ros_arguments"] = extra
         return Node(**{**common, **options})
 
     return [
@@ -66,9 +122,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     ]
 
 
-def generate_launch_description() -> LaunchDescription:
-    """The nodes and their arguments."""
-    arguments = [
+def arguments() -> list[DeclareLaunchArgument]:
+    """What may be given on the command line."""
+    return [
         DeclareLaunchArgument(
             "source",
             default_value="plant",
@@ -85,6 +141,39 @@ def generate_launch_description() -> LaunchDescription:
             default_value=str(config_dir() / "pipeline.yaml"),
             description="YAML file with the parameters of all nodes",
         ),
+        DeclareLaunchArgument(
+            "rig",
+            default_value="",
+            description="name of a rig or path of its YAML file, for every node; empty: as in the parameter file",
+        ),
+        DeclareLaunchArgument(
+            "joint_name",
+            default_value="",
+            description="name of the joint in messages and diagnostics; empty: as in the parameter file",
+        ),
+        DeclareLaunchArgument(
+            "use_sim_time",
+            default_value="",
+            description="true: the nodes follow /clock; a bridge to hardware refuses it. Empty: see parameters",
+        ),
+        DeclareLaunchArgument(
+            "autostart",
+            default_value="",
+            description="false: the nodes wait for `ros2 lifecycle set`; empty: as in the parameter file",
+        ),
+        DeclareLaunchArgument(
+            "log_level",
+            default_value="info",
+            description="of every node: debug, info, warn, error or fatal",
+            choices=["debug", "info", "warn", "error", "fatal"],
+        ),
+        DeclareLaunchArgument(
+            "respawn",
+            default_value="false",
+            choices=["true", "false"],
+            description="true: a node that has ended is started again after 2 s; it forgets latched stops and the "
+            "reference (docs/how-to/safety.md)",
+        ),
         DeclareLaunchArgument("namespace", default_value="pam", description="namespace of nodes and topics"),
         DeclareLaunchArgument(
             "enclave",
@@ -93,4 +182,9 @@ def generate_launch_description() -> LaunchDescription:
             "empty: no enclaves (docs/how-to/security.md)",
         ),
     ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=require_parameters), OpaqueFunction(function=nodes)])
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The nodes and their arguments."""
+    steps = [OpaqueFunction(function=function) for function in (refuse_unknown, require_parameters, nodes)]
+    return LaunchDescription([*arguments(), *steps])

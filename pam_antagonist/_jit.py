@@ -189,17 +189,21 @@ class Compiling(event.Listener):  # type: ignore[misc]
     Attributes:
         seconds: spent on it by this process, so that whoever measures speed can leave it out.
         kernels: how many were compiled.
+        tell: is called with one sentence when the first one is compiled; None: nobody is told but a terminal.
     """
 
     def __init__(self) -> None:
         self.seconds, self.kernels = 0.0, 0
         self._depth, self._began = 0, 0.0
+        self.tell: Callable[[str], object] | None = None
 
     def on_start(self, event: Any) -> None:
         """A kernel, or one inside of it, is being compiled."""
         self._began = self._began if self._depth else time.perf_counter()
         self._depth += 1
         self.kernels += 1
+        if self.kernels == 1 and self.tell is not None:
+            self.tell("compiling, once: about a minute")
         if sys.stderr.isatty():
             took = self.seconds + time.perf_counter() - self._began
             text = f"\rCompiling, once (about a minute): {self.kernels} functions, {took:.0f} s"

@@ -17,11 +17,12 @@ def install(extra: str) -> str:
 
 
 def available(module: str) -> bool:
-    """Whether a module can be imported; nothing is loaded."""
+    """Whether a module can be imported; nothing is loaded. A folder without Python in it is no module."""
     try:
-        return importlib.util.find_spec(module) is not None
+        found = importlib.util.find_spec(module)
     except (ImportError, ValueError):
         return False
+    return found is not None and found.origin is not None
 
 
 @contextmanager
@@ -55,5 +56,5 @@ def needs_ros(what: str) -> None:
         if not available(module):
             raise BadInput(
                 f"{what} needs ROS 2 ({module} is not installed): start it with ./run in a clone, or source ROS 2 "
-                "Jazzy and a workspace with this package"
+                "Jazzy and a workspace that was built with `colcon build --base-paths src src/*/pam_antagonist_msgs`"
             )

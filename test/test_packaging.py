@@ -191,6 +191,12 @@ def _table(node: str) -> tuple[Parameter, ...]:
     return (*TABLES[node], DIAGNOSTICS_PERIOD)
 
 
+class Context(dict):
+    """Double of ``LaunchContext``: the values of the arguments; ``argv`` is what was typed."""
+
+    argv: tuple[str, ...] = ()
+
+
 class Configuration(str):
     """Double of ``LaunchConfiguration``: a name; the context is a dictionary."""
 
@@ -202,9 +208,9 @@ class Configuration(str):
 def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Names of the launch file, which runs against doubles of launch: it is not among the wheels."""
     doubles: dict[str, dict[str, object]] = {
-        "launch": {"LaunchDescription": list, "LaunchContext": dict},
+        "launch": {"LaunchDescription": list, "LaunchContext": Context},
         "launch.actions": {
-            "DeclareLaunchArgument": lambda name, **options: ("argument", {"name": name, **options}),
+            "DeclareLaunchArgument": lambda name, **options: types.SimpleNamespace(name=name, **options),
             "OpaqueFunction": lambda function: ("function", function),
         },
         "launch.conditions": {"IfCondition": lambda predicate: predicate},
@@ -214,6 +220,7 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         },
         "launch_ros": {},
         "launch_ros.actions": {"Node": lambda **options: ("node", options)},
+        "launch_ros.parameter_descriptions": {"ParameterValue": lambda value, value_type: value_type(value)},
     }
     for name, attributes in doubles.items():
         module = types.ModuleType(name)
@@ -222,12 +229,17 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return runpy.run_path(str(LAUNCH_FILE))
 
 
+def defaults(launch_file: dict[str, Any], **given: str) -> Context:
+    """What the file's functions see where these arguments were given."""
+    return Context({argument.name: argument.default_value for argument in launch_file["arguments"]()} | given)
+
+
 def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
     entities = launch_file["generate_launch_description"]()
-    first, second = [function for kind, function in entities if kind == "function"]
-    assert (first, second) == (launch_file["require_parameters"], launch_file["nodes"])
-    nodes = [options for _, options in second({"enclave": ""})]
-    arguments = {options["name"]: options for kind, options in entities if kind == "argument"}
+    functions = [item[1] for item in entities if isinstance(item, tuple)]
+    assert functions == [launch_file[name] for name in ("refuse_unknown", "require_parameters", "nodes")]
+    arguments = {item.name: vars(item) for item in entities if not isinstance(item, tuple)}
+    nodes = [options for _, options in functions[-1](defaults(launch_file))]
 
     plant, bridge, *always = nodes
     assert [node["executable"] for node in (plant, *always)] == ["plant", "estimator", "controller"]
@@ -237,8 +249,12 @@ def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
     assert arguments["bridge_executable"]["default_value"] in COMMANDS
     assert all(node["namespace"] == "namespace" and node["parameters"] == ["parameters"] for node in nodes)
     assert [node.get("condition") for node in nodes] == [("source", "plant"), ("source", "bridge"), None, None]
-    assert not any("ros_arguments" in node for node in nodes)
-    assert set(arguments) == {"source", "parameters", "namespace", "enclave", "bridge_package", "bridge_executable"}
+    assert all(node["ros_arguments"] == ["--log-level", "info"] and node["respawn"] == "respawn" for node in nodes)
+    assert set(arguments) == {
+        *("source", "parameters", "namespace", "enclave", "bridge_package", "bridge_executable"),
+        *("rig", "joint_name", "use_sim_time", "autostart", "log_level", "respawn"),
+    }
+    assert arguments["respawn"]["default_value"] == "false"
     assert arguments["enclave"]["default_value"] == ""
     assert arguments["namespace"]["default_value"] == "pam"
     assert arguments["source"]["default_value"] in arguments["source"]["choices"]
@@ -247,19 +263,20 @@ def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("enclave", ["/pam", "/pam/", "/lab/left"])
 def test_launch_file_gives_each_node_its_own_enclave(launch_file: dict[str, Any], enclave: str) -> None:
-    nodes = [options for _, options in launch_file["nodes"]({"enclave": enclave})]
+    nodes = [options for _, options in launch_file["nodes"](defaults(launch_file, enclave=enclave))]
     folder = enclave.rstrip("/")
     assert [node["ros_arguments"] for node in nodes] == [
-        ["--enclave", f"{folder}/{name}"] for name in ("plant", "bridge", "estimator", "controller")
+        ["--log-level", "info", "--enclave", f"{folder}/{name}"]
+        for name in ("plant", "bridge", "estimator", "controller")
     ]
     if folder == "/pam":  # what the documentation makes, by the policy
         enclaves = ET.parse(config_dir() / "security" / "policy.xml").getroot().iter("enclave")
-        assert {node["ros_arguments"][1] for node in nodes} <= {item.attrib["path"] for item in enclaves}
+        assert {node["ros_arguments"][3] for node in nodes} <= {item.attrib["path"] for item in enclaves}
 
 
 def test_launch_file_refuses_an_enclave_that_is_no_absolute_name(launch_file: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="begins with a slash, such as /pam"):
-        launch_file["nodes"]({"enclave": "pam"})
+        launch_file["nodes"](defaults(launch_file, enclave="pam"))
 
 
 def test_launch_file_refuses_parameters_that_are_not_there(launch_file: dict[str, Any], tmp_path: Path) -> None:
@@ -267,6 +284,34 @@ def test_launch_file_refuses_parameters_that_are_not_there(launch_file: dict[str
     assert require({"parameters": str(config_dir() / "pipeline.yaml")}) is None
     with pytest.raises(FileNotFoundError, match="no such file"):
         require({"parameters": str(tmp_path / "absent.yaml")})
+
+
+def test_arguments_of_the_launch_file_win_over_its_parameters(launch_file: dict[str, Any]) -> None:
+    context = defaults(launch_file, rig="7", joint_name="elbow", use_sim_time="True", autostart="false")
+    for _, options in launch_file["nodes"](context):
+        file, given = options["parameters"]
+        assert file == "parameters"
+        assert given == {"rig": "7", "joint_name": "elbow", "use_sim_time": True, "autostart": False}
+    for table in TABLES.values():  # every node takes them all
+        assert {"rig", "joint_name"} <= {parameter.name for parameter in table}
+    with pytest.raises(ValueError, match="use_sim_time:=yes: expected true or false"):
+        launch_file["nodes"](defaults(launch_file, use_sim_time="yes"))
+
+
+def test_launch_file_refuses_arguments_that_it_does_not_know(
+    launch_file: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = defaults(launch_file)
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "pam_antagonist", "pipeline.launch.py"])
+    for good in ((), ("rig:=my_rig",), tuple(f"{name}:=x" for name in context)):
+        context.argv = good
+        assert launch_file["refuse_unknown"](context) is None
+    context.argv = ("joint_name:=elbow", "rgi:=my_rig")
+    with pytest.raises(ValueError, match="rgi:=my_rig: unknown argument; did you mean rig"):
+        launch_file["refuse_unknown"](context)
+    # Arguments of a file that includes this one are that file's.
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "my_robot", "all.launch.py"])
+    assert launch_file["refuse_unknown"](context) is None
 
 
 # ------------------------------------------------------------------------------------------------ colcon

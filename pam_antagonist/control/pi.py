@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
@@ -50,6 +50,7 @@ class Status(Enum):
     BAD_REFERENCE = "reference not usable: safe voltages"
     LATE = "estimate late: safe voltages"
     NOT_FINITE = "estimate not finite: safe voltages"
+    LOST = "reference lost: safe voltages"
     STOPPED = "stopped: safe voltages"
     DISABLED = "disabled: safe voltages once, then silent"
 
@@ -79,14 +80,16 @@ class Gains:
         proportional: T_P [V/rad or V/(N m)].
         integral: T_I [V/(rad s) or V/(N m s)].
         bias: beta, the voltage of both valves at rest [V].
+        velocity: feed-forward of the reference's velocity [V s/rad]; the paper has none.
     """
 
     proportional: float
     integral: float
     bias: float = 5.5
+    velocity: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("proportional", "integral"):
+        for name in ("proportional", "integral", "velocity"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise BadInput(f"{name} gain {value!r}: expected a finite number, 0 or more")
@@ -99,7 +102,7 @@ class Gains:
         Args:
             sample_period: T_stp [s].
         """
-        return Gains(self.proportional, self.integral / sample_period**2, self.bias)
+        return replace(self, integral=self.integral / sample_period**2)
 
 
 PUBLISHED_GAINS: Mapping[Mode, Gains] = {Mode.ANGLE: Gains(5.45, 1.55), Mode.TORQUE: Gains(7.45, 4.75)}
@@ -244,13 +247,16 @@ class PiController:
             self._mode = None
         return Command(self._safe, status)
 
-    def step(self, mode: Mode | None, reference: float, value: float, *, late: bool = False) -> Command:
+    def step(
+        self, mode: Mode | None, reference: float, value: float, *, velocity: float = 0.0, late: bool = False
+    ) -> Command:
         """The command for one estimate.
 
         Args:
             mode: what the reference is; None: there is no reference yet.
             reference: angle [rad] or torque [N m] wanted.
             value: the estimate of it, in the same unit.
+            velocity: of the reference, for the feed-forward [rad/s].
             late: whether the estimate is too old to act on.
 
         Returns:
@@ -267,7 +273,7 @@ class PiController:
             return self.safe(Status.BAD_REFERENCE)
         self._interrupted = 0
         gains = self._gains[mode]
-        proportional = gains.proportional * error
+        proportional = gains.proportional * error + gains.velocity * velocity
         if self._mode is not mode:
             self._start(mode, proportional)
             command = Command(self._valves, Status.TRACKING)

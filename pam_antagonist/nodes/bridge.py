@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.nodes.parameters import FRAME, RIG, VALVE_OWNER, Parameter
+from pam_antagonist.nodes.parameters import FRAME, JOINT_NAME, RIG, VALVE_OWNER, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ services:    ~/clear_stop (std_srvs/Trigger); ~/measure_rest (std_srvs/Trigger: 
 
 PARAMETERS = (
     RIG,
+    JOINT_NAME,
     FRAME,
     *VALVE_OWNER,
     Parameter("port", "/dev/ttyACM0", "serial port of the device; better a link in /dev/serial/by-id"),
@@ -47,9 +48,9 @@ def main(argv: list[str] | None = None, device: Callable[[], Device] | None = No
         device: makes the hardware; default: the serial port that the parameters name.
     """
 
-    def create(_options: None) -> BridgeNode:
+    def create(_options: None, **node_options: Any) -> BridgeNode:
         from pam_antagonist.nodes.bridge_node import BridgeNode
 
-        return BridgeNode(device)
+        return BridgeNode(device, **node_options)
 
     return run_node(create, argv, name="bridge", description=DESCRIPTION, table=PARAMETERS)

@@ -22,7 +22,7 @@ from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
 from pam_antagonist.nodes import bridge_health, wire
 from pam_antagonist.nodes.bridge import PARAMETERS
 from pam_antagonist.nodes.health import Health
-from pam_antagonist.nodes.node import JOINT_NAME, PamNode
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import TOPICS
@@ -62,12 +62,13 @@ class BridgeNode(PamNode):
 
     Args:
         device: makes the hardware; None: the serial port of the parameters.
+        options: as :class:`PamNode`.
     """
 
-    def __init__(self, device: Callable[[], Device] | None = None) -> None:
+    def __init__(self, device: Callable[[], Device] | None = None, **options: Any) -> None:
         self._make_device = device or self._serial_device
         self._lock = threading.RLock()
-        super().__init__("bridge", PARAMETERS)
+        super().__init__("bridge", PARAMETERS, **options)
 
     def _serial_device(self) -> Device:
         port, baud = self.values["port"], self.values["baud"]
@@ -107,10 +108,10 @@ class BridgeNode(PamNode):
             for i in (1, 2)
         )
         self._valves = wire.Outgoing(self, ValveCommand, TOPICS["valve_state"].relative, "valves", wire.VALVES)
-        self._joint = JointOutput(self, values["frame_id"])
+        self._joint = JointOutput(self, values["joint_name"], values["frame_id"])
         self.create_service(Trigger, "~/measure_rest", self._on_measure_rest)
         announce(self, rig)
-        self.start_diagnostics(rig.name)
+        self.start_diagnostics(values["joint_name"])
 
     def activate(self) -> None:
         """Open the device, and take commands."""
@@ -200,16 +201,16 @@ class JointOutput:
 
     Args:
         node: publishes.
+        name: of the joint.
         frame_id: in every header.
     """
 
-    def __init__(self, node: PamNode, frame_id: str) -> None:
-        name = TOPICS["measured_joint_states"].relative
-        body, self._values = wire.joint_state(JOINT_NAME, velocity=False)
-        self._both = wire.Outgoing(node, JointState, name, frame_id, body)
+    def __init__(self, node: PamNode, name: str, frame_id: str) -> None:
+        body, self._values = wire.joint_state(name, velocity=False)
+        self._both = wire.Outgoing(node, JointState, TOPICS["measured_joint_states"].relative, frame_id, body)
         self._message = JointState()
         self._message.header.frame_id = frame_id
-        self._message.name = [JOINT_NAME]
+        self._message.name = [name]
 
     def send(self, sample: Sample) -> None:
         """Publish angle and torque of a sample."""

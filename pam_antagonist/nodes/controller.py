@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.control import PUBLISHED_GAINS, Mode
-from pam_antagonist.nodes.parameters import RIG, SAFETY, Parameter
+from pam_antagonist.control import LOST, PUBLISHED_GAINS, Mode
+from pam_antagonist.nodes.parameters import JOINT_NAME, RIG, SAFETY, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -13,15 +13,17 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """
 PI control of the joint's angle or torque on the estimate: one command for each estimate, with the estimate's stamp.
-The valves get safe voltages as long as no reference has come, while the last reference is not usable (not finite, out
-of range, unknown mode), while estimates are late or not finite, when they stop coming, and once more at the end. It
+The valves get safe voltages as long as no reference has come, when it has timed out, while it is not finite or of an
+unknown mode, while estimates are late or not finite, when they stop coming, and once more at the end. It
 stops, until it is cleared, when the estimated angle is too large, when measured and expected pressures disagree, and
 when the estimate goes without a pressure for too long (docs/how-to/safety.md).
 
-subscribes:  joint_estimate (pam_antagonist_msgs/JointEstimate), reference (pam_antagonist_msgs/JointReference; held),
+subscribes:  joint_estimate (pam_antagonist_msgs/JointEstimate), reference (pam_antagonist_msgs/JointReference) or what
+             reference_source names: joint_command (sensor_msgs/JointState), commands (std_msgs/Float64MultiArray),
+             joint_trajectory (trajectory_msgs/JointTrajectory); limited, slewed, of one publisher at a time;
              valve_state (pam_antagonist_msgs/ValveCommand, to start from what is on the valves), rig (std_msgs/String:
              which rig file the other nodes were given; that of another joint stops the valves)
-publishes:   valve_command (pam_antagonist_msgs/ValveCommand), rig
+publishes:   valve_command (pam_antagonist_msgs/ValveCommand), rig; reference, where references come from another topic
 services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 
@@ -29,14 +31,55 @@ _ANGLE, _TORQUE = PUBLISHED_GAINS[Mode.ANGLE], PUBLISHED_GAINS[Mode.TORQUE]
 
 PARAMETERS = (
     RIG,
+    JOINT_NAME,
     *SAFETY,
     Parameter("bias", _ANGLE.bias, "voltage of both valves at rest [V]", 0.0, 10.0, read_only=False),
     Parameter("angle_proportional", _ANGLE.proportional, "T_P for the angle [V/rad]", 0.0, 1e3, read_only=False),
     Parameter("angle_integral", _ANGLE.integral, "T_I for the angle [V/(rad s)]", 0.0, 1e9, read_only=False),
+    Parameter(
+        "angle_velocity",
+        0.0,
+        "feed-forward of the velocity that a trajectory or a joint_command asks for [V s/rad]",
+        0.0,
+        1e3,
+        read_only=False,
+    ),
     Parameter("torque_proportional", _TORQUE.proportional, "T_P for the torque [V/(N m)]", 0.0, 1e3, read_only=False),
     Parameter("torque_integral", _TORQUE.integral, "T_I for the torque [V/(N m s)]", 0.0, 1e9, read_only=False),
-    Parameter("max_angle", 0.436333, "largest angle that is taken as a reference, either way [rad]", 0.0, 1.6),
-    Parameter("max_torque", 3.0, "largest torque that is taken as a reference, either way [N m]", 0.0, 1e3),
+    Parameter("max_angle", 0.436333, "magnitude to which a reference of the angle is limited [rad]", 0.0, 1.6),
+    Parameter("max_torque", 3.0, "magnitude to which a reference of the torque is limited [N m]", 0.0, 1e3),
+    Parameter("max_angle_rate", 0.0, "fastest change of the angle's reference [rad/s]; 0: any", 0.0, 1e3),
+    Parameter("max_torque_rate", 0.0, "fastest change of the torque's reference [N m/s]; 0: any", 0.0, 1e5),
+    # An angle that nobody repeats is a place to stay. A torque that nobody repeats drives a free joint to its stop.
+    Parameter(
+        "angle_reference_timeout",
+        0.0,
+        "time after which an angle is lost that nobody repeats [s]; 0: never",
+        0.0,
+        3600.0,
+    ),
+    Parameter(
+        "torque_reference_timeout",
+        0.5,
+        "time after which a torque is lost that nobody repeats [s]; 0: never",
+        0.0,
+        3600.0,
+    ),
+    Parameter(
+        "reference_lost",
+        "safe",
+        "what follows then: safe voltages, or hold: the angle that was estimated at that moment",
+        choices=LOST,
+    ),
+    Parameter(
+        "reference_source",
+        "reference",
+        "the one topic that references come from: reference (JointReference), joint_command (JointState: position or "
+        "effort of joint_name, NaN: not asked), commands (Float64MultiArray), joint_trajectory (JointTrajectory)",
+        choices=("reference", "joint_command", "commands", "joint_trajectory"),
+    ),
+    Parameter("commands_mode", "angle", "what the numbers of commands are", choices=("angle", "torque")),
+    Parameter("commands_index", 0, "which of the numbers of commands is this joint's [-]", 0, 1000),
     Parameter("max_age", 0.02, "age beyond which an estimate is not acted on [s]", 0.002, 10.0),
     Parameter("resume_time", 0.5, "longest interruption after which the integral goes on as it was [s]", 0.001, 60.0),
     Parameter("start_enabled", True, "whether it commands as soon as it is active, without a call of enable"),
@@ -52,10 +95,10 @@ PARAMETERS = (
 )
 
 
-def _create(_options: None) -> ControllerNode:
+def _create(_options: None, **node_options: Any) -> ControllerNode:
     from pam_antagonist.nodes.controller_node import ControllerNode
 
-    return ControllerNode()
+    return ControllerNode(**node_options)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -17,11 +17,12 @@ from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.controller import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.references import ReferenceInput
 from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
 from pam_antagonist.safety import EstimateSupervision, Following, safe_action
-from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
+from pam_antagonist_msgs.msg import JointEstimate, ValveCommand
 
 _GAIN_NAMES = tuple(parameter.name for parameter in PARAMETERS if not parameter.read_only)
 _CHECKS = 4  # looks at the time-out, and at the valves, within it
@@ -29,14 +30,15 @@ _CHECKS = 4  # looks at the time-out, and at the valves, within it
 
 def _gains(values: Mapping[str, Any], mode: Mode) -> Gains:
     name = mode.name.lower()
-    return Gains(values[f"{name}_proportional"], values[f"{name}_integral"], values["bias"])
+    velocity = values["angle_velocity"] if mode is Mode.ANGLE else 0.0
+    return Gains(values[f"{name}_proportional"], values[f"{name}_integral"], values["bias"], velocity)
 
 
 class ControllerNode(PamNode):
     """One command for each estimate; safe voltages whenever there is nothing to go by."""
 
-    def __init__(self) -> None:
-        super().__init__("controller", PARAMETERS)
+    def __init__(self, **options: Any) -> None:
+        super().__init__("controller", PARAMETERS, **options)
 
     def configure(self) -> None:
         """A controller at rest."""
@@ -62,12 +64,11 @@ class ControllerNode(PamNode):
             values["blind_time"],
             rig.sample_period,
         )
-        self._largest = {Mode.ANGLE: values["max_angle"], Mode.TORQUE: values["max_torque"]}
+        self.input = ReferenceInput(self)
+        self._references = self.input.references
         self._max_age = round(values["max_age"] * 1e9)
         self._resume = round(values["resume_time"] * 1e9)
-        self._mode: Mode | None = None
-        self._reference = math.nan
-        self._complaint = self._stopped = ""
+        self._stopped = ""
         self._enabled: bool = values["start_enabled"]
         self._estimate_ns = 0
         self._safe_since_ns: int | None = None
@@ -86,7 +87,7 @@ class ControllerNode(PamNode):
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/clear_stop", self._on_clear)
         self._rigs = RigWatch(self, announce(self, rig), self._stop)
-        self.start_diagnostics(rig.name)
+        self.start_diagnostics(values["joint_name"])
 
     def cleanup(self) -> None:
         """Nothing may be retuned any more."""
@@ -94,13 +95,12 @@ class ControllerNode(PamNode):
 
     def activate(self) -> None:
         """Listen, and watch over those who are listened to; a reference from before does not count any more."""
-        self._mode, self._reference, self._complaint = None, math.nan, ""
         self._heard_ns = None
         self._pi.stop()
         self._supervision.reset()
         name = TOPICS["joint_estimate"].relative
         self.create_subscription(JointEstimate, name, self._on_estimate, qos.STREAM, raw=True)
-        self.create_subscription(JointReference, TOPICS["reference"].relative, self._on_reference, qos.REFERENCE)
+        self.input.listen()
         self._valve_state = self.collect(ValveCommand, TOPICS["valve_state"].relative, qos.GLANCE)
         self.create_timer(self.values["max_age"] / _CHECKS, self._watch, clock=self._steady)
 
@@ -156,7 +156,9 @@ class ControllerNode(PamNode):
             self.get_logger().error(f"stopped: {reason}")
 
     def _look(self) -> None:
-        """See what is on the valves."""
+        """See what is on the valves; an inactive node does not hear it."""
+        if not self.active:
+            return
         for data, _ in take(self._valve_state):
             _, first, second = self._valves(data)
             if math.isfinite(first) and math.isfinite(second):
@@ -169,25 +171,6 @@ class ControllerNode(PamNode):
         self._pi.stop(self._voltage)
 
     # ---------------------------------------------------------------- samples
-
-    def _on_reference(self, message: JointReference) -> None:
-        """Hold it; what cannot be used leads to safe voltages until a better one comes."""
-        complaint = ""
-        try:
-            mode = Mode(message.mode)
-        except ValueError:
-            complaint = f"reference has mode {message.mode}, expected {list(map(int, Mode))}"
-        else:
-            self._mode = mode
-            if not abs(message.value) <= self._largest[mode]:
-                unit = "rad" if mode is Mode.ANGLE else "N m"
-                complaint = f"reference {message.value:g} {unit}, expected up to ±{self._largest[mode]:g} {unit}"
-        if complaint and complaint != self._complaint:
-            self.get_logger().error(f"{complaint}: safe voltages")
-        self._complaint = complaint
-        if complaint and self._mode is None:
-            self._mode = Mode.ANGLE
-        self._reference = math.nan if complaint else message.value
 
     def _on_estimate(self, data: bytes) -> None:
         stamp, angle, torque, nis, flags = self._estimate(data)
@@ -208,8 +191,13 @@ class ControllerNode(PamNode):
             self._send(self._pi.safe(Status.STOPPED), stamp)
             return
         late = now - stamp > self._max_age or bool(flags & JointEstimate.LATE) or self._supervision.settling
-        value = torque if self._mode is Mode.TORQUE else angle
-        self._send(self._pi.step(self._mode, self._reference, value, late=late), stamp)
+        wanted = self._references.at(stamp, time.monotonic_ns(), angle, torque)
+        if wanted.lost:
+            self._send(self._pi.safe(Status.LOST), stamp)
+            return
+        value = torque if wanted.mode is Mode.TORQUE else angle
+        self._send(self._pi.step(wanted.mode, wanted.value, value, velocity=wanted.velocity, late=late), stamp)
+        self.input.repeat(stamp)
 
     def _watch(self) -> None:
         """Safe voltages at every look as long as estimates stay away.
@@ -238,6 +226,7 @@ class ControllerNode(PamNode):
         if not command.status.safe:
             self._safe_since_ns = None
         else:
+            self._references.not_tracking()
             now = time.monotonic_ns()
             if self._safe_since_ns is None:
                 self._safe_since_ns = now
@@ -287,22 +276,21 @@ class ControllerNode(PamNode):
             output = Health(Level.WARN, "no estimate has come yet")
         elif self._silent:
             output = Health(Level.ERROR, "estimates have stopped: safe voltages")
-        elif self._complaint:
-            output = Health(Level.ERROR, f"{self._complaint}: safe voltages")
+        elif self._references.complaint:
+            output = Health(Level.ERROR, f"{self._references.complaint}: safe voltages")
         elif safe:
             output = Health(Level.WARN, self._last.value if self._last.safe else f"{safe} commands at safe voltages")
         else:
             output = Health(Level.OK, self._last.value)
         return {
             "rig": self._rigs.health(),
+            "reference": self.input.health(),
             "commands": Health(
                 output.level,
                 output.message,
                 {
                     "rate [Hz]": f"{rate:.1f}",
                     "commands": self._commands,
-                    "mode": self._mode.name.lower() if self._mode is not None else "none",
-                    "reference [rad or N m]": self._reference,
                     "integral term [V]": f"{self._pi.integral:.4f}",
                     "cause of a stop is there": self._supervision.present or self._rigs.present or "no",
                     "jumps backwards": self._jumps,

@@ -19,7 +19,7 @@ class DiagnosticsPublisher:
 
     Args:
         node: the node.
-        hardware_id: what it is about: the rig's name.
+        hardware_id: what it is about: the joint's name.
     """
 
     def __init__(self, node: Node, hardware_id: str) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.nodes.parameters import FRAME, JOINT, LOCK_ANGLE, RIG, Parameter
+from pam_antagonist.nodes.parameters import FRAME, JOINT, JOINT_NAME, LOCK_ANGLE, RIG, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ PARAMETERS = (
     RIG,
     JOINT,
     LOCK_ANGLE,
+    JOINT_NAME,
     FRAME,
     Parameter(
         "tuning",
@@ -37,10 +38,10 @@ PARAMETERS = (
 )
 
 
-def _create(_options: None) -> EstimatorNode:
+def _create(_options: None, **node_options: Any) -> EstimatorNode:
     from pam_antagonist.nodes.estimator_node import EstimatorNode
 
-    return EstimatorNode()
+    return EstimatorNode(**node_options)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -10,12 +10,13 @@ from rcl_interfaces.msg import SetParametersResult
 from sensor_msgs.msg import FluidPressure, JointState
 from std_srvs.srv import Trigger
 
+from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.estimator import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
-from pam_antagonist.nodes.node import JOINT_NAME, PamNode
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.recording.topics import TOPICS
@@ -31,12 +32,13 @@ _TUNING = next(parameter for parameter in PARAMETERS if parameter.name == "tunin
 class EstimatorNode(PamNode):
     """Pairs the messages of a sample, steps the filter and publishes: one estimate a sample, in order."""
 
-    def __init__(self) -> None:
-        super().__init__("estimator", PARAMETERS)
+    def __init__(self, **options: Any) -> None:
+        super().__init__("estimator", PARAMETERS, **options)
 
     def configure(self) -> None:
         """A filter that waits for its first sample."""
         values = self.values
+        COMPILING.tell = self.get_logger().info
         self._rig = rig = load_rig(values["rig"])
         # Loads or compiles the filter, so that the first sample does not wait for it.
         self._estimator = self._make(values["tuning"])
@@ -49,14 +51,14 @@ class EstimatorNode(PamNode):
         frame = values["frame_id"]
         name = TOPICS["joint_estimate"].relative
         self._estimates = wire.Outgoing(self, JointEstimate, name, frame, wire.ESTIMATE)
-        body, self._state_values = wire.joint_state(JOINT_NAME, velocity=True)
+        body, self._state_values = wire.joint_state(values["joint_name"], velocity=True)
         self._states = wire.Outgoing(self, JointState, TOPICS["joint_states"].relative, frame, body)
         self._pressure, self._valves = wire.Incoming(wire.PRESSURE), wire.Incoming(wire.VALVES)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetState, "~/set_state", self._on_set_state)
         self.add_on_set_parameters_callback(self._on_parameters)
         announce(self, rig)
-        self.start_diagnostics(rig.name)
+        self.start_diagnostics(values["joint_name"])
 
     def cleanup(self) -> None:
         """Nothing may be retuned any more."""

@@ -13,17 +13,16 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.subscription import Subscription
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes.connections import QOS_ERRORS, Connections, overridable, refused
 from pam_antagonist.nodes.diagnostics import DiagnosticsPublisher
 from pam_antagonist.nodes.health import Health, Level
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, declare
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 
-JOINT_NAME = "joint"
-
 _ANSWER = 0.5  # from a shutdown to the end of the process [s]
 
 SHARED_PARAMETERS = (
-    *("rig", "joint", "lock_angle", "frame_id", "tuning", "max_age"),
+    *("rig", "joint", "joint_name", "lock_angle", "frame_id", "tuning", "max_age"),
     *("safe_voltage", "safe_action", "vent_voltage", "vent_rate", "command_timeout", "max_command_age"),
     *("max_slew", "max_pressure"),
 )
@@ -72,8 +71,9 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     ``LifecyclePublisher`` would look at its state once more for each of 4000 messages a second.
 
     Args:
-        name: of the node.
+        name: of the node, unless it is remapped.
         table: its parameters.
+        options: of ``rclpy.node.Node``, such as ``namespace``, ``context``, ``cli_args`` or ``parameter_overrides``.
 
     Attributes:
         values: the parameters.
@@ -88,13 +88,14 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     finished = False
     active = False
 
-    def __init__(self, name: str, table: Sequence[Parameter]) -> None:
+    def __init__(self, name: str, table: Sequence[Parameter], **options: Any) -> None:
         self._collected: dict[str, Subscription] = getattr(self, "_collected", {})
         self._owned: list[_Owned] = []
+        self._connections = Connections()
         self._reaching: str | None = None  # which transition is under way
         self._transition_error: BaseException | None = None
         self.about_rig: dict[str, str] = {}
-        super().__init__(name, namespace=DEFAULT_NAMESPACE)
+        super().__init__(name, **{"namespace": DEFAULT_NAMESPACE, **options})
         self.values: dict[str, Any] = declare(self, (*table, AUTOSTART, DIAGNOSTICS_PERIOD), SHARED_PARAMETERS)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ros_clock = self.get_clock()
@@ -163,14 +164,25 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         collected = set(map(id, self._collected.values()))
         return (item for item in super().subscriptions if id(item) not in collected)
 
-    def create_publisher(self, *args: Any, **options: Any) -> Any:
-        """As rclpy; the publisher belongs to the state that is being reached."""
-        return self._own(self.destroy_publisher, super().create_publisher(*args, **options))
+    def create_publisher(self, kind: Any, topic: str, profile: Any, **options: Any) -> Any:
+        """As rclpy; the publisher belongs to the state that is being reached. ``qos_overrides`` count."""
+        profile, options = overridable(topic, profile, options)
+        try:
+            publisher = super().create_publisher(kind, topic, profile, **options)
+        except QOS_ERRORS as error:
+            raise refused(topic, error) from None
+        self._connections.add(publisher.topic_name, publisher, profile, subscribes=False)
+        return self._own(self._unpublish, publisher)
 
     def create_subscription(self, kind: Any, topic: str, callback: Any, profile: Any, **options: Any) -> Any:
-        """As rclpy; the callback is called only while the node is in the state that made it."""
+        """As rclpy; the callback is called only in the state that made it. ``qos_overrides`` count."""
         gate = _Gate(callback)
-        entity = super().create_subscription(kind, topic, gate.message, profile, **options)
+        profile, options = overridable(topic, profile, options)
+        try:
+            entity = super().create_subscription(kind, topic, gate.message, profile, **options)
+        except QOS_ERRORS as error:
+            raise refused(topic, error) from None
+        self._connections.add(entity.topic_name, entity, profile, subscribes=True)
         return self._own(self._unsubscribe, entity, gate)
 
     def create_timer(self, period: float, callback: Any, *args: Any, **options: Any) -> Any:
@@ -208,6 +220,8 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         self.active = True
         outcome = self._reach("active", self.activate, super().on_activate, state)
         self.active = outcome is TransitionCallbackReturn.SUCCESS
+        if self.active:
+            self.get_logger().info("active")
         return outcome
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -275,11 +289,17 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     def _unsubscribe(self, subscription: Subscription) -> None:
         self._collected = {name: item for name, item in self._collected.items() if item is not subscription}
+        self._connections.remove(subscription)
         self.destroy_subscription(subscription)
+
+    def _unpublish(self, publisher: Any) -> None:
+        self._connections.remove(publisher)
+        self.destroy_publisher(publisher)
 
     def _diagnose(self) -> None:
         parts = dict(self.health(time.monotonic_ns()))
         level, state = (Level.OK, "active") if self.active else (Level.WARN, "not active")
+        parts["connections"] = self._connections.health(self)
         parts["lifecycle"] = Health(level, state, self.about_rig)
         self._diagnostics.publish(parts)
         # The automatic collection is off, and what existed before the first sample is out of its sight (see spin.py):

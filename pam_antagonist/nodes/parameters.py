@@ -33,6 +33,7 @@ class Parameter:
         high: largest value.
         length: number of elements of a list.
         choices: allowed values of a text; empty: any.
+        solid: whether a text must not be empty and holds no spaces.
         read_only: whether it is fixed once the node runs.
     """
 
@@ -43,6 +44,7 @@ class Parameter:
     high: float | None = None
     length: int = 2
     choices: tuple[str, ...] = ()
+    solid: bool = False
     read_only: bool = True
 
     @property
@@ -53,6 +55,8 @@ class Parameter:
             text = f"a list of {self.length} numbers"
         if self.choices:
             text = "one of " + ", ".join(self.choices)
+        if self.solid:
+            text += " without spaces"
         if self.low is not None and self.high is not None:
             text += f" from {self.low:g} to {self.high:g}"
         return text
@@ -73,6 +77,8 @@ class Parameter:
             good = len(value) == self.length and all(isinstance(item, float) and self._within(item) for item in value)
         elif good and isinstance(value, (int, float)) and not isinstance(value, bool):
             good = self._within(value)
+        elif good and isinstance(value, str) and self.solid:
+            good = bool(value) and value.isprintable() and " " not in value
         if not good:
             raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
         return value  # type: ignore[no-any-return]
@@ -86,6 +92,7 @@ class Parameter:
 RIG = Parameter("rig", "shin2022", "name of a rig in config/rigs, or path of a rig's YAML file")
 JOINT = Parameter("joint", "free", "whether the joint moves or is held", choices=("free", "locked"))
 LOCK_ANGLE = Parameter("lock_angle", 0.0, "angle at which a locked joint is held [rad]", -1.6, 1.6)
+JOINT_NAME = Parameter("joint_name", "joint", "name of the joint in messages and diagnostics", solid=True)
 FRAME = Parameter("frame_id", "joint", "frame of the joint in the messages")
 SAFE_VOLTAGE = Parameter(
     "safe_voltage", [5.5, 5.5], "voltages of both valves while there is nothing to go by [V]", 0.0, 10.0

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.nodes.parameters import FRAME, JOINT, LOCK_ANGLE, RIG, VALVE_OWNER, Parameter
+from pam_antagonist.nodes.parameters import FRAME, JOINT, JOINT_NAME, LOCK_ANGLE, RIG, VALVE_OWNER, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ PARAMETERS = (
     RIG,
     JOINT,
     LOCK_ANGLE,
+    JOINT_NAME,
     FRAME,
     *VALVE_OWNER,
     Parameter("seed", 0, "of the scatter of the parameters and of the sensor noise [-]", 0, 2**31 - 1),
@@ -40,10 +41,10 @@ PARAMETERS = (
 )
 
 
-def _create(_options: None) -> PlantNode:
+def _create(_options: None, **node_options: Any) -> PlantNode:
     from pam_antagonist.nodes.plant_node import PlantNode
 
-    return PlantNode()
+    return PlantNode(**node_options)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from sensor_msgs.msg import FluidPressure, JointState
 
+from pam_antagonist._jit import COMPILING
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
-from pam_antagonist.nodes.node import JOINT_NAME, PamNode
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.plant import PARAMETERS
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
@@ -30,12 +32,13 @@ class PlantNode(PamNode):
     every missed sample is made up for, as a device that runs on by itself would have sent them.
     """
 
-    def __init__(self) -> None:
-        super().__init__("plant", PARAMETERS)
+    def __init__(self, **options: Any) -> None:
+        super().__init__("plant", PARAMETERS, **options)
 
     def configure(self) -> None:
         """A joint at rest."""
         values = self.values
+        COMPILING.tell = self.get_logger().info
         rig = load_rig(values["rig"])
         self._period = round(rig.sample_period * 1e9)
         self.port = ValvePort(self, rig, noisy=values["noise"])
@@ -56,7 +59,7 @@ class PlantNode(PamNode):
         self._samples = self._jumps = self._jumps_before = 0
         self._lateness, self._rate = Window(), Rate()
         self._variance = rig.sensors.pressure_std**2 if values["noise"] else 0.0
-        body, self._joint_values = wire.joint_state(JOINT_NAME, velocity=False)
+        body, self._joint_values = wire.joint_state(values["joint_name"], velocity=False)
         self._pressures = tuple(
             wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
             for i in (1, 2)
@@ -66,7 +69,7 @@ class PlantNode(PamNode):
         self._joint = wire.Outgoing(self, JointState, name, values["frame_id"], body)
         self.steady_timer(self._period * 1e-9, self._tick)
         announce(self, rig)
-        self.start_diagnostics(rig.name)
+        self.start_diagnostics(values["joint_name"])
 
     def activate(self) -> None:
         """Take commands, let time pass, and tell of it."""

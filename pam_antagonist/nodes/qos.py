@@ -6,7 +6,8 @@
 * ``RECORD``: what the recorder subscribes with: as ``STREAM``, five seconds deep.
 * ``COMMAND``: what the valves listen to. Reliable; of several commands of one publisher only the newest counts, and a
   time-out watches over it. Deep enough that a second publisher cannot push the first one's commands out unseen.
-* ``REFERENCE``: reliable, depth 1, volatile, so that any publisher matches; it is held until the next one.
+* ``REFERENCE``: reliable, volatile, depth 10, so that a second publisher cannot push the first one's out unseen; the
+  last one is held until the next one.
 * ``LATCHED``: said once, and kept for those who come later.
 * ``GLANCE``: best effort, depth 1, for displays that look at the latest value now and then.
 """
@@ -28,7 +29,7 @@ def _profile(depth: int, reliable: bool = True, kept: bool = False) -> QoSProfil
 STREAM = _profile(1000)
 RECORD = _profile(5000)
 COMMAND = _profile(100)
-REFERENCE = _profile(1)
+REFERENCE = _profile(10)
 GLANCE = _profile(1, reliable=False)
 LATCHED = _profile(10, kept=True)
 DIAGNOSTICS = _profile(10)

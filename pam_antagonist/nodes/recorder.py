@@ -6,7 +6,7 @@ import argparse
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import Parameter
@@ -83,10 +83,10 @@ def _check(name: str, value: float | None, above: float, unit: str) -> None:
         raise BadInput(f"{name} {value}: expected a number of {unit} above {above:g}")
 
 
-def _create(options: Options) -> RecorderNode:
+def _create(options: Options, **node_options: Any) -> RecorderNode:
     from pam_antagonist.nodes.recorder_node import RecorderNode
 
-    return RecorderNode(options)
+    return RecorderNode(options, **node_options)
 
 
 def main(argv: list[str] | None = None) -> int:

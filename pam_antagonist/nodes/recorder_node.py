@@ -42,12 +42,13 @@ class RecorderNode(PamNode):
 
     Args:
         options: where to write, and for how long.
+        node_options: as :class:`PamNode`.
 
     Raises:
         BadInput: the folder exists or cannot be made.
     """
 
-    def __init__(self, options: Options) -> None:
+    def __init__(self, options: Options, **node_options: Any) -> None:
         self._options = options
         self._path = options.out
         self._topics: dict[str, Subscription] = {}
@@ -61,7 +62,7 @@ class RecorderNode(PamNode):
         self._until = math.inf
         # On a terminal only; elsewhere /diagnostics tells.
         self._line = tqdm(bar_format="{desc}", leave=False, disable=None)
-        super().__init__("recorder", PARAMETERS)
+        super().__init__("recorder", PARAMETERS, **node_options)
 
     def configure(self) -> None:
         """Make the bag."""

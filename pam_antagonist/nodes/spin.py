@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes.command_line import own_parameters
 from pam_antagonist.nodes.network import RANGE, local_only, secured, stay_on_this_machine
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
 from pam_antagonist.optional import needs_ros
@@ -37,14 +38,27 @@ _WAIT = 0.1  # longest time until a signal is noticed [s]
 _FAREWELL = 0.15  # from the last message to the end of its publisher: three heartbeats of config/fastdds.xml [s]
 
 
+class _Interrupted(BaseException):
+    """A signal came before the node was there."""
+
+
 class _Stop:
-    """Set by the first signal."""
+    """Set by the first signal.
+
+    Attributes:
+        signal: its number; None: none has come.
+        waits: whether somebody looks at that soon. While a node is made, which may have to compile for a minute,
+            nobody does: then the signal ends that at once.
+    """
 
     def __init__(self) -> None:
         self.signal: int | None = None
+        self.waits = True
 
     def __call__(self, number: int, _frame: Any) -> None:
-        self.signal = number
+        first, self.signal = self.signal is None, number
+        if first and not self.waits:
+            raise _Interrupted
 
 
 def no_options(arguments: list[str]) -> None:
@@ -58,7 +72,7 @@ def no_options(arguments: list[str]) -> None:
 
 
 def run_node(
-    create: Callable[[Any], PamNode],
+    create: Callable[..., PamNode],
     argv: Sequence[str] | None,
     *,
     name: str,
@@ -69,8 +83,8 @@ def run_node(
     """Run a node until SIGINT, SIGTERM, or until it says that it has finished.
 
     Args:
-        create: makes the node from its options; everything slow (reading the rig, loading compiled code) happens
-            there, before the first sample.
+        create: makes the node from its options, and from keyword arguments for rclpy's node; everything slow (reading
+            the rig, loading compiled code) happens there, before the first sample.
         argv: arguments; None: those of the process.
         name: of the executable.
         description: first part of ``--help``.
@@ -107,20 +121,29 @@ def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
     )
 
 
-def _run(create: Callable[[Any], PamNode], arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> int:
+def _run(create: Callable[..., PamNode], arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> int:
     stop = _Stop()
     handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     needs_ros(name)
     import rclpy
 
     try:
+        stay_on_this_machine()
+        alone = local_only()
+        tune_middleware()
         given = _initialise(arguments, name, options)
         try:
-            node = create(given)
+            stop.waits = False
+            node = create(given, cli_args=own_parameters(arguments))
+            stop.waits = True
+        except _Interrupted:
+            return 0  # nothing has been published, and nothing was subscribed to
         except Exception as error:
             if secured() and "secur" in str(error).lower():
                 raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
             raise
+        if alone:
+            node.get_logger().info("discovery is limited to this machine (ROS_AUTOMATIC_DISCOVERY_RANGE)")
         try:
             spin(node, stop)
         finally:
@@ -141,8 +164,6 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
-    stay_on_this_machine()
-    tune_middleware()
     try:
         left = remove_ros_args(args=arguments)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)

@@ -4,6 +4,7 @@ from pam_antagonist.safety.action import ACTIONS, SafeAction, safe_action
 from pam_antagonist.safety.authority import Authority, Verdict
 from pam_antagonist.safety.following import Following
 from pam_antagonist.safety.guard import Decision, GuardCounts, State, ValveGuard
+from pam_antagonist.safety.owner import ReferenceOwner
 from pam_antagonist.safety.supervision import EstimateSupervision, PressureSupervision, frozen_samples, frozen_time
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "Following",
     "GuardCounts",
     "PressureSupervision",
+    "ReferenceOwner",
     "SafeAction",
     "State",
     "ValveGuard",

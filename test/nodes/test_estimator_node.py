@@ -134,9 +134,9 @@ def test_diagnostics_are_named_after_node_and_part(node: Any) -> None:
     node._diagnostics._publisher.publish = sent.append
     node._diagnose()
     (message,) = sent
-    parts = ["samples", "filter", "lifecycle"]
+    parts = ["samples", "filter", "connections", "lifecycle"]
     assert [status.name for status in message.status] == [f"pam/estimator: {part}" for part in parts]
-    assert all(status.hardware_id == "shin2022" for status in message.status)
+    assert all(status.hardware_id == "joint" for status in message.status)
     assert message.status[0].level == b"\x01"  # nothing has come yet
     assert message.header.stamp.sec > 0
 

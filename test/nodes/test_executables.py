@@ -40,6 +40,7 @@ def test_help_names_topics_and_every_parameter(name: str, capsys: pytest.Capture
         (plant, ["-p", "seed:=one"], ["seed", "'one'", "an integer"]),
         (plant, ["-p", "substeps:=0"], ["substeps", "0", "from 1 to 64"]),
         (plant, ["-p", "noise:=1"], ["noise", "true or false"]),
+        (plant, ["-p", "joint_name:=left elbow"], ["joint_name", "without spaces"]),
         (plant, ["-p", "joint:=lokced"], ["joint", "'lokced'", "free, locked"]),
         (plant, ["-p", "safe_voltage:=[5.0, 11.0]"], ["safe_voltage", "11.0", "from 0 to 10"]),
         (plant, ["-p", "safe_voltage:=[5.0]"], ["safe_voltage", "2 numbers"]),
@@ -166,6 +167,44 @@ def test_a_signal_ends_every_node_quickly_with_status_0(number: int, tmp_path: P
         assert statuses == dict.fromkeys([*NODES, "record"], 0)
         logs = {name: process.log.read_text() for name, process in processes.running.items()}
         assert not any("Traceback" in text for text in logs.values()), logs
+
+
+_SLOW = """
+import sys, time
+from pam_antagonist.nodes import plant, plant_node
+
+def compile(self):
+    print("begun", flush=True)
+    for _ in range(600):
+        time.sleep(0.1)  # a function that compiles goes on after a signal handler has returned
+
+plant_node.PlantNode.configure = compile
+sys.exit(plant.main([]))
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_that_is_still_compiling_with_status_0(number: int, domain: None) -> None:
+    with subprocess.Popen([sys.executable, "-c", _SLOW], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline() == b"begun\n"
+        begin = time.monotonic()
+        process.send_signal(number)
+        assert process.wait(20.0) == 0
+        assert time.monotonic() - begin < 5.0
+        assert process.stderr.read() == b""
+
+
+@pytest.mark.ros
+def test_a_parameter_on_the_command_line_wins_over_a_section_for_the_node(
+    tmp_path: Path, domain: None, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**/plant:\n  ros__parameters:\n    mismatch: 0.02\n    rig: shin2022\n")
+    for typed in (["--params-file", str(file), "-p", "rig:=typed"], ["-p", "rig:=typed", "--params-file", str(file)]):
+        assert plant.main(["--ros-args", *typed]) == 2
+        assert "unknown rig 'typed'" in capfd.readouterr().err
 
 
 @pytest.mark.ros

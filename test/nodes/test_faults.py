@@ -19,7 +19,12 @@ SAFE = (5.0, 5.2)  # not the default, so that nothing else can be taken for it
 LIMIT_MS = 50.0
 
 
-ARGUMENTS = {name: ros_arguments({"safe_voltage": list(SAFE)}, {}) for name in ("controller", "plant")}
+LARGEST = math.radians(18.0)  # what references are limited to
+
+ARGUMENTS = {
+    "controller": ros_arguments({"safe_voltage": list(SAFE), "max_angle": LARGEST}, {}),
+    "plant": ros_arguments({"safe_voltage": list(SAFE)}, {}),
+}
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +101,7 @@ def test_without_a_reference_the_valves_have_the_safe_voltages(pipeline: tuple[P
     processes.check()
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, 20.0])  # the last: degrees, where radians are expected
+@pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_reference_that_cannot_be_used_leads_to_safe_voltages(pipeline: tuple[Processes, Any], value: float) -> None:
     from pam_antagonist_msgs.msg import JointReference
 
@@ -108,6 +113,22 @@ def test_a_reference_that_cannot_be_used_leads_to_safe_voltages(pipeline: tuple[
     probe.wait(0.1)
     assert probe.seen["valve_command"]
     assert all(is_safe(message) for _, message in probe.seen["valve_command"])
+
+
+def test_a_reference_out_of_range_is_limited(pipeline: tuple[Processes, Any]) -> None:
+    """Degrees, where radians are expected."""
+    from pam_antagonist_msgs.msg import JointReference
+
+    processes, probe = pipeline
+    follow(processes, probe)
+    probe.clear()
+    probe.refer(JointReference.ANGLE, 20.0)
+    there = lambda: abs(probe.seen["joint_estimate"][-1][1].angle - LARGEST) < 0.01  # noqa: E731
+    probe.until(lambda: bool(probe.seen["joint_estimate"]) and there(), 30.0, "the largest angle")
+    probe.wait(0.5)
+    assert there()
+    assert not any(is_safe(message) for _, message in probe.seen["valve_command"])
+    follow(processes, probe)
 
 
 def test_estimator_killed(pipeline: tuple[Processes, Any]) -> None:

@@ -72,6 +72,7 @@ def test_gains_may_change_within_their_range_and_nothing_else_may(ros: None) -> 
         (Parameter("x", 1, "", 0, 2), [0, 2], [1.0, 3, True, "1"]),
         (Parameter("x", True, ""), [False], [1, "true"]),
         (Parameter("x", "a", "", choices=("a", "b")), ["b"], ["c", 1]),
+        (Parameter("x", "a", "", solid=True), ["left_elbow", "ü"], ["", "a b", "a\n", 1]),
         (
             Parameter("x", [1.0, 1.0], "", 0.0, 2.0),
             [[0, 2], (1.0, 2.0)],

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
 
 from pam_antagonist.estimation import ESTIMATE_DTYPE, Estimator
 from pam_antagonist.nodes.processes import Processes, ros_arguments
@@ -23,6 +25,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 PERIOD_NS = 1_000_000
 STALL = 0.3
 LATE = 64
+NAMED = {"joint_name": "left_elbow"}
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,7 @@ class Run:
     said: str
     topics_read_by_estimator: set[str]
     rigs_heard_late: list[str]
+    joint_names: dict[str, set[str]]
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +50,10 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
     folder = tmp_path_factory.mktemp("pipeline")
     with Processes(folder) as processes, Probe("valve_command") as probe:
         processes.start("record", ["--out", str(folder / "bag")])
-        processes.start("estimator", ros_arguments({}, {}))
+        processes.start("estimator", ros_arguments(NAMED, {}))
         processes.start("controller", ros_arguments({}, {}))
-        processes.start("plant", ros_arguments({"mismatch": 0.01, "seed": 3, "wait_for_subscribers": 2}, {}))
+        given = {**NAMED, "mismatch": 0.01, "seed": 3, "wait_for_subscribers": 2}
+        processes.start("plant", ros_arguments(given, {}))
         probe.until(lambda: probe.matched("reference", 2) and len(probe.seen["valve_command"]) > 200, 60.0, "a start")
         processes.check()
         probe.refer(0, 0.0)
@@ -79,7 +84,23 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
     recording = read_bag(folder / "bag")
     accounting = account(recording, 1e-3)
     assert accounting is not None
-    return Run(recording, accounting, statuses, (folder / "record.log").read_text(), topics, late)
+    said = (folder / "record.log").read_text()
+    return Run(recording, accounting, statuses, said, topics, late, joint_names(folder / "bag"))
+
+
+def joint_names(bag: Path) -> dict[str, set[str]]:
+    """Names of the joints in each topic of type JointState."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    names: dict[str, set[str]] = {}
+    with Reader(bag) as reader:
+        ours = [connection for connection in reader.connections if connection.msgtype == "sensor_msgs/msg/JointState"]
+        for connection, _, data in reader.messages(connections=ours):
+            names.setdefault(connection.topic, set()).update(types.deserialize_cdr(data, connection.msgtype).name)
+    return names
+
+
+def test_the_joints_name_is_in_every_message_that_has_one(run: Run) -> None:
+    assert run.joint_names == {"/pam/joint_states": {"left_elbow"}, "/pam/measured/joint_states": {"left_elbow"}}
 
 
 def test_every_process_ends_with_status_0(run: Run) -> None:

@@ -14,8 +14,8 @@ from sensor_msgs.msg import FluidPressure, JointState
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import Health, Level
-from pam_antagonist.nodes.node import JOINT_NAME, PamNode
-from pam_antagonist.nodes.parameters import Parameter
+from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.parameters import JOINT_NAME, Parameter
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.wire import set_stamp
 from pam_antagonist.recording.topics import TOPICS
@@ -27,7 +27,7 @@ _BURST = 25
 
 
 def _joint_state(*fields: str) -> JointState:
-    message = JointState(name=[JOINT_NAME])
+    message = JointState(name=[JOINT_NAME.default])
     message.header.frame_id = "joint"
     for field in fields:
         setattr(message, field, [0.0])
@@ -37,8 +37,8 @@ def _joint_state(*fields: str) -> JointState:
 class _Relay(PamNode):
     """Publishes its outputs with the stamp of the message that came last."""
 
-    def __init__(self, role: str) -> None:
-        super().__init__(role, (_PERIOD,))
+    def __init__(self, role: str, **options: Any) -> None:
+        super().__init__(role, (_PERIOD,), **options)
         self._sent = 0
         self._outputs: list[tuple[Any, Any]] = []
 
@@ -65,8 +65,8 @@ class _Relay(PamNode):
 class _Source(_Relay):
     """A sample a period, by its own clock, as the plant does it."""
 
-    def __init__(self, role: str) -> None:
-        super().__init__(role)
+    def __init__(self, role: str, **options: Any) -> None:
+        super().__init__(role, **options)
         for topic in ("pressure_1", "pressure_2"):
             self._output(topic, FluidPressure(fluid_pressure=4e5))
         self._output("valve_state", ValveCommand())
@@ -88,8 +88,8 @@ class _Source(_Relay):
 
 
 class _Estimator(_Relay):
-    def __init__(self, role: str) -> None:
-        super().__init__(role)
+    def __init__(self, role: str, **options: Any) -> None:
+        super().__init__(role, **options)
         self._output("joint_estimate", JointEstimate())
         self._output("joint_states", _joint_state("position", "velocity", "effort"))
         for topic in ("pressure_1", "pressure_2"):
@@ -100,8 +100,8 @@ class _Estimator(_Relay):
 
 
 class _Controller(_Relay):
-    def __init__(self, role: str) -> None:
-        super().__init__(role)
+    def __init__(self, role: str, **options: Any) -> None:
+        super().__init__(role, **options)
         self._output("valve_command", ValveCommand())
         self.create_subscription(JointEstimate, TOPICS["joint_estimate"].relative, self._relay, qos.STREAM)
         self.create_subscription(JointReference, TOPICS["reference"].relative, self._drop, qos.REFERENCE)
@@ -124,7 +124,7 @@ def main(argv: list[str] | None = None) -> int:
             raise BadInput(f"unknown argument {given[-1]!r}")
 
     return run_node(
-        lambda _: _NODES[role](role),
+        lambda _, **node_options: _NODES[role](role, **node_options),
         arguments,
         name=f"passthrough {role}",
         description="A node of the same topics as the real one, without any computation.",

@@ -1,0 +1,297 @@
+"""What the joint is asked to do now: limited, slewed, and only as long as somebody asks (no ROS in here).
+
+A reference goes this way, at each sample:
+
+1. **Limits.** A value beyond the largest one is limited to it, and counted.
+2. **Time-out.** A reference that nobody repeats is lost after ``timeout``. A torque that nobody repeats drives a free
+   joint to its stop, so torques have a time-out unless it is switched off. An angle that nobody repeats is a place to
+   stay, so angles have none unless it is switched on. A trajectory that is under way is not lost.
+3. **Lost** means safe voltages, or, with ``hold``, the angle that was estimated at that moment.
+4. **Slew.** The reference moves to its target by no more than ``slew``. It begins at the estimate where the controller
+   did not track before, and where the mode changes.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from pam_antagonist.control.pi import Mode
+from pam_antagonist.errors import BadInput
+
+LOST = ("safe", "hold")
+"""The choices of parameter ``reference_lost``."""
+
+_UNIT = {Mode.ANGLE: "rad", Mode.TORQUE: "N m"}
+_LONGEST_STEP_NS = 20_000_000
+"""Most time between two samples in which a reference moves on: behind a longer gap it does not jump [ns]."""
+
+
+class Wanted(NamedTuple):
+    """What is asked for at one sample.
+
+    Attributes:
+        mode: None: nothing yet.
+        value: angle [rad] or torque [N m]; NaN where the last reference cannot be used.
+        velocity: of the angle, for feed-forward [rad/s]; 0 where it is not known.
+        lost: whether it timed out and safe voltages are to follow.
+    """
+
+    mode: Mode | None
+    value: float
+    velocity: float = 0.0
+    lost: bool = False
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What references have to keep to, in rad or N m.
+
+    Attributes:
+        largest: magnitude that is not exceeded, by mode.
+        slew: largest change in a second, by mode; 0: any.
+        timeout: time after which a reference is lost that nobody repeats, by mode [s]; 0: never.
+        lost: ``safe`` or ``hold``.
+    """
+
+    largest: Mapping[Mode, float]
+    slew: Mapping[Mode, float]
+    timeout: Mapping[Mode, float]
+    lost: str = "safe"
+
+    def __post_init__(self) -> None:
+        if self.lost not in LOST:
+            raise BadInput(f"reference_lost is {self.lost!r}: expected one of {', '.join(LOST)}")
+
+
+class Trajectory:
+    """A course of the reference through points, with the times of the samples.
+
+    Between two points it is a cubic where both have a velocity, else a straight line. From where the joint was asked to
+    be to the first point it is a straight line. After the last point it stays there.
+
+    Args:
+        mode: what the values are.
+        start_ns: time that the points count from [ns].
+        seconds: times of the points (N,) [s], from 0 on, increasing.
+        values: at the points (N,) [rad] or [N m].
+        velocities: at the points (N,) [rad/s]; empty: not known.
+
+    Raises:
+        BadInput: no points, times that do not increase, or a value that is not finite.
+    """
+
+    def __init__(
+        self,
+        mode: Mode,
+        start_ns: int,
+        seconds: Sequence[float],
+        values: Sequence[float],
+        velocities: Sequence[float] = (),
+    ) -> None:
+        if not seconds or len(values) != len(seconds) or len(velocities) not in (0, len(seconds)):
+            raise BadInput(f"trajectory of {len(seconds)} times, {len(values)} values, {len(velocities)} velocities")
+        if not all(map(math.isfinite, (*seconds, *values, *velocities))):
+            raise BadInput("trajectory with a value that is not finite")
+        if seconds[0] < 0.0 or any(b <= a for a, b in zip(seconds, seconds[1:], strict=False)):
+            raise BadInput("trajectory whose times do not increase from 0 on")
+        self.mode = mode
+        self._start_ns = start_ns
+        self._seconds, self._values, self._velocities = list(seconds), list(values), list(velocities)
+        self._first: float | None = None
+
+    def over(self, stamp_ns: int) -> bool:
+        """Whether the last point is passed at this stamp [ns]."""
+        return (stamp_ns - self._start_ns) * 1e-9 >= self._seconds[-1]
+
+    def at(self, stamp_ns: int, now: float) -> tuple[float, float]:
+        """Value and its change in a second at a stamp.
+
+        Args:
+            stamp_ns: of the sample [ns].
+            now: where the joint is asked to be, or is, when this is asked for the first time [rad] or [N m].
+        """
+        time = (stamp_ns - self._start_ns) * 1e-9
+        seconds, values, speeds = self._seconds, self._values, self._velocities
+        if self._first is None:
+            self._first = now
+        if time >= seconds[-1]:
+            return values[-1], 0.0
+        if time < 0.0:
+            return self._first, 0.0
+        if time < seconds[0]:
+            return _line(time, 0.0, seconds[0], self._first, values[0])
+        k = bisect_right(seconds, time) - 1
+        if not speeds:
+            return _line(time, seconds[k], seconds[k + 1], values[k], values[k + 1])
+        length = seconds[k + 1] - seconds[k]
+        s = (time - seconds[k]) / length
+        a, b, u, v = values[k], values[k + 1], speeds[k] * length, speeds[k + 1] * length
+        value = a + s * (u + s * (3.0 * (b - a) - 2.0 * u - v + s * (2.0 * (a - b) + u + v)))
+        change = u + s * (2.0 * (3.0 * (b - a) - 2.0 * u - v) + s * 3.0 * (2.0 * (a - b) + u + v))
+        return value, change / length
+
+
+def _line(time: float, begin: float, end: float, a: float, b: float) -> tuple[float, float]:
+    slope = (b - a) / (end - begin)
+    return a + slope * (time - begin), slope
+
+
+class References:
+    """Keeps the last reference, and says at each sample what it asks for.
+
+    Args:
+        rules: that it keeps to.
+
+    Attributes:
+        mode: of the last reference; None: none has come.
+        complaint: why the last one cannot be used; empty if it can.
+        limited: words about the last one's being limited; empty if it was not.
+        lost: whether it has timed out.
+        limited_count: references that were limited.
+        lost_count: how often a reference was lost.
+        value: what was asked for at the last sample [rad] or [N m]; NaN where nothing was.
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self.limited_count = self.lost_count = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """As if none had come."""
+        self.mode: Mode | None = None
+        self.complaint = self.limited = ""
+        self.lost = False
+        self.value = math.nan
+        self._target = math.nan
+        self._velocity = 0.0
+        self._trajectory: Trajectory | None = None
+        self._heard_ns = 0
+        self._stamp_ns: int | None = None
+        self._tracked: Mode | None = None
+
+    def not_tracking(self) -> None:
+        """The controller does not track now: the next reference begins at the estimate."""
+        self._tracked = None
+
+    def set(self, mode: Mode, value: float, now_ns: int, velocity: float = 0.0) -> None:
+        """Take a reference.
+
+        Args:
+            mode: what it is.
+            value: [rad] or [N m]; one that is not finite cannot be used.
+            now_ns: steady time [ns].
+            velocity: of the angle, for feed-forward [rad/s].
+        """
+        if not math.isfinite(value):
+            self.refuse(f"reference {value:g} {_UNIT[mode]}, expected a finite number", mode)
+            return
+        self._take(mode, now_ns)
+        self.limited = self._limit_words(mode, value)
+        self.limited_count += bool(self.limited)
+        self._target = self._within(mode, value)
+        self._velocity = velocity if math.isfinite(velocity) and not self.limited else 0.0
+
+    def follow(self, trajectory: Trajectory, now_ns: int) -> None:
+        """Take a trajectory.
+
+        Args:
+            trajectory: in place of whatever was before.
+            now_ns: steady time [ns].
+        """
+        self._take(trajectory.mode, now_ns)
+        self._trajectory = trajectory
+
+    def cancel(self) -> None:
+        """Stay where the reference of a trajectory is now; the last point is not asked for any more."""
+        if self._trajectory is not None and self.mode is not None and math.isfinite(self.value):
+            self._trajectory, self._target, self._velocity = None, self.value, 0.0
+
+    def refuse(self, complaint: str, mode: Mode = Mode.ANGLE) -> None:
+        """Take note of a reference that cannot be used: safe voltages until a better one comes.
+
+        Args:
+            complaint: what is wrong with it.
+            mode: what it would have been, where none has come before.
+        """
+        self.complaint, self.limited = complaint, ""
+        self.mode = self.mode if self.mode is not None else mode
+        self._trajectory = None
+        self._target = math.nan
+
+    def _take(self, mode: Mode, now_ns: int) -> None:
+        self.mode, self._heard_ns = mode, now_ns
+        self.complaint = self.limited = ""
+        self.lost = False
+        self._trajectory = None
+
+    def _within(self, mode: Mode, value: float) -> float:
+        largest = self._rules.largest[mode]
+        return min(max(value, -largest), largest)
+
+    def _limit_words(self, mode: Mode, value: float) -> str:
+        largest = self._rules.largest[mode]
+        if abs(value) <= largest:
+            return ""
+        return f"reference {value:g} {_UNIT[mode]} is limited to ±{largest:g} {_UNIT[mode]}"
+
+    def at(self, stamp_ns: int, now_ns: int, angle: float, torque: float) -> Wanted:
+        """What is asked for at a sample.
+
+        Args:
+            stamp_ns: of the estimate [ns].
+            now_ns: steady time [ns].
+            angle: estimated [rad].
+            torque: estimated [N m].
+        """
+        if self.mode is None:
+            return Wanted(None, math.nan)
+        if self.complaint:
+            self.value = math.nan
+            return Wanted(self.mode, math.nan)
+        estimate = torque if self.mode is Mode.TORQUE else angle
+        begins = self._tracked is not self.mode or not math.isfinite(self.value)
+        last = estimate if begins else self.value
+        target, velocity = self._target, self._velocity
+        if self._trajectory is not None:
+            target, velocity = self._on_the_way(self._trajectory, stamp_ns, now_ns, last)
+        timeout = self._rules.timeout[self.mode]
+        if timeout > 0.0 and not self.lost and now_ns - self._heard_ns > timeout * 1e9:
+            if self._rules.lost == "hold" and not math.isfinite(angle):
+                return Wanted(self.mode, math.nan, lost=True)  # there is nothing to hold yet
+            self.lost = True
+            self.lost_count += 1
+            if self._rules.lost == "hold":
+                self.mode, begins, last = Mode.ANGLE, True, angle
+                self._target = target = self._within(Mode.ANGLE, angle)
+                self._velocity, self._trajectory = 0.0, None
+        if self.lost and self._rules.lost == "safe":
+            self.value = math.nan
+            return Wanted(self.mode, math.nan, lost=True)
+        if self.lost:
+            velocity = 0.0
+        self.value = self._slewed(self.mode, last, target, stamp_ns)
+        self._tracked, self._stamp_ns = self.mode, stamp_ns
+        return Wanted(self.mode, self.value, velocity if self.value == target else 0.0)
+
+    def _on_the_way(self, trajectory: Trajectory, stamp_ns: int, now_ns: int, last: float) -> tuple[float, float]:
+        if not trajectory.over(stamp_ns):
+            self._heard_ns = now_ns
+        value, velocity = trajectory.at(stamp_ns, last)
+        words = self._limit_words(trajectory.mode, value)
+        if words and not self.limited:
+            self.limited_count += 1
+        self.limited = words
+        return self._within(trajectory.mode, value), 0.0 if words else velocity
+
+    def _slewed(self, mode: Mode, last: float, target: float, stamp_ns: int) -> float:
+        slew = self._rules.slew[mode]
+        if slew <= 0.0 or not math.isfinite(last):
+            return target
+        before = self._stamp_ns if self._stamp_ns is not None and self._tracked is mode else stamp_ns
+        most = slew * min(max(stamp_ns - before, 0), _LONGEST_STEP_NS) * 1e-9
+        return min(max(target, last - most), last + most)

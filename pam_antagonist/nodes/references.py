@@ -1,0 +1,245 @@
+"""From a topic to what the controller follows: one kind of message, one owner, and what ``/diagnostics`` says of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from pam_antagonist.control import Mode, References, Rules, Trajectory
+from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.health import Health, Level
+from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.safety import ReferenceOwner
+from pam_antagonist_msgs.msg import JointReference
+
+_NUMBER = "publication_sequence_number"
+_MOST_NUMBER = 2**63  # beyond: the middleware's way to say that it gives no numbers
+_LOOK = 0.005  # between two looks for references [s]
+_REPEAT_NS = 20_000_000  # between two messages by which a bag keeps what is followed [ns]
+_MODES = {"angle": Mode.ANGLE, "torque": Mode.TORQUE}
+
+
+class ReferenceInput:
+    """Takes references from the one topic that the parameter ``reference_source`` names.
+
+    Made in ``configure``; :meth:`listen` in ``activate``. It looks for references every 5 ms: looking with each
+    estimate would cost the round trip of each sample some 10 to 20 µs.
+
+    Args:
+        node: the controller.
+
+    Attributes:
+        references: what they ask for.
+    """
+
+    def __init__(self, node: PamNode) -> None:
+        values = node.values
+        self._node = node
+        self.references = References(
+            Rules(
+                {Mode.ANGLE: values["max_angle"], Mode.TORQUE: values["max_torque"]},
+                {Mode.ANGLE: values["max_angle_rate"], Mode.TORQUE: values["max_torque_rate"]},
+                {Mode.ANGLE: values["angle_reference_timeout"], Mode.TORQUE: values["torque_reference_timeout"]},
+                values["reference_lost"],
+            )
+        )
+        self._source: str = values["reference_source"]
+        self._joint: str = values["joint_name"]
+        self._array = (_MODES[values["commands_mode"]], int(values["commands_index"]))
+        self._kind, self._topic, self._accept = self._interface()
+        self._owner = ReferenceOwner()
+        self._refused_before = self._lost_before = 0
+        self._logged = ""
+        self._heard_ns: int | None = None
+        self._repeated_ns = 0
+        self._subscription: Any = None
+        self._echo = None
+        if self._source != "reference":  # a bag, and who looks on, get what is followed in the package's own message
+            self._echo = node.create_publisher(JointReference, TOPICS["reference"].relative, qos.REFERENCE)
+
+    def _interface(self) -> tuple[Any, str, Callable[[Any], None]]:
+        return {
+            "reference": (JointReference, TOPICS["reference"].relative, self.reference),
+            "joint_command": (JointState, "joint_command", self.joint_command),
+            "commands": (Float64MultiArray, "commands", self.commands),
+            "joint_trajectory": (JointTrajectory, "joint_trajectory", self.trajectory),
+        }[self._source]
+
+    def listen(self) -> None:
+        """Take references from now on; one from before does not count any more."""
+        self.references.forget()
+        self._owner = ReferenceOwner()
+        self._refused_before, self._logged, self._heard_ns = 0, "", None
+        self._subscription = self._node.collect(self._kind, self._topic, qos.REFERENCE)
+        self._node.steady_timer(_LOOK, self.poll)
+
+    def poll(self) -> None:
+        """Take what has come."""
+        for data, info in take(self._subscription):
+            sequence = info.get(_NUMBER)
+            if sequence is not None and not 0 < sequence < _MOST_NUMBER:
+                sequence = None
+            now = time.monotonic_ns()
+            if self._owner.admit(sequence, self._subscription.get_publisher_count(), now):
+                self._accept(deserialize_message(data, self._kind))
+                self._heard_ns = now
+                self._log(self.references.complaint or self.references.limited)
+            else:
+                self._log(f"a second publisher's reference is refused: {', '.join(self._publishers())}")
+
+    def _log(self, words: str) -> None:
+        if words and words != self._logged:
+            self._node.get_logger().warning(words)
+        self._logged = words
+
+    # ---------------------------------------------------------------- kinds of messages
+
+    def reference(self, message: JointReference) -> None:
+        """Hold an angle or a torque."""
+        try:
+            mode = Mode(message.mode)
+        except ValueError:
+            self.references.refuse(f"reference has mode {message.mode}, expected {list(map(int, Mode))}")
+        else:
+            self.references.set(mode, message.value, time.monotonic_ns())
+
+    def joint_command(self, message: JointState) -> None:
+        """Hold the position or, where none is given, the effort of this joint; NaN is not asked."""
+        if self._joint not in message.name:
+            return
+        index = list(message.name).index(self._joint)
+
+        def item(name: str) -> float:
+            values = getattr(message, name)
+            if len(values) not in (0, len(message.name)):
+                raise BadInput(f"joint_command has {len(message.name)} names and {len(values)} of {name}")
+            return float(values[index]) if len(values) else math.nan
+
+        try:
+            position, velocity, effort = item("position"), item("velocity"), item("effort")
+        except BadInput as error:
+            self.references.refuse(str(error))
+            return
+        if not math.isnan(position):
+            self.references.set(Mode.ANGLE, position, time.monotonic_ns(), velocity)
+        elif not math.isnan(effort):
+            self.references.set(Mode.TORQUE, effort, time.monotonic_ns())
+
+    def commands(self, message: Float64MultiArray) -> None:
+        """Hold the number of this joint; NaN is not asked."""
+        mode, index = self._array
+        if index >= len(message.data):
+            self.references.refuse(
+                f"commands has {len(message.data)} numbers, and this joint's is number {index}", mode
+            )
+        elif not math.isnan(message.data[index]):
+            self.references.set(mode, message.data[index], time.monotonic_ns())
+
+    def trajectory(self, message: JointTrajectory) -> None:
+        """Follow the positions or, where there are none, the efforts of this joint."""
+        names = list(message.joint_names)
+        if self._joint not in names:
+            return
+        if not message.points:  # as joint_trajectory_controller takes it: stop where the joint is
+            self.references.cancel()
+            return
+        start = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        try:
+            made = _trajectory(message.points, names.index(self._joint), start or self._node.now_ns())
+        except BadInput as error:
+            self.references.refuse(str(error))
+        else:
+            self.references.follow(made, time.monotonic_ns())
+
+    # ---------------------------------------------------------------- what is said about them
+
+    def repeat(self, stamp_ns: int) -> None:
+        """Publish what is followed at a sample, as a JointReference, so that a bag has it; not each time.
+
+        Args:
+            stamp_ns: of the sample [ns].
+        """
+        references = self.references
+        if self._echo is None or not math.isfinite(references.value) or references.mode is None:
+            return
+        if 0 <= stamp_ns - self._repeated_ns < _REPEAT_NS:
+            return
+        self._repeated_ns = stamp_ns
+        message = JointReference(mode=int(references.mode), value=references.value)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        self._echo.publish(message)
+
+    def _publishers(self) -> list[str]:
+        """Who publishes references; the graph knows it whether or not the node is active."""
+        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
+        return sorted(f"{info.node_namespace}/{info.node_name}".replace("//", "/") for info in found)
+
+    def health(self) -> Health:
+        """Part ``reference`` for ``/diagnostics``."""
+        references = self.references
+        refused, self._refused_before = self._owner.refused - self._refused_before, self._owner.refused
+        publishers = self._publishers()
+        names = ", ".join(publishers) or "none"
+        age = math.nan if self._heard_ns is None else (time.monotonic_ns() - self._heard_ns) * 1e-9
+        if refused:
+            state = Health(Level.ERROR, f"{refused} references of a second publisher refused: {names}")
+        elif references.complaint:
+            state = Health(Level.ERROR, f"{references.complaint}: safe voltages")
+        elif references.lost:
+            state = Health(Level.ERROR, f"the reference timed out: {self._when_lost()}")
+        elif len(publishers) > 1:
+            state = Health(Level.WARN, f"{len(publishers)} publishers of references: {names}")
+        elif references.limited:
+            state = Health(Level.WARN, references.limited)
+        elif references.mode is None:
+            state = Health(Level.WARN, "no reference has come yet")
+        else:
+            state = Health(Level.OK, "followed")
+        values = {
+            "source": f"{self._node.resolve_topic_name(self._topic)} ({self._kind.__name__})",
+            "mode": references.mode.name.lower() if references.mode is not None else "none",
+            "asked for now [rad or N m]": references.value,
+            "age [s]": f"{age:.3f}",
+            "limited": references.limited_count,
+            "timed out": references.lost_count,
+            "refused, second publisher": self._owner.refused,
+            "publishers": names,
+        }
+        return Health(state.level, state.message, values)
+
+    def _when_lost(self) -> str:
+        holds = self._node.values["reference_lost"] == "hold"
+        return "the angle is held that was estimated then" if holds else "safe voltages"
+
+
+def _trajectory(points: Any, index: int, start_ns: int) -> Trajectory:
+    """The course of one joint; positions before efforts.
+
+    Raises:
+        BadInput: points that do not agree, or that cannot be followed.
+    """
+    seconds = [point.time_from_start.sec + point.time_from_start.nanosec * 1e-9 for point in points]
+
+    def column(name: str) -> list[float]:
+        rows = [getattr(point, name) for point in points]
+        if not any(len(row) for row in rows):
+            return []
+        if any(len(row) <= index for row in rows):
+            raise BadInput(f"trajectory whose points do not all have {name} of this joint")
+        return [float(row[index]) for row in rows]
+
+    positions, velocities, efforts = column("positions"), column("velocities"), column("effort")
+    if positions:
+        return Trajectory(Mode.ANGLE, start_ns, seconds, positions, velocities)
+    if efforts:
+        return Trajectory(Mode.TORQUE, start_ns, seconds, efforts)
+    raise BadInput("trajectory with neither positions nor efforts")

@@ -1,0 +1,158 @@
+"""Quality of service over DDS: what does not match is told by name, and an override makes it match."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from pam_antagonist.errors import BadInput
+
+pytestmark = pytest.mark.ros
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def driver(ros: None) -> Iterator[Any]:
+    """A driver as many are: sensor data, best effort. It hears commands with best effort as well."""
+    import rclpy
+    from rclpy.node import Node
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import FluidPressure
+
+    from pam_antagonist_msgs.msg import ValveCommand
+
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    node = Node("daq", namespace="/pam", context=context)
+    kinds = {"pressure_1": FluidPressure, "pressure_2": FluidPressure, "valve_state": ValveCommand}
+    node.outputs = {name: node.create_publisher(kind, name, qos_profile_sensor_data) for name, kind in kinds.items()}
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def make(ros: None) -> Iterator[Callable[..., Any]]:
+    from rclpy.parameter import Parameter
+
+    from pam_antagonist.nodes.estimator_node import EstimatorNode
+
+    made = []
+
+    def factory(**parameters: Any) -> Any:
+        given = [Parameter(name, value=value) for name, value in parameters.items()]
+        node = EstimatorNode(parameter_overrides=given)
+        made.append(node)
+        node.start()
+        return node
+
+    yield factory
+    for node in made:
+        node.destroy_node()
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + 15.0
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.01)
+
+
+def override(topic: str, side: str = "subscription", **policies: Any) -> dict[str, Any]:
+    return {f"qos_overrides.{topic}.{side}.{name}": value for name, value in policies.items()}
+
+
+def test_a_best_effort_driver_is_an_error_that_names_it_and_what_to_set(make: Any, driver: Any) -> None:
+    node = make()
+    until(lambda: " ".join(node._connections.problems(node)).count("/pam/daq") == 3, "the driver was not found")
+    health = node._connections.health(node)
+    assert health.level == 2
+    assert health.message == (
+        "publisher /pam/daq of /pam/pressure_1 is not connected: best effort offered, reliable asked for; set "
+        "qos_overrides./pam/pressure_1.subscription.reliability to best_effort, or change the other side, and 2 more"
+    )
+    sent: list[Any] = []
+    node._diagnostics._publisher.publish = sent.append
+    node._diagnose()
+    (status,) = [status for status in sent[0].status if status.name == "pam/estimator: connections"]
+    assert status.level == b"\x02" and status.message == health.message
+
+
+def test_what_the_error_says_makes_it_work(make: Any, driver: Any) -> None:
+    import rclpy
+
+    from pam_antagonist.nodes.qos import STREAM
+    from pam_antagonist.nodes.wire import set_stamp
+
+    given: dict[str, Any] = {}
+    for name in driver.outputs:
+        given |= override(f"/pam/{name}", reliability="best_effort")
+    node = make(**given)
+    assert STREAM.reliability.name == "RELIABLE"  # the default of all others is untouched
+    until(lambda: all(output.get_subscription_count() for output in driver.outputs.values()), "nobody listens")
+    assert node._connections.health(node).level == 0
+    begin = node.now_ns()
+    executor = rclpy.executors.SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        for k in range(30):
+            for name, output in driver.outputs.items():
+                message = output.msg_type()
+                set_stamp(message.header.stamp, begin + k * MS)
+                if name == "valve_state":
+                    message.voltage = [5.5, 5.5]
+                else:
+                    message.fluid_pressure = 450e3
+                output.publish(message)
+        end = time.monotonic() + 10.0
+        while node._published < 20 and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+    finally:
+        executor.shutdown()
+    assert node._published >= 20
+
+
+def test_a_subscriber_that_asks_for_more_is_named_too(make: Any, driver: Any) -> None:
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from sensor_msgs.msg import JointState
+
+    kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    driver.create_subscription(JointState, "joint_states", lambda message: None, kept)
+    node = make()
+
+    def words() -> str:
+        return "; ".join(node._connections.problems(node))
+
+    until(lambda: "/pam/daq of /pam/joint_states" in words(), "the subscriber was not found")
+    assert (
+        "subscriber /pam/daq of /pam/joint_states is not connected: volatile offered, transient local asked" in words()
+    )
+
+
+@pytest.mark.parametrize(
+    ("policies", "words"),
+    [({"reliability": "perhaps"}, "perhaps"), ({"reliability": 1}, "reliability"), ({"depth": "deep"}, "depth")],
+)
+def test_overrides_that_cannot_be_used_are_refused(make: Any, policies: dict[str, Any], words: str) -> None:
+    with pytest.raises(
+        BadInput, match=rf"qos_overrides of pressure_1: .*{words}.*expected reliability, history or depth"
+    ):
+        make(**override("/pam/pressure_1", **policies))
+
+
+def test_durability_is_no_ones_to_override(make: Any, ros: None) -> None:
+    node = make(**override("/pam/pressure_1", durability="transient_local"))
+    (info,) = node.get_subscriptions_info_by_topic("/pam/pressure_1")
+    assert info.qos_profile.durability.name == "VOLATILE"
+
+
+def test_a_destroyed_subscription_is_not_watched_any_more(make: Any) -> None:
+    node = make()
+    before = len(node._connections._entities)
+    node.trigger_deactivate()
+    assert len(node._connections._entities) == before - 3
+    assert node._connections.problems(node) == []
