@@ -2,11 +2,14 @@
 
 What is done is counted (samples, bytes), or comes in phases whose shares of the time are known from other recordings.
 The time that is left is estimated from the expected time and from how much slower or faster than that it went so far.
+What is shown of it never grows: a command that turns out slower counts down more slowly.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import re
 import sys
 import threading
 import time
@@ -24,7 +27,13 @@ _TICK, _LINES = 0.5, 10.0
 _TRUST = 0.2
 """Part of the expected time after which the measured pace counts as much as the expected one."""
 _SMOOTH = 0.2
-"""Part of a change of the time left that is shown at the next tick."""
+"""Part of what is shown too much that is taken off at the next tick."""
+_BEHIND = 2.5
+"""Where the estimate is so many times what is shown, no time is shown."""
+_BUSY = 1.6
+"""From this load a core on, what was measured on idle cores is no guide."""
+_COUNT = re.compile(r"(\d+) of at most (\d+)$")
+"""How far a phase is, at the end of its report."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +67,11 @@ IDENTIFY = Plan(0.6, 1.6, {
     "force map": 10, "valve curve": 1, "flow": 12, "joint refinement": 12, "profile": 3, "inner fit": 2,
     "uncertain directions": 22, "process noise": 9, "scale of the uncertainty": 6, "own values": 21, "held-out": 3,
 })  # fmt: skip
-SEALED_CLOSE_LOOP = Plan(0.3, 0.8, {
+SEALED_CLOSE_LOOP = Plan(0.8, 2.5, {
     "recalibrating": 20, "round 1": 10, "round 2": 5, "effects are needed": 5, "profile": 6, "tuning": 40, "errors": 8,
 })  # fmt: skip
-SEALED_IDENTIFY = Plan(0.3, 0.8, {
-    "closed chamber of muscle 1": 1, "closed chamber of muscle 2": 1, "balance": 2, "tuning": 8,
+SEALED_IDENTIFY = Plan(0.8, 2.5, {
+    "closed chamber of muscle 1": 1, "closed chamber of muscle 2": 1, "balance": 1, "tuning": 40,
 })  # fmt: skip
 
 
@@ -107,7 +116,7 @@ class Planned:
         whole = sum(plan.phases.values())
         self._expected, self._names = expected, list(plan.phases)
         self._shares = [share / whole for share in plan.phases.values()]
-        self._phase, self._begun, self._pace = -1, 0.0, 1.0
+        self._phase, self._begun, self._pace, self._counted = -1, 0.0, 1.0, 0.0
         self.text = ""
 
     def begin(self, text: str, elapsed: float) -> None:
@@ -115,9 +124,11 @@ class Planned:
         self.text = text
         for number in range(self._phase + 1, len(self._names)):
             if self._names[number] in text:
-                self._phase, self._begun = number, elapsed
+                self._phase, self._begun, self._counted = number, elapsed, 0.0
                 self._pace = self._slower(sum(self._shares[:number]), elapsed)
-                return
+                break
+        if count := _COUNT.search(text):
+            self._counted = int(count[1]) / int(count[2])
 
     def _slower(self, done: float, elapsed: float) -> float:
         """Times as long as expected it takes, by what is done after `elapsed` seconds."""
@@ -128,6 +139,8 @@ class Planned:
         if self._phase < 0:
             return 0.0
         share = self._shares[self._phase]
+        if self._counted:
+            return sum(self._shares[: self._phase]) + share * self._counted
         part = (elapsed - self._begun) / max(share * self._expected * self._pace, 1e-9)
         # A phase that takes longer than expected creeps through the last tenth of its share.
         within = 0.9 * part if part < 1.0 else 1.0 - 0.1 * math.exp(1.0 - part)
@@ -140,13 +153,13 @@ class Planned:
 
 
 class Steady:
-    """A time that is left, smoothed: it counts down, and changes of the estimate come in slowly."""
+    """A time that is left, as it is shown: it only counts down, faster or slower as the estimate of it demands."""
 
     def __init__(self) -> None:
-        self._end = math.nan
+        self._shown, self._at = math.nan, 0.0
 
     def left(self, now: float, estimate: float) -> float:
-        """The time left [s].
+        """The time left [s]; NaN where it is not known, or is much longer than what was shown last.
 
         Args:
             now: of a clock [s].
@@ -154,9 +167,21 @@ class Steady:
         """
         if math.isnan(estimate):
             return estimate
-        end = now + estimate
-        self._end = end if math.isnan(self._end) else self._end + _SMOOTH * (end - self._end)
-        return max(self._end - now, 0.0)
+        if math.isnan(self._shown):
+            self._shown, self._at = estimate, now
+        self._shown -= (now - self._at) * min(self._shown / max(estimate, 1e-9), 1.0)
+        self._shown -= _SMOOTH * max(self._shown - estimate, 0.0)
+        self._at = now
+        return self._shown if estimate <= _BEHIND * max(self._shown, 1.0) else math.nan
+
+
+def load() -> float:
+    """Times as long as on an idle machine that a command takes, by what else this machine computes; 1 if unknown."""
+    try:
+        others, cores = os.getloadavg()[0], len(os.sched_getaffinity(0))
+    except (OSError, AttributeError):
+        return 1.0
+    return max((others + 1.0) / cores, 1.0)
 
 
 _ROUGH = (1, 2, 3, 5, 10, 15, 20, 30, 45, 60, 90)
@@ -190,7 +215,7 @@ class _Shown:
         self._what, self._state = what, state
         self._start, self._steady, self._stop = time.monotonic(), Steady(), threading.Event()
         self._bar: Any = None
-        self._line = _LINES
+        self._line, self._lines = _LINES, 0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -206,20 +231,25 @@ class _Shown:
                 self._bar.set_description_str(self._what, refresh=False)
                 self._bar.set_postfix_str(in_words(self.elapsed()), refresh=True)
             self._bar.close()
+        elif complete and self._lines:
+            print(f"{self._what}: 100 %, took {in_words(self.elapsed())}", file=sys.stderr, flush=True)
 
     def _run(self) -> None:
         terminal = sys.stderr.isatty()
         while not self._stop.wait(_TICK):
             elapsed = self.elapsed()
-            done = self._state.fraction(elapsed)
-            left = self._steady.left(elapsed, self._state.left(elapsed))
-            rest = "" if math.isnan(left) else f"about {roughly(left)} left"
+            done = min(self._state.fraction(elapsed), 0.99)  # 100 % is for the end
+            estimate = self._state.left(elapsed)
+            left = self._steady.left(elapsed, estimate)
+            late = "" if math.isnan(estimate) else "longer than expected"
+            rest = late if math.isnan(left) else f"about {roughly(left)} left"
             if not (done or self._state.text):  # compiling, most likely: there is nothing to say yet
                 self._line = elapsed + _LINES
             if terminal and elapsed >= _DELAY:
                 self._draw(100.0 * done, rest)
             elif not terminal and elapsed >= self._line:
                 self._line += _LINES
+                self._lines += 1
                 text = ", ".join(part for part in (f"{100.0 * done:.0f} %", self._state.text, rest) if part)
                 print(f"{self._what}: {text}", file=sys.stderr, flush=True)
 
@@ -274,20 +304,23 @@ def planned(what: str, recordings: Sequence[Recording], plan: Plan) -> Iterator[
         Takes what begins now.
     """
     seconds = sum(recording.duration_s for recording in recordings)
-    state = Planned(plan.middle * seconds, plan)
+    slower = load()
+    state = Planned(slower * plan.middle * seconds, plan)
     with _shown(what, state) as shown:
 
         def report(text: str) -> None:
             # Not before: a recording that is refused gets a line that names the reason, and no other.
             if not state.text and plan.high * seconds >= _LINES:
-                print(f"{what}: {_how_long(len(recordings), seconds, plan)}", file=sys.stderr, flush=True)
+                told = _how_long(len(recordings), seconds, plan, slower)
+                print(f"{what}: {told}", file=sys.stderr, flush=True)
             state.begin(text, shown.elapsed())
 
         yield report
 
 
-def _how_long(count: int, seconds: float, plan: Plan) -> str:
-    """The time that a command takes for recordings of so many seconds."""
+def _how_long(count: int, seconds: float, plan: Plan, slower: float) -> str:
+    """The time that a command takes for recordings of so many seconds, where it is `slower` than on idle cores."""
     one = "1 recording" if count == 1 else f"{count} recordings"
-    low, high = in_words(plan.low * seconds), in_words(plan.high * seconds)
-    return f"{one} of {in_words(seconds)} together, about {low} to {high} on two cores"
+    low, high = in_words(slower * plan.low * seconds), in_words(slower * plan.high * seconds)
+    where = f"while the machine is busy (load {slower:.1f} a core)" if slower >= _BUSY else "on two cores"
+    return f"{one} of {in_words(seconds)} together, about {low} to {high} {where}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -256,8 +257,13 @@ def _tunings(prepared: Prepared, common: Mapping[str, Rig], has_effects: bool, s
     settings.progress("tuning the estimators")
     named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
     names = ("recalibrated", "extended") if has_effects else ("recalibrated",)
+    tried, most = itertools.count(1), _TUNINGS * len(names)
+
+    def report(text: str) -> None:
+        settings.progress(f"tuning the estimators, {min(next(tried), most)} of at most {most}")
+
     best = Parallel(n_jobs=settings.jobs, prefer="threads")(
-        delayed(tuned)(common[name], named, 1.0 - settings.holdout, lambda text: None, _TUNINGS) for name in names
+        delayed(tuned)(common[name], named, 1.0 - settings.holdout, report, _TUNINGS) for name in names
     )
     rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
     return {"extended": rigs["recalibrated"], **rigs}

@@ -14,6 +14,7 @@ angle are most likely, on the part that is fitted, while the innovations are as 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -374,8 +375,10 @@ def tuned(
         new = tuning.replaced(process=(tuning.process[0], velocity, pressure, pressure))
         return rig.replaced(tunings={**rig.tunings, "default": new}, effects={**rig.effects, **now})
 
+    tried = itertools.count(1)
+
     def against(logarithm: np.ndarray) -> float:
-        progress("tuning")
+        progress(f"tuning, {min(next(tried), evaluations)} of at most {evaluations}")
         return -_likelihood(with_values(logarithm), parts)
 
     largest = max(drift.get("drift_1", 0.0), drift.get("drift_2", 0.0))
