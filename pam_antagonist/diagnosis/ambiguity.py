@@ -167,10 +167,7 @@ def _loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Se
 def _about_loops(rig: Rig, names: Sequence[str]) -> str:
     step = f"{np.degrees(np.sqrt(12.0) * rig.sensors.angle_std):.2g}°"
     about = [_LOOPS[name].about.format(step=step) for name in names if _LOOPS[name].about]
-    return (
-        "; ".join(["where the joint slides", *about])
-        + ". Both have one size only, since all turns of the joint have the same size"
-    )
+    return " ".join(["while the joint slides, with one size for each.", *about])
 
 
 def _item(effect: str, name: str) -> EffectParameter:
@@ -225,7 +222,7 @@ def _losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: S
             (rms[0], rms[1]),
             "kPa",
             float(seconds),
-            f"in the mean of the pressures, on what was fitted: {CATALOGUE[other].sealed.loss_about}",
+            f"by the mean of the fitted pressures. {CATALOGUE[other].sealed.loss_about}",
         )
         for other in rivals
     ]

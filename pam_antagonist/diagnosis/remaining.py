@@ -175,13 +175,18 @@ class RemainingResidual:
         band = max(self.bands, key=lambda name: self.bands[name])
         text = (
             f"{self.recording}, {self.channel}: {self.times_noise:.1f} times the noise; {depends}; "
-            f"{100 * self.bands[band]:.0f} % of its power {band}, typical period {self.period:.1f} s"
+            f"{100 * self.bands[band]:.0f} % of its power lies {_between(band)}; typical period {self.period:.1f} s"
         )
         if self.form.terms and self.form.share >= least:
             held = "" if np.isnan(self.form.held_out) else f", {100 * max(self.form.held_out, 0.0):.0f} % held out"
             share = f"{100 * self.form.share:.0f} %"
             text += f"; it looks like {self.form} [{self.unit}], which explains {share} of it{held}"
         return text
+
+
+def _between(band: str) -> str:
+    """Where a band of frequency lies: ``0.3 to 1 Hz`` as a place."""
+    return f"between {band.replace(' to ', ' and ')}" if " to " in band else band
 
 
 def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingResidual]:

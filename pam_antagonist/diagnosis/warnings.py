@@ -170,7 +170,7 @@ def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
         ):  # fmt: skip
             if before and after and after.rmse > thresholds.ESTIMATOR_WORSE * before.rmse:
                 warnings.append(
-                    f"with the extended rig the estimator is worse in {entry.recording} ({what} "
+                    f"the estimator is worse in {entry.recording} with what was fitted here ({what} "
                     f"{after.rmse:.2g}{unit}) than with the rig as configured ({before.rmse:.2g}{unit}): the base "
                     "parameters were fitted to something that no effect explains; keep the rig file that you have"
                 )
@@ -234,8 +234,8 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
         )
     if any(trial.has(TORQUE) for trial in trials):
         out.append(
-            "The torque meter's scale shows no error of a few per cent: muscles, inertia and friction that are as much "
-            "larger look the same."
+            "An error of a few per cent in the torque meter's scale cannot be seen: muscles, inertia and friction that "
+            "are larger by the same factor look the same."
         )
     else:
         out.append("No torque was measured: an error of the force shows only in the joint's motion.")
@@ -250,8 +250,7 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
     small = [name for g in prepared.groups for name in invisible(g.experiments, bases[g.name], jobs)]
     if small:
         out.append(
-            f"Not seen in these recordings at their usual size: {', '.join(small)}. The joint may have them all the "
-            "same."
+            f"Not seen in these recordings, even at their usual size: {', '.join(small)}. So the joint may have them."
         )
     return tuple(out)
 

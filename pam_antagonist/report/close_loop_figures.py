@@ -49,9 +49,9 @@ def _held(part: HeldOutComparison) -> str:
         parts = ", ".join(f"{begin:.0f} to {end:.0f}" for begin, end in part.experiment.held_parts)
         return f"Shaded: what was held out, {parts} s. No fit used it."
     return {
-        "both": f"Shaded: the end, from {from_s:.0f} s on, was held out. No fit used it.",
+        "both": f"Shaded: the end, from {from_s:.4g} s on, was held out. No fit used it.",
         "fitted": "All of it was fitted; other recordings are held out.",
-        "held out": f"Shaded: all of it was held out. Its first {from_s:.0f} s gave its initial state.",
+        "held out": f"Shaded: all of it was held out. Its first {from_s:.3g} s gave its initial state.",
     }[part.role]
 
 
@@ -72,7 +72,7 @@ def profiles(sizes: Sequence[SizeProfile]) -> tuple[Figure, ...]:
             [Points("tried", values[near] * unit.scale, rise[near], MODEL)],
             ("by the standard error", x * unit.scale, ((x - best) / std) ** 2, ESTIMATE),
             3.84,
-            182,
+            206,
         )
         at = dict(zip(item.values, item.rise, strict=True))
         about = (

@@ -95,11 +95,11 @@ def _compared(item: Ambiguity | None) -> str:
         return ""
     mine, other = (number(value, 2) for value in item.residual)
     text = (
-        f" {'as' if item.ambiguous else 'than'} {item.found}. Compared {item.about}, {item.found} leaves {mine} and "
-        f"{item.other} {other} {item.unit} (ΔBIC {item.evidence:.1f})"
+        f" {'as' if item.ambiguous else 'than'} {item.found}: {item.found} leaves {mine} {item.unit}, {item.other} "
+        f"{other} {item.unit} (RMS; ΔBIC {item.evidence:.1f}). They were compared {item.about.rstrip('.')}"
     )
     if item.size == item.size and item.ambiguous:
-        text += f". Fitted there alone, {item.found} is {number(item.size, 2)} {item.size_unit}"
+        text += f". There, {item.found} is {number(item.size, 2)} {item.size_unit}"
     return text
 
 

@@ -25,6 +25,9 @@ _SHOWN = 5.0
 _POINTS = 300
 _DRAWN = 3
 """Residuals that are drawn over what they depend on, of each recording."""
+_LEAST_SHARE = 0.5
+"""A map whose cells all show 0 % is left out [%]."""
+_CELL = "{value:.0f} %"
 _SIGNALS = ("voltage 1", "voltage 2", "pressure 1", "pressure 2", "angle", "velocity")
 _KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
 _ABOUT = (
@@ -126,13 +129,14 @@ def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block,
         shares = np.array([[100.0 * item.depends_on[kind] for kind in kinds] for item in mine])
         about = "Share of each residual's variance that one kind of dependence explains alone, minus what chance gives."
         rows = [item.channel for item in mine]
-        grid = matrix([("", shares)], rows, kinds, _BLUES, (0.0, 100.0), "{value:.1f} %")
-        out.append(Figure(f"What the remaining residual depends on, {name}", about, grid))
+        if np.max(shares) >= _LEAST_SHARE:
+            grid = matrix([("", shares)], rows, kinds, _BLUES, (0.0, 100.0), _CELL)
+            out.append(Figure(f"What the remaining residual depends on, {name}", about, grid))
         widest = max(mine, key=lambda item: len(item.bands))
         power = np.array([[100.0 * item.bands.get(band, float("nan")) for band in widest.bands] for item in mine])
         about = "Share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz."
         bands = [_short(band) for band in widest.bands]
-        grid = matrix([("", power)], rows, bands, _BLUES, (0.0, 100.0), "{value:.1f} %")
+        grid = matrix([("", power)], rows, bands, _BLUES, (0.0, 100.0), _CELL)
         out.append(Figure(f"Frequencies of the remaining residual, {name}", about, grid))
         clear = sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN]
         out += [_drawn(item) for item in clear]
@@ -166,7 +170,9 @@ def _drawn(item: RemainingResidual) -> Figure:
             means = remaining.means(item.values, axes[title], which)
             parts.append(Line(name, means[:, 0], means[:, 1], color, width=1.7, quiet=name in named))
             named.add(name)
-        panels.append(Panel(Axis(title), Axis(f"{item.channel.capitalize()} [{item.unit}]"), tuple(parts), 222))
+        # The second panel has the vertical axis of the first one; a title of its own would lie on that on a phone.
+        vertical = "" if panels else f"{item.channel.capitalize()} [{item.unit}]"
+        panels.append(Panel(Axis(title), Axis(vertical), tuple(parts), 222))
     form = f" A sparse regression suggests {item.form}." if item.form.terms else ""
     about = f"The residual over the two signals on which it depends most, and means over equal numbers of values.{form}"
     title = f"What the model lacks in {item.channel}, {item.recording}"

@@ -242,8 +242,8 @@ class Figure:
     def margins(self) -> tuple[int, int, int, int]:
         """Left, right, upper and lower margin in pixels; the upper one holds a legend or a panel's title."""
         named = any(not getattr(part, "quiet", True) for panel in self.panels for part in panel.series)
-        rows_only = all(panel.y.labels and not panel.x.labels for panel in self.panels)
-        return 66, 14, 10 if rows_only and not named else 34, 44
+        above = named or any(panel.title for panel in self.panels) or any(not panel.y.labels for panel in self.panels)
+        return 66, 14, 34 if above else 10, 44
 
     @property
     def height(self) -> int:

@@ -109,7 +109,8 @@ def residual_figure(
         parts += [Reference(edge, f"{edge:.1f} s" if k == 0 else "", vertical=True) for edge in edges]
         if noise is not None:
             parts += [Reference(sign * 2.0 * float(noise[k]) * scale) for sign in (-1.0, 1.0)]
-        panels.append(Panel(TIME, Axis(name), tuple(parts), 170 if noise is not None else 130))
+        height = 230 if len(channels) == 1 else 170 if noise is not None else 130
+        panels.append(Panel(TIME, Axis(name), tuple(parts), height))
     return Figure(title, about, tuple(panels), link)
 
 

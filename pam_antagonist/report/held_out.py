@@ -153,7 +153,7 @@ def held_out_table(entry: HeldOut) -> Table:
     Args:
         entry: of the recording.
     """
-    out = Comparison(f"{entry.name}, from {entry.from_s:.0f} s on", *(title for title, _ in entry.rigs))
+    out = Comparison(f"{entry.name}, from {entry.from_s:.4g} s on", *(title for title, _ in entry.rigs))
     figures = [item for _, item in entry.rigs]
     out.heading("Model alone")
     for channel in CHANNELS:

@@ -10,6 +10,7 @@ import gzip
 import json
 import math
 import re
+import textwrap
 from html import escape
 from typing import Any
 
@@ -29,6 +30,8 @@ _DECADES = [10.0**power for power in range(-6, 10)]
 _CLEAR = "rgba(0,0,0,0)"
 _LONG, _MOST_DECIMALS = 50, 9
 """Rows of numbers from this length on are packed as steps, up to so many decimals."""
+_LONGEST = 10
+"""Letters of a name below a column, in one line."""
 _DENSE = 26.0
 """Rows that are less high than this [px] have small letters."""
 
@@ -153,6 +156,8 @@ def _horizontal(panel: Panel, lowest: bool) -> Values:
         out |= {"meta": "time", "hoverformat": ".3f"}
     if axis.labels:
         out["showgrid"] = False
+        # On a phone there is no room for a long name in one line, and plotly leaves out what does not fit.
+        out["ticktext"] = ["<br>".join(_text(line) for line in textwrap.wrap(name, _LONGEST)) for name in axis.labels]
     if len(axis.labels) > 10:
         out |= {"tickangle": -60, "tickfont": {"size": 9}}
     if not lowest:

@@ -133,12 +133,12 @@ def test_a_clear_effect_is_good_and_an_ambiguous_one_a_warning(report: CloseLoop
         report, ambiguous_with=("thermal",), experiments={"thermal": "record again"}, ambiguities=(rival,)
     )
     warning = said(unclear, "warn")
-    assert warning.startswith("Thermal would explain the data as well as leak.")
-    assert "leak leaves 0.055 and thermal 0.049 kPa (ΔBIC 0.3)" in warning
+    assert warning.startswith("Thermal would explain the data as well as leak: ")
+    assert "leak leaves 0.055 kPa, thermal 0.049 kPa (RMS; ΔBIC 0.3)" in warning
     assert warning.endswith("To distinguish them: record again.")
     assert "No other candidate" not in said(unclear, "good")
     refuted = replace(report, ambiguities=(replace(rival, ambiguous=False, evidence=20.0),))
-    assert "Thermal explains the data less well than leak." in said(refuted, "good")
+    assert "Thermal explains the data less well than leak: " in said(refuted, "good")
 
 
 def test_a_part_that_is_not_explained_is_a_warning(report: CloseLoopReport) -> None:

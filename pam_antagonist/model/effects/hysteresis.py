@@ -92,7 +92,7 @@ EFFECT = Effect(
             width="width",
             widths_a_turn=4.0,
             widths=(2e-4,),
-            about="a hysteresis may turn round within a step of the encoder, {step}",
+            about="A hysteresis loop as narrow as a step of the encoder ({step}) was tried as well.",
         ),
     ),
     needs_motion=True,

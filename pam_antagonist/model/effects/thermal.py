@@ -66,7 +66,6 @@ EFFECT = Effect(
         experiment="leave the joint closed for ten minutes and record again: what is due to charging has died out "
         "then, a leak goes on",
         loss="fading",
-        loss_about="gas that still cools from having been charged, or tubes that still give way, lose pressure at a "
-        "rate that dies out",
+        loss_about="Gas that cools after the charging, or tubes that stretch, lose pressure at a rate that dies out.",
     ),
 )
