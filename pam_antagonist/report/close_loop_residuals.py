@@ -156,7 +156,8 @@ def _drawn(item: RemainingResidual) -> Figure:
         spread[title] = float(np.var(means[:, 1])) if len(means) else 0.0
     chosen = sorted(spread, key=lambda title: -spread[title])[:2]
     velocity = item.around.velocity
-    panels, every = [], max(1, len(item.values) // _POINTS)
+    panels: list[Panel] = []
+    every = max(1, len(item.values) // _POINTS)
     named: set[str] = set()
     for title in chosen:
         single = Points("residual", axes[title][::every], item.values[::every], QUIET, quiet=bool(named))
