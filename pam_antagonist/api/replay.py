@@ -32,6 +32,7 @@ class ReplayResult(Replay):
         run: the estimates, M of them; ``run.index`` are their samples in the recording.
         model: the model alone at the same samples.
         report: the numbers of ``report.json``.
+        plan: where the filter was started.
     """
 
     def summary(self) -> str:
@@ -78,6 +79,7 @@ def replay(
     lock_angle: float | None = None,
     progress: Callable[[int], None] | None = None,
     read_seconds: float = 0.0,
+    begin_s: float | None = None,
 ) -> ReplayResult:
     """Run a recording through the estimator and through the model alone, and judge both.
 
@@ -89,12 +91,15 @@ def replay(
         lock_angle: of a locked joint [rad], where it is known.
         progress: is called now and then with the number of samples done since the last call.
         read_seconds: what reading the recording took [s], for the real-time factor.
+        begin_s: time from the first sample from which on there is to be an estimate [s]; None: all of it. The
+            estimates are those of the whole.
 
     Returns:
         Estimates, errors against what was measured, and the consistency of the filter.
 
     Raises:
-        BadInput: a tuning or joint condition that does not exist, or no sample to start from.
+        BadInput: a tuning or joint condition that does not exist, or no sample to start from, or none from that
+            time on.
 
     Example:
         >>> from pam_antagonist import read_bag, replay
@@ -106,5 +111,5 @@ def replay(
         (6000,)
     """
     chosen = as_rig(rig)
-    done = _replay(as_recording(recording, chosen), chosen, tuning, joint, lock_angle, read_seconds, progress)
+    done = _replay(as_recording(recording, chosen), chosen, tuning, joint, lock_angle, read_seconds, progress, begin_s)
     return ReplayResult(**{item.name: getattr(done, item.name) for item in fields(Replay)})

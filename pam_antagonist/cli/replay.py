@@ -32,6 +32,7 @@ examples:
   {run} replay my_bag --rig shin2022 --out result
   {run} replay free_bag locked_bag --rig my_rig.yaml --out result --tuning published
   {run} replay my_bag --rig shin2022 --out result --save estimate.mcap
+  {run} replay my_bag --rig shin2022 --out result --from 3540
   {run} replay my_bag --rig shin2022 --out result --topic pressure_1=/arm/p1 --topic pressure_2=/arm/p2
 """
 
@@ -51,6 +52,11 @@ def parser() -> common.Parser:
     common.add_joint(
         out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, from the measured angle)"
     )
+    out.add_argument(
+        "--from", dest="begin", type=float, metavar="SECONDS",
+        help="estimate from this time of the recording on; a checkpoint of the live filter saves the way there, and "
+        "the estimates are those of the whole (default: all of it)",
+    )  # fmt: skip
     common.add_topics(out)
     out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
     out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where the bag holds several")
@@ -117,7 +123,9 @@ def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Name
     given.refuse_wrong(recording, rig, arguments)
     read_seconds = time.perf_counter() - begin
     with counted(len(recording.stamp_ns), f"replay {bag.name}") as done:
-        return replay(recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, done, read_seconds)
+        return replay(
+            recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, done, read_seconds, arguments.begin
+        )
 
 
 if __name__ == "__main__":

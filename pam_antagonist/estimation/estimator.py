@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import checkpoint as checkpoints
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation import stamps, ukf
+from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
 from pam_antagonist.estimation.filter import ESTIMATE_DTYPE
 from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
-from pam_antagonist.rig import Rig, Tuning
+from pam_antagonist.rig import Rig, Tuning, fingerprint
 
 _FASTEST = 100.0  # a joint that could be set to [rad/s]
 _PRESSURES = (50e3, 2e6)  # absolute, likewise [Pa]; gauge pressures near the atmosphere's are below
@@ -181,6 +183,10 @@ class Estimator:
         )
         self._added = par.added_states(sets[0])
         self._memory = kernels.make_memory(n, m)
+        self._identity = FilterIdentity(
+            rig.name, fingerprint(rig), tuning, joint, lock_angle, tuple(self._added),
+            checkpoints.settings_hash(self._settings),
+        )  # fmt: skip
         # What the kernel takes: plain tuples, see filter.process_all.
         self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, m))
         self._stamp, self._pressure, self._voltage = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 2))
@@ -246,6 +252,21 @@ class Estimator:
         memory.cross[:] = 0.0
         memory.held[:] = inputs
         stamps.start(memory.clock, stamp_ns)
+
+    def checkpoint(self) -> Checkpoint | None:
+        """All that the filter remembers after the last sample, None where it is not started."""
+        return checkpoints.take(self._memory, self._identity) if self.started_ns is not None else None
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint: later samples give the same bits as in the filter that it was taken of.
+
+        Args:
+            checkpoint: of a filter with the same rig, tuning and joint condition.
+
+        Raises:
+            BadInput: it is of another filter, or damaged; the filter is left as it was.
+        """
+        checkpoints.put(checkpoint, self._memory, self._identity)
 
     @property
     def counts(self) -> Counts:

@@ -17,7 +17,7 @@ measured angle or torque.
 
 subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand)
 publishes:   joint_estimate (pam_antagonist_msgs/JointEstimate), joint_states (sensor_msgs/JointState),
-             rig (std_msgs/String)
+             rig (std_msgs/String), filter_checkpoint (pam_antagonist_msgs/FilterCheckpoint, once a second)
 services:    ~/reset (std_srvs/Trigger), ~/set_state (pam_antagonist_msgs/SetState), and those of a lifecycle node
 """
 

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes import checkpoints, qos, wire
 from pam_antagonist.nodes.estimator import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode
@@ -53,6 +53,7 @@ class EstimatorNode(PamNode):
         self._estimates = wire.Outgoing(self, JointEstimate, name, frame, wire.ESTIMATE)
         body, self._state_values = wire.joint_state(values["joint_name"], velocity=True)
         self._states = wire.Outgoing(self, JointState, TOPICS["joint_states"].relative, frame, body)
+        self._checkpoints = checkpoints.CheckpointPublisher(self, frame)
         self._pressure, self._valves = wire.Incoming(wire.PRESSURE), wire.Incoming(wire.VALVES)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetState, "~/set_state", self._on_set_state)
@@ -75,7 +76,11 @@ class EstimatorNode(PamNode):
             (ValveCommand, "valve_state", self._on_valves),
         ):
             self.create_subscription(kind, TOPICS[topic].relative, callback, qos.STREAM, raw=True)
+        self.steady_timer(checkpoints.PERIOD, self._remember)
         self.steady_timer(self.values["pairing_timeout"] / _CHECKS, lambda: self._take(self._pairing.expire()))
+
+    def _remember(self) -> None:
+        self._checkpoints.publish(self._estimator.checkpoint())
 
     def _make(self, tuning: str) -> Estimator:
         return Estimator(self._rig, tuning, self.values["joint"], self.values["lock_angle"])
@@ -97,6 +102,7 @@ class EstimatorNode(PamNode):
         except BadInput as error:
             response.success, response.message = False, str(error)
         else:
+            self._remember()  # a replay cannot know it otherwise
             response.success = True
             response.message = (
                 f"angle {request.angle:.4f} rad, velocity {request.velocity:.4f} rad/s, "

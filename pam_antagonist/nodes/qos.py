@@ -9,6 +9,7 @@
 * ``REFERENCE``: reliable, volatile, depth 10, so that a second publisher cannot push the first one's out unseen; the
   last one is held until the next one.
 * ``LATCHED``: said once, and kept for those who come later.
+* ``LAST_ONE``: the same of the last message alone.
 * ``GLANCE``: best effort, depth 1, for displays that look at the latest value now and then.
 """
 
@@ -32,4 +33,5 @@ COMMAND = _profile(100)
 REFERENCE = _profile(10)
 GLANCE = _profile(1, reliable=False)
 LATCHED = _profile(10, kept=True)
+LAST_ONE = _profile(1, kept=True)
 DIAGNOSTICS = _profile(10)

@@ -31,7 +31,7 @@ options:
   --max-duration S  begin a new file after so many seconds (default: one file)
 
 subscribes:  pressure_1, pressure_2, valve_state, valve_command, joint_estimate, joint_states, reference,
-             measured/joint_states, measured/external_torque, rig, /diagnostics
+             measured/joint_states, measured/external_torque, rig, filter_checkpoint, /diagnostics
 """
 
 PARAMETERS: tuple[Parameter, ...] = ()

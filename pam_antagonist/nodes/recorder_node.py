@@ -22,6 +22,7 @@ from pam_antagonist.nodes.recorder import PARAMETERS, Options
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.recording.writer import BagWriter
 
+_KEPT = ("rig", "filter_checkpoint")  # topics whose last messages wait for those who come later
 _PERIOD = 0.02  # time between two looks [s]; the queues hold 250 times as much at 1 kHz
 _PROGRESS = 1.0  # time between two changes of the progress line [s]
 _BACKLOG = 256 << 20  # what may wait for a slow disk, five minutes of a pipeline at 1 kHz [bytes]
@@ -79,7 +80,7 @@ class RecorderNode(PamNode):
         """Listen."""
         for topic in TOPICS.values():
             name = self.resolve_topic_name(topic.relative)
-            profile = qos.LATCHED if topic.name == "rig" else qos.RECORD
+            profile = qos.LATCHED if topic.name in _KEPT else qos.RECORD
             self._topics[name] = self.collect(message_class(topic.type), topic.relative, profile)
         self._since = time.monotonic()
         if self._options.duration is not None:

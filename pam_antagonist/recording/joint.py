@@ -82,6 +82,9 @@ def _detected(recording: Recording) -> tuple[str, str]:
 def _live_lock(recording: Recording) -> float | None:
     """Angle of a live filter whose joint was declared locked [rad], None for any other."""
     estimate = recording.estimate
+    locked = [item.lock_angle for item in recording.checkpoints if item.joint == "locked"]
+    if locked and math.isfinite(locked[-1]):
+        return locked[-1]
     if estimate is None or len(estimate.angle) == 0 or np.any(estimate.velocity) or np.ptp(estimate.angle) > _ROUNDING:
         return None
     # The sample that started the filter has the angle to the last bit; means of sigma points may round it.

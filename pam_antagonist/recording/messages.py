@@ -1,4 +1,4 @@
-"""Message definitions: those of ROS 2 Jazzy and the three of ``pam_antagonist_msgs``.
+"""Message definitions: those of ROS 2 Jazzy and the four of ``pam_antagonist_msgs``.
 
 The definitions of this project's messages stand here a second time because an offline installation has no
 ``pam_antagonist_msgs``; a test holds them against the ``.msg`` files field for field.
@@ -48,6 +48,23 @@ uint8 GAP=16
 uint8 REPAIRED=32
 uint8 LATE=64
 uint8 flags
+""",
+        "pam_antagonist_msgs/msg/FilterCheckpoint": """\
+std_msgs/Header header
+builtin_interfaces/Time started
+string rig
+string fingerprint
+string tuning
+string joint
+float64 lock_angle
+string settings
+string[] added
+float64[] state
+float64[] covariance
+float64[] cross
+float64[2] voltage
+uint32 rejected
+int64[10] distances
 """,
     }
 )

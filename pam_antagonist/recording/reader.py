@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from . import plausible, stamps
+from . import checkpoints, plausible, stamps
 from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
@@ -118,7 +118,7 @@ def _read(
     pressure, voltage = _samples(bag, chosen, samples, convert)
     measured = chosen.get("measured_joint_states")
     angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, joint_name, convert)
-    external = chosen.get("measured_external_torque")
+    external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
     estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
     return Recording(
         path=path,
@@ -134,6 +134,7 @@ def _read(
         topics={name: topic.actual for name, topic in chosen.items()},
         issues=tuple(bag.issues),
         rigs=_rig_texts(bag, chosen["valve_state"].actual),
+        checkpoints=() if remembered is None else checkpoints.read(remembered.decoded, remembered.keep),
     )
 
 
@@ -169,6 +170,8 @@ def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
         unset = stamp_ns == 0
         topic.stamp_ns = topic.stamp_ns.copy()
         topic.stamp_ns[topic.keep[unset]] = topic.log_ns[topic.keep[unset]]
+        return
+    if topic.name == "filter_checkpoint":  # any of them may be of use, whatever came before it
         return
     if len(stamp_ns):
         topic.keep = topic.keep[stamps.order(str(path), topic.actual, stamp_ns, issues)]

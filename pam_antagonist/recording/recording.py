@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..optional import needs
+from .checkpoints import RecordedCheckpoint
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -167,6 +168,7 @@ class Recording:
         topics: Logical topic name -> name in the bag, for the topics that were used.
         issues: Sentences about what was repaired, dropped or is doubtful.
         rigs: What the nodes said about their rigs, oldest first, for :meth:`pam_antagonist.rig.RigIdentity.read`.
+        checkpoints: What the live filter remembered now and then, in the order of their stamps.
     """
 
     path: Path
@@ -182,6 +184,7 @@ class Recording:
     topics: Mapping[str, str] = field(default_factory=dict)
     issues: tuple[str, ...] = ()
     rigs: tuple[str, ...] = ()
+    checkpoints: tuple[RecordedCheckpoint, ...] = ()
 
     def __post_init__(self) -> None:
         size = len(self.stamp_ns)
@@ -203,6 +206,7 @@ class Recording:
         object.__setattr__(self, "topics", MappingProxyType(dict(self.topics)))
         object.__setattr__(self, "issues", tuple(self.issues))
         object.__setattr__(self, "rigs", tuple(self.rigs))
+        object.__setattr__(self, "checkpoints", tuple(sorted(self.checkpoints, key=lambda item: item.stamp_ns)))
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -281,6 +285,7 @@ class Recording:
             **arrays,
             estimate=None if self.estimate is None else self.estimate.take(inside(self.estimate.stamp_ns)),
             reference=reference,
+            checkpoints=tuple(item for item in self.checkpoints if low <= item.stamp_ns < high),
             received_ns={
                 name: Arrival(log[inside(stamp)], stamp[inside(stamp)])
                 for name, (log, stamp) in self.received_ns.items()

@@ -75,6 +75,12 @@ _TABLE = (
         "torque applied from outside about +z [N m], for validation and identification only",
     ),
     Topic("rig", "rig", "std_msgs/msg/String", "the rig that each node was given, as JSON; kept for late subscribers"),
+    Topic(
+        "filter_checkpoint",
+        "filter_checkpoint",
+        "pam_antagonist_msgs/msg/FilterCheckpoint",
+        "all that the estimator's filter remembers, once a second; a replay goes on from it; kept for late subscribers",
+    ),
     Topic("diagnostics", "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "health of the nodes"),
 )
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
+from . import checkpoints
 from .bag_files import MODES, PLUGINS, BagFiles, Compression, Limits, Storage
 from .cdr import encode
 from .messages import typestore
@@ -275,6 +276,10 @@ def write_bag(
             width, view = matrix.shape[1], np.ascontiguousarray(matrix).reshape(-1).data
             times = _log_times(recording, name, stamp_ns)
             items.extend((topic, log, view[i * width : (i + 1) * width]) for i, log in enumerate(times.tolist()))
+        if recording.checkpoints:
+            topic = TOPICS["filter_checkpoint"].resolve(namespace)
+            bag.add_topic(topic, TOPICS["filter_checkpoint"].type)
+            items.extend((topic, stamp, data) for stamp, data in checkpoints.messages(recording.checkpoints, frame_id))
         items.sort(key=lambda item: item[1])  # stable: messages of one time keep the order of the topics
         bag.write_many(items)
 

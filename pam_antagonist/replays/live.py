@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,13 +22,13 @@ class LiveInput(NamedTuple):
         pressure: (N, 2) [Pa], NaN where the live filter had none.
         voltage: (N, 2) [V], NaN where it had none.
         had: which samples it had at all (N,).
-        without: how many samples differ from the recorded ones.
+        lacked: which samples differ from the recorded ones (N,).
     """
 
     pressure: NDArray[np.float64]
     voltage: NDArray[np.float64]
     had: NDArray[np.bool_]
-    without: int
+    lacked: NDArray[np.bool_]
 
 
 def as_live(recording: Recording) -> LiveInput:
@@ -44,7 +45,7 @@ def as_live(recording: Recording) -> LiveInput:
     had = np.ones(len(recording.stamp_ns), dtype=bool)
     live = recording.estimate
     if live is None or len(live.stamp_ns) == 0:
-        return LiveInput(pressure, voltage, had, 0)
+        return LiveInput(pressure, voltage, had, ~had)
     _, at, at_live = np.intersect1d(recording.stamp_ns, live.stamp_ns, return_indices=True)
     between = (recording.stamp_ns > live.stamp_ns[0]) & (recording.stamp_ns < live.stamp_ns[-1])
     had[between] = False
@@ -56,13 +57,14 @@ def as_live(recording: Recording) -> LiveInput:
     lost = ~had
     for ours, theirs in ((pressure, recording.pressure), (voltage, recording.voltage)):
         lost |= (np.isnan(ours) & np.isfinite(theirs)).any(axis=1)
-    return LiveInput(pressure, voltage, had, int(lost.sum()))
+    return LiveInput(pressure, voltage, had, lost)
 
 
 def same_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Where two arrays (N, ...) of doubles hold the same bits in all of a row, (N,); any NaN equals any other."""
-    a = np.ascontiguousarray(one, dtype=np.float64).reshape(len(one), -1)
-    b = np.ascontiguousarray(other, dtype=np.float64).reshape(len(other), -1)
+    shape = (len(one), int(np.prod(one.shape[1:])))
+    a = np.ascontiguousarray(one, dtype=np.float64).reshape(shape)
+    b = np.ascontiguousarray(other, dtype=np.float64).reshape(shape)
     return np.asarray(((a.view(np.int64) == b.view(np.int64)) | (np.isnan(a) & np.isnan(b))).all(axis=1))
 
 
@@ -77,6 +79,9 @@ class LiveComparison:
         only_replay: samples between the first and the last recorded estimate that were not recorded.
         first_difference_ns: stamp of the first sample that differs [ns], or None.
         differing: for each field that differs, in how many samples it does.
+        not_compared: samples with a live estimate for which the replay had a filter of its own.
+        why_not: why that was so, each reason once.
+        apart_deg: largest difference of the angle in those samples, and that in the last of them [deg].
     """
 
     compared: int
@@ -85,15 +90,66 @@ class LiveComparison:
     only_replay: int
     first_difference_ns: int | None
     differing: Mapping[str, int]
+    not_compared: int = 0
+    why_not: tuple[str, ...] = ()
+    apart_deg: tuple[float, float] | None = None
 
 
-def compare_with_live(live: RecordedEstimate, run: EstimateRun) -> LiveComparison:
+class Apart(NamedTuple):
+    """Samples for which a replay has a filter of its own.
+
+    Attributes:
+        first_ns: stamp of the first of them [ns].
+        end_ns: stamp of the sample behind the last of them [ns].
+        why: it has one.
+    """
+
+    first_ns: int
+    end_ns: int
+    why: str
+
+
+def compare_with_live(live: RecordedEstimate, run: EstimateRun, apart: Sequence[Apart] = ()) -> LiveComparison:
     """Compare recorded estimates with replayed ones, sample by sample.
 
     Args:
         live: what the live node published.
         run: the replay.
+        apart: samples that are not to be compared bit by bit.
     """
+    own_live, own_run = _within(live.stamp_ns, apart), _within(run.stamp_ns, apart)
+    compared = _compare(live.take(~own_live), taken(run, ~own_run))
+    if not own_live.any():
+        return compared
+    _, at_live, at_run = np.intersect1d(live.stamp_ns[own_live], run.stamp_ns[own_run], return_indices=True)
+    angle = np.degrees(np.abs(live.angle[own_live][at_live] - run.rows["angle"][own_run][at_run]))
+    return dataclasses.replace(
+        compared,
+        not_compared=int(own_live.sum()),
+        why_not=tuple(dict.fromkeys(part.why for part in apart)),
+        apart_deg=(float(angle.max()), float(angle[-1])) if len(angle) else None,
+    )
+
+
+def _within(stamp_ns: NDArray[np.int64], apart: Sequence[Apart]) -> NDArray[np.bool_]:
+    inside = np.zeros(len(stamp_ns), dtype=bool)
+    for part in apart:
+        inside |= (stamp_ns >= part.first_ns) & (stamp_ns < part.end_ns)
+    return inside
+
+
+def taken(run: EstimateRun, keep: NDArray[np.bool_]) -> EstimateRun:
+    """Part of the estimates of a run.
+
+    Args:
+        run: M estimates.
+        keep: which of them (M,).
+    """
+    arrays = {name: getattr(run, name)[keep] for name in ("rows", "stamp_ns", "index", "started_ns")}
+    return dataclasses.replace(run, added={name: values[keep] for name, values in run.added.items()}, **arrays)
+
+
+def _compare(live: RecordedEstimate, run: EstimateRun) -> LiveComparison:
     _, at_live, at_run = np.intersect1d(live.stamp_ns, run.stamp_ns, return_indices=True)
     differing: dict[str, int] = {}
     equal = live.started_ns[at_live] == run.started_ns[at_run]

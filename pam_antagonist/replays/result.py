@@ -18,6 +18,7 @@ from pam_antagonist.estimation.errors import FilterErrors, ModelErrors
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.live import LiveComparison
+from pam_antagonist.replays.segments import Plan
 from pam_antagonist.rig import Rig
 
 FloatArray = NDArray[np.float64]
@@ -109,10 +110,14 @@ class FilterFacts:
     Attributes:
         started_ns: stamps at which the filter was started [ns].
         counts: what became of its samples.
+        resumed_ns: stamps of the live filter's checkpoints from which it went on [ns].
+        refused: why other checkpoints were of no use.
     """
 
     started_ns: tuple[int, ...]
     counts: Counts
+    resumed_ns: tuple[int, ...] = ()
+    refused: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -192,6 +197,7 @@ class Replay:
         run: the estimates, M of them; ``run.index`` are their samples in the recording.
         model: the model alone at the same samples.
         report: the recording's entry in ``report.json``.
+        plan: where the filter was started.
     """
 
     recording: Recording
@@ -201,6 +207,7 @@ class Replay:
     run: EstimateRun
     model: ModelTrack
     report: ReplayReport
+    plan: Plan
 
     @property
     def name(self) -> str:

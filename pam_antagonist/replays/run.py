@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator, metrics, simulate_model
+from pam_antagonist.estimation import EstimateRun, Estimator, metrics, simulate_model
 from pam_antagonist.estimation.errors import (
     ChannelErrors,
     FilterErrors,
@@ -23,7 +23,7 @@ from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
-from pam_antagonist.replays.live import LiveInput, as_live, compare_with_live
+from pam_antagonist.replays.live import Apart, LiveComparison, LiveInput, as_live, compare_with_live, taken
 from pam_antagonist.replays.result import (
     FilterFacts,
     Innovation,
@@ -35,6 +35,7 @@ from pam_antagonist.replays.result import (
     ReplayReport,
     Timing,
 )
+from pam_antagonist.replays.segments import Plan, plan
 from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerprint
 
 FloatArray = NDArray[np.float64]
@@ -51,11 +52,13 @@ def replay(
     lock_angle: float | None = None,
     read_seconds: float = 0.0,
     progress: Callable[[int], None] | None = None,
+    begin_s: float | None = None,
 ) -> Replay:
     """Run a recording through the estimator and through the model alone, and judge both.
 
     The filter is started where the live one was, if its estimate was recorded, so that both can be compared bit by
-    bit; else at the first sample.
+    bit; else at the first sample. Where the live one was started before the recording, the filter goes on from the
+    first checkpoint of the live one that the recording holds.
 
     Args:
         recording: the recording.
@@ -65,36 +68,54 @@ def replay(
         lock_angle: angle of a locked joint [rad], where it is known.
         read_seconds: what reading the recording took [s], for the real-time factor.
         progress: called now and then with the number of samples done since the last call.
+        begin_s: time from the first sample from which on there is to be an estimate [s]; None: all of it. The filter
+            goes on from the last checkpoint before, or runs from the start where none is of use. The estimates are the
+            same as those of the whole.
 
     Raises:
-        BadInput: a tuning or joint condition that does not exist, or no sample to start from.
+        BadInput: a tuning or joint condition that does not exist, no sample to start from, or none from that time on.
     """
     begin = _clock()
+    progress = progress or (lambda samples: None)
+    begin_ns = None if begin_s is None else _stamp_at(recording, begin_s)
     state = joint_condition(recording, joint, lock_angle)
     estimator = Estimator(rig, tuning=tuning, joint=state.condition, lock_angle=state.lock_angle)
     given = as_live(recording)
-    run = _estimate(recording, given, estimator, progress or (lambda samples: None))
+    planned = plan(recording, estimator, begin_ns)
+    progress(planned.skipped)
+    run = _estimate(recording, given, estimator, planned, progress)
     if len(run.rows) == 0:
         raise BadInput(
             f"{recording.path}: no sample has both pressures and valve voltages, so no filter can be started"
         )
     filtered = _clock()
-    model = _model_alone(recording, rig, state, run)
+    model = _model_alone(recording, rig, state, run, planned, given)
     modelled = _clock()
     total = modelled - begin + read_seconds
-    report = _judged(recording, rig, state, run, model)
+    if begin_ns is not None:
+        run, model = _from(recording, run, model, begin_ns)
+    report = _judged(recording, rig, state, run, model, planned, begin_ns)
+    from_here = slice(None) if begin_ns is None else recording.stamp_ns >= begin_ns
     report = dataclasses.replace(
         report,
         realtime_factor=report.duration_s / total,
-        live_without=None if recording.estimate is None else given.without,
+        live_without=None if recording.estimate is None else int(given.lacked[from_here].sum()),
         timing=Timing(read_seconds, filtered - begin, modelled - filtered, total),
     )
-    return Replay(recording, rig, tuning, state, run, model, report)
+    return Replay(recording, rig, tuning, state, run, model, report, planned)
 
 
 def _clock() -> float:
     """Time that went into work [s]; compiling, which is done once on each machine, does not count."""
     return time.perf_counter() - COMPILING.seconds
+
+
+def _stamp_at(recording: Recording, begin_s: float) -> int:
+    if not 0.0 <= begin_s <= recording.duration_s:
+        raise BadInput(
+            f"{recording.path}: cannot begin at {begin_s:g} s, expected 0 to {recording.duration_s:.3f} s, its length"
+        )
+    return int(recording.stamp_ns[0]) + round(begin_s * 1e9)
 
 
 def after(whole: Replay, begin_s: float) -> Replay:
@@ -107,48 +128,49 @@ def after(whole: Replay, begin_s: float) -> Replay:
     Raises:
         BadInput: there is no estimate from then on.
     """
-    recording, run, model = whole.recording, whole.run, whole.model
-    kept = run.stamp_ns >= int(recording.stamp_ns[0]) + round(begin_s * 1e9)
-    if not kept.any():
-        raise BadInput(f"{recording.path}: no estimate from {begin_s:g} s on")
-    arrays = {name: getattr(run, name)[kept] for name in ("rows", "stamp_ns", "index", "started_ns")}
-    part = dataclasses.replace(run, added={name: values[kept] for name, values in run.added.items()}, **arrays)
-    track = ModelTrack(model.angle[kept], model.torque[kept], model.pressure[kept])
+    recording = whole.recording
+    begin_ns = int(recording.stamp_ns[0]) + round(begin_s * 1e9)
+    part, track = _from(recording, whole.run, whole.model, begin_ns)
     report = dataclasses.replace(
-        _judged(recording, whole.rig, whole.joint, part, track),
-        samples=int(kept.sum()),
-        duration_s=float(part.stamp_ns[-1] - part.stamp_ns[0]) * 1e-9 + recording.even_grid(whole.rig.sample_period)[0],
+        _judged(recording, whole.rig, whole.joint, part, track, whole.plan, begin_ns),
         realtime_factor=whole.report.realtime_factor,
         live_without=whole.report.live_without,
         timing=whole.report.timing,
     )
-    return Replay(recording, whole.rig, whole.tuning, whole.joint, part, track, report)
+    return Replay(recording, whole.rig, whole.tuning, whole.joint, part, track, report, whole.plan)
+
+
+def _from(recording: Recording, run: EstimateRun, model: ModelTrack, begin_ns: int) -> tuple[EstimateRun, ModelTrack]:
+    """Estimates and model from a stamp on."""
+    kept = run.stamp_ns >= begin_ns
+    if not kept.any():
+        seconds = (begin_ns - int(recording.stamp_ns[0])) * 1e-9
+        raise BadInput(f"{recording.path}: no estimate from {seconds:g} s on")
+    return taken(run, kept), ModelTrack(model.angle[kept], model.torque[kept], model.pressure[kept])
 
 
 def _estimate(
-    recording: Recording, given: LiveInput, estimator: Estimator, progress: Callable[[int], None]
+    recording: Recording, given: LiveInput, estimator: Estimator, planned: Plan, progress: Callable[[int], None]
 ) -> EstimateRun:
-    """Run the filter over the recording, begun afresh wherever the live one was."""
+    """Run the filter over the recording, begun afresh, or from a checkpoint, as planned."""
     stamps = recording.stamp_ns
-    begins = np.zeros(1, dtype=np.int64)
-    if recording.estimate is not None:
-        starts = np.unique(recording.estimate.started_ns)
-        known = np.searchsorted(stamps, starts)
-        here = (known < len(stamps)) & (stamps[np.minimum(known, len(stamps) - 1)] == starts)
-        if here.any():
-            begins = known[here]
     parts: list[EstimateRun] = []
-    for first, end in zip(begins, [*begins[1:], len(stamps)], strict=True):
+    ends = [*(segment.first for segment in planned.segments[1:]), len(stamps)]
+    for segment, end in zip(planned.segments, ends, strict=True):
         estimator.reset()
-        for low in range(int(first), int(end), _CHUNK):
-            high = min(low + _CHUNK, int(end))
+        if segment.checkpoint is not None:
+            estimator.restore(segment.checkpoint)
+        for low in range(segment.first, end, _CHUNK):
+            high = min(low + _CHUNK, end)
             kept = low + np.flatnonzero(given.had[low:high])
             part = estimator.run(stamps[kept], given.pressure[kept], given.voltage[kept])
             parts.append(dataclasses.replace(part, index=kept[part.index]))
             progress(high - low)
+    if not parts:
+        parts.append(estimator.run(stamps[:0], given.pressure[:0], given.voltage[:0]))
     return EstimateRun(
-        rows=np.concatenate([part.rows for part in parts]) if parts else np.zeros(0, ESTIMATE_DTYPE),
-        added={name: np.concatenate([part.added[name] for part in parts]) for name in parts[0].added} if parts else {},
+        rows=np.concatenate([part.rows for part in parts]),
+        added={name: np.concatenate([part.added[name] for part in parts]) for name in parts[0].added},
         stamp_ns=np.concatenate([part.stamp_ns for part in parts]),
         index=np.concatenate([part.index for part in parts]),
         started_ns=np.concatenate([part.started_ns for part in parts]),
@@ -156,25 +178,39 @@ def _estimate(
     )
 
 
-def _model_alone(recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun) -> ModelTrack:
-    """The model without any measurement, begun anew at the first pressures wherever the filter was started."""
-    count = len(run.index)
+def _model_alone(
+    recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun, planned: Plan, given: LiveInput
+) -> ModelTrack:
+    """The model without any measurement, begun anew at the first pressures wherever the filter was started.
+
+    A checkpoint is no start of the model: it runs on through it, also through what the filter skipped.
+    """
     period, points = recording.even_grid(rig.sample_period)
+    resumed = [segment.first for segment in planned.segments if segment.checkpoint is not None]
+    begins = np.flatnonzero(np.diff(run.started_ns) != 0) + 1
+    begins = np.setdiff1d(begins, np.searchsorted(run.index, resumed))
+    index = run.index
+    if planned.model_first < planned.skipped:
+        complete = given.had & np.isfinite(given.pressure).all(axis=1) & np.isfinite(given.voltage).all(axis=1)
+        first = planned.model_first + int(np.argmax(complete[planned.model_first :]))
+        before = first + np.flatnonzero(given.had[first : planned.skipped])
+        index, begins = np.concatenate((before, index)), begins + len(before)
+    count = len(index)
     track = ModelTrack(np.empty(count), np.empty(count), np.empty((count, 2)))
-    first_of = np.flatnonzero(np.concatenate(([True], np.diff(run.started_ns) != 0)))
-    for first, end in zip(first_of, [*first_of[1:], count], strict=True):
+    for first, end in zip([0, *begins], [*begins, count], strict=True):
         # On the recording's grid; samples that are missing are stepped over with the voltages held.
-        step = points[run.index[first:end]] - points[run.index[first]]
+        own = index[first:end]
+        step = points[own] - points[own[0]]
         voltage = np.full((int(step[-1]) + 1, 2), np.nan)
-        voltage[step] = recording.voltage[run.index[first:end]]
+        voltage[step] = recording.voltage[own]
         external = None
         if recording.external_torque is not None:
             external = np.zeros(len(voltage))
-            external[step] = recording.external_torque[run.index[first:end]]
+            external[step] = recording.external_torque[own]
         alone = simulate_model(
             rig,
             voltage,
-            recording.pressure[run.index[first]],
+            recording.pressure[own[0]],
             joint=joint.condition,
             lock_angle=joint.lock_angle,
             external_torque=external,
@@ -183,12 +219,22 @@ def _model_alone(recording: Recording, rig: Rig, joint: JointCondition, run: Est
         track.angle[first:end] = alone.angle[step]
         track.torque[first:end] = alone.torque[step]
         track.pressure[first:end] = alone.pressure[step]
-    return track
+    skipped = count - len(run.index)
+    return ModelTrack(track.angle[skipped:], track.torque[skipped:], track.pressure[skipped:])
 
 
-def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun, model: ModelTrack) -> ReplayReport:
-    """The recording's report, without what depends on the clock of the machine."""
+def _judged(
+    recording: Recording,
+    rig: Rig,
+    joint: JointCondition,
+    run: EstimateRun,
+    model: ModelTrack,
+    planned: Plan,
+    begin_ns: int | None,
+) -> ReplayReport:
+    """The report of a recording, or of its part from a stamp on, without what depends on the clock of the machine."""
     rows, index = run.rows, run.index
+    first_ns = int(recording.stamp_ns[0]) if begin_ns is None else int(run.stamp_ns[0])
     pressure = recording.pressure[index]
     angle = None if recording.angle is None else recording.angle[index]
     torque = None if recording.torque is None else recording.torque[index]
@@ -196,9 +242,8 @@ def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: Estimate
     nis = metrics.nis_consistency(rows["nis"], rows["innovation"])
     whitened = metrics.normalised_innovation(rows["innovation"], rows["innovation_covariance"])
     return ReplayReport(
-        samples=len(recording.stamp_ns),
-        duration_s=float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9
-        + recording.even_grid(rig.sample_period)[0],
+        samples=len(recording.stamp_ns) if begin_ns is None else len(run.rows),
+        duration_s=float(recording.stamp_ns[-1] - first_ns) * 1e-9 + recording.even_grid(rig.sample_period)[0],
         realtime_factor=float("nan"),
         ukf=FilterErrors(
             channel_errors(angle, rows["angle"], "deg", variance[:, 0, 0], reading("angle")),
@@ -229,11 +274,33 @@ def _judged(recording: Recording, rig: Rig, joint: JointCondition, run: Estimate
             _rigs(recording, rig),
         ),
         joint=JointFacts.of(joint),
-        estimator=FilterFacts(tuple(int(stamp) for stamp in np.unique(run.started_ns)), run.counts),
-        live_equal=None if recording.estimate is None else compare_with_live(recording.estimate, run),
+        estimator=FilterFacts(
+            tuple(int(stamp) for stamp in np.unique(run.started_ns)),
+            run.counts,
+            tuple(segment.checkpoint.stamp_ns for segment in planned.segments if segment.checkpoint is not None),
+            tuple(planned.refused),
+        ),
+        live_equal=_live(recording, run, planned, begin_ns),
         live_without=None,
         timing=Timing(0.0, 0.0, 0.0, 0.0),
     )
+
+
+def _live(recording: Recording, run: EstimateRun, planned: Plan, begin_ns: int | None) -> LiveComparison | None:
+    """The comparison with the live estimate, where that was recorded."""
+    if recording.estimate is None:
+        return None
+    live = recording.estimate
+    if begin_ns is not None:
+        live = live.take(live.stamp_ns >= begin_ns)
+    stamps, firsts = recording.stamp_ns, [segment.first for segment in planned.segments]
+    ends = [int(stamps[k]) if k < len(stamps) else int(stamps[-1]) + 1 for k in (*firsts[1:], len(stamps))]
+    apart = [
+        Apart(int(stamps[segment.first]), end, segment.why_not)
+        for segment, end in zip(planned.segments, ends, strict=False)
+        if segment.why_not
+    ]
+    return compare_with_live(live, run, apart)
 
 
 def _readings(rig: Rig, pressure: FloatArray) -> FloatArray:

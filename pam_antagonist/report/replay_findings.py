@@ -176,7 +176,27 @@ def _live(report: ReplayReport) -> list[Finding]:
     if report.live_without:
         text = f"The live filter missed part of {report.live_without} samples, which came too late. The replay leaves "
         out.append(Finding("warn", text + "them out as well."))
+    if live.not_compared:
+        out.append(_not_compared(live, report))
+        if not live.compared:
+            return out
+    elif report.estimator.refused:
+        out.append(Finding("note", f"The filter ran from its start: {report.estimator.refused[0]}."))
     return [*out, _equality(live, live_rig(report))]
+
+
+def _not_compared(live: LiveComparison, report: ReplayReport) -> Finding:
+    """Why part of the live estimate was not compared, and how far both are apart there."""
+    why = joined(live.why_not)
+    text = f"{live.not_compared} live estimates were not compared bit for bit: {why}."
+    if live.apart_deg is not None:
+        largest, last = (number(value, 2) for value in live.apart_deg)
+        text += f" There the two angles differ by {largest}° at most, and by {last}° at the end."
+    if report.estimator.refused:
+        text += f" A checkpoint was of no use: {report.estimator.refused[0]}."
+    elif not report.estimator.resumed_ns:
+        text += " The recording holds no checkpoint of the live filter (topic filter_checkpoint) to go on from."
+    return Finding("note", text)
 
 
 def live_rig(report: ReplayReport) -> str:
@@ -191,7 +211,8 @@ def _equality(live: LiveComparison, rig: str = "") -> Finding:
     if live.compared == 0:
         return Finding("warn", "The recorded live estimate has no sample in common with the replay.")
     if live.equal == live.compared and not live.only_live and not live.only_replay:
-        text = f"The replay equals the estimate published live, bit for bit, in all {live.compared} samples."
+        text = f"The replay equals the estimate published live, bit for bit, in all {live.compared} samples"
+        text += " that were compared." if live.not_compared else "."
         return Finding("good", text)
     return Finding(
         "warn",

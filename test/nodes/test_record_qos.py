@@ -22,9 +22,9 @@ def test_rosbag2_subscribes_as_record_does() -> None:
         "reliability": ours.reliability.name.lower(),
         "durability": ours.durability.name.lower(),
     }
-    latched = profiles.pop("/pam/rig")
+    latched = {**expected, "depth": qos.LATCHED.depth, "durability": qos.LATCHED.durability.name.lower()}
+    assert profiles.pop("/pam/rig") == latched and profiles.pop("/pam/filter_checkpoint") == latched
     assert all(profile == expected for profile in profiles.values())
-    assert latched == {**expected, "depth": qos.LATCHED.depth, "durability": qos.LATCHED.durability.name.lower()}
 
 
 def test_the_documented_command_names_every_topic() -> None:

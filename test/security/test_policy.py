@@ -27,6 +27,7 @@ PUBLISHERS = {
     "valve_command": {"controller"},
     "joint_estimate": {"estimator"},
     "joint_states": {"estimator"},
+    "filter_checkpoint": {"estimator"},
     "reference": {"operator"},
     "rig": {*SOURCES, "estimator", "controller"},
     "diagnostics": set(NODES),

@@ -1,0 +1,162 @@
+"""Checkpoints of a running filter: all that it remembers, so that another one goes on from there bit for bit.
+
+A checkpoint is of use only to a filter with the same numbers: the same rig, tuning and joint condition. It says what it
+was made with, so that any other filter refuses it with the reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.filter import Memory, Settings
+from pam_antagonist.estimation.stamps import LAST, REJECTED, RUNNING, STARTED
+
+_DIGITS = 16
+
+
+@dataclass(frozen=True)
+class FilterIdentity:
+    """What a filter was made with.
+
+    Attributes:
+        rig: name of the rig.
+        fingerprint: of the rig's physics.
+        tuning: name of its tuning.
+        joint: ``free`` or ``locked``.
+        lock_angle: angle of a locked joint [rad].
+        added: names of the states that effects add.
+        settings: hash of every number that the filter is set to.
+    """
+
+    rig: str
+    fingerprint: str
+    tuning: str
+    joint: str
+    lock_angle: float
+    added: tuple[str, ...]
+    settings: str
+
+    def difference(self, other: FilterIdentity) -> str:
+        """What another filter was made with that this one was not, in words; empty where nothing is."""
+        if other.fingerprint != self.fingerprint:
+            return f"rig {other.rig} ({other.fingerprint}) rather than {self.rig} ({self.fingerprint})"
+        if other.added != self.added:
+            return f"the added states {_listed(other.added)} rather than {_listed(self.added)}"
+        if other.tuning != self.tuning:
+            return f"tuning {other.tuning} rather than {self.tuning}"
+        if (other.joint, other.lock_angle) != (self.joint, self.lock_angle):
+            return f"{_condition(other)} rather than {_condition(self)}"
+        if other.settings != self.settings:
+            return f"other values of tuning {other.tuning} or of the rig's uncertainty"
+        return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """All that a filter remembers after a sample; n states, m consider parameters.
+
+    Attributes:
+        stamp_ns: stamp of that sample [ns].
+        started_ns: stamp of the sample that started the filter [ns].
+        identity: what the filter was made with.
+        state: (n,).
+        covariance: (n, n).
+        cross: covariance with the consider parameters (n, m).
+        voltage: last known ones (2,) [V].
+        rejected: samples in a row that the gate refused.
+        distances: how many distances between stamps there were since the start, then the last of them [ns], a ring.
+    """
+
+    stamp_ns: int
+    started_ns: int
+    identity: FilterIdentity
+    state: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    cross: NDArray[np.float64]
+    voltage: NDArray[np.float64]
+    rejected: int
+    distances: NDArray[np.int64]
+
+
+def settings_hash(settings: Settings) -> str:
+    """Sixteen hex digits that stand for every number that a filter is set to.
+
+    Args:
+        settings: of the filter.
+    """
+    digest = hashlib.sha256()
+    for value in settings:
+        digest.update(np.ascontiguousarray(value, dtype=np.float64).tobytes())
+    return digest.hexdigest()[:_DIGITS]
+
+
+def take(memory: Memory, identity: FilterIdentity) -> Checkpoint:
+    """The checkpoint of a running filter, a copy.
+
+    Args:
+        memory: of the filter.
+        identity: what it was made with.
+    """
+    clock = memory.clock
+    return Checkpoint(
+        int(clock[LAST]),
+        int(clock[STARTED]),
+        identity,
+        memory.x.copy(),
+        memory.covariance.copy(),
+        memory.cross.copy(),
+        memory.held.copy(),
+        int(clock[REJECTED]),
+        clock[REJECTED + 1 :].copy(),
+    )
+
+
+def put(checkpoint: Checkpoint, memory: Memory, identity: FilterIdentity) -> None:
+    """Make a filter remember what a checkpoint holds; a filter that refuses it is left as it was.
+
+    Args:
+        checkpoint: of a filter with the same numbers.
+        memory: of the filter, changed in place.
+        identity: what the filter was made with.
+
+    Raises:
+        BadInput: the checkpoint is of another filter, or cannot be one.
+    """
+    other = identity.difference(checkpoint.identity)
+    if other:
+        raise BadInput(f"the checkpoint was made with {other}")
+    here = {"state": memory.x, "covariance": memory.covariance, "cross": memory.cross, "voltage": memory.held}
+    for name, own in here.items():
+        values = getattr(checkpoint, name)
+        if values.shape != own.shape:
+            raise BadInput(f"the checkpoint is damaged: {name} has the shape {values.shape}, expected {own.shape}")
+        if not np.isfinite(values).all():
+            raise BadInput(f"the checkpoint is damaged: {name} holds a value that is not finite")
+    if (np.diag(checkpoint.covariance) < 0.0).any():
+        raise BadInput("the checkpoint is damaged: covariance has a negative variance")
+    clock, distances = memory.clock, checkpoint.distances
+    if not (
+        checkpoint.started_ns <= checkpoint.stamp_ns
+        and checkpoint.rejected >= 0
+        and distances.shape == clock[REJECTED + 1 :].shape
+        and distances[0] >= 0
+        and (distances[1:][: distances[0]] > 0).all()
+    ):
+        raise BadInput("the checkpoint is damaged: its stamps and counts cannot be those of a filter")
+    for name, own in here.items():
+        own[:] = getattr(checkpoint, name)
+    clock[RUNNING], clock[LAST], clock[STARTED] = 1, checkpoint.stamp_ns, checkpoint.started_ns
+    clock[REJECTED], clock[REJECTED + 1 :] = checkpoint.rejected, distances
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ", ".join(names) or "none"
+
+
+def _condition(identity: FilterIdentity) -> str:
+    return "a free joint" if identity.joint == "free" else f"a joint locked at {identity.lock_angle:g} rad"

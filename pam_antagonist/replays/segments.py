@@ -1,0 +1,173 @@
+"""Where a replay starts its filter: with a sample, or from a checkpoint of the live one.
+
+A filter that is started with the sample that started the live one gives the same bits from there on. Where that sample
+is not in the recording (it was begun while the estimator ran), or where the state was set by hand, only a checkpoint
+gives them: the first one whose own sample was recorded. Until then the replay has a filter of its own, which is not
+compared with the live one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import Estimator
+from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
+from pam_antagonist.recording import RecordedEstimate, Recording
+from pam_antagonist.recording.checkpoints import RecordedCheckpoint
+
+BEGUN_LATER = "the recording was begun while the live filter ran"
+SET_BY_HAND = "the state of the live filter was set by hand"
+NOT_RECORDED = "the sample that started the live filter was not recorded"
+
+
+class Segment(NamedTuple):
+    """Samples that one start of the filter is for.
+
+    Attributes:
+        first: the first one; the last one is the sample before the next segment.
+        started_ns: start of the live filter [ns], None where none was recorded.
+        checkpoint: what the filter goes on from; None: it starts with the first complete sample.
+        why_not: why it is not the live filter; empty where it is, or where none was recorded.
+    """
+
+    first: int
+    started_ns: int | None = None
+    checkpoint: Checkpoint | None = None
+    why_not: str = ""
+
+
+@dataclass
+class Plan:
+    """How a recording is replayed.
+
+    Attributes:
+        segments: in order.
+        refused: why checkpoints were of no use, each reason once.
+        skipped: the first sample that a filter runs for; those before it are not asked for.
+        model_first: the first sample of the model alone, which runs through those as well.
+    """
+
+    segments: list[Segment]
+    refused: dict[str, None]
+    skipped: int = 0
+    model_first: int = 0
+
+
+def plan(recording: Recording, estimator: Estimator, begin_ns: int | None = None) -> Plan:
+    """Where to start the filter.
+
+    Args:
+        recording: to be replayed.
+        estimator: what is to replay it; it is reset.
+        begin_ns: stamp from which on estimates are wanted [ns]; None: of the whole recording.
+    """
+    out = Plan([], {})
+    live = recording.estimate
+    if live is None or len(live) == 0:
+        out.segments.append(Segment(0))
+    else:
+        starts, first = np.unique(live.started_ns, return_index=True)
+        for start, at in sorted(zip(starts.tolist(), first.tolist(), strict=True), key=lambda pair: pair[1]):
+            out.segments.extend(_of_start(recording, live, start, at, estimator, out))
+    if begin_ns is not None:
+        _skip(recording, begin_ns, estimator, out)
+    estimator.reset()
+    return out
+
+
+def _of_start(
+    recording: Recording, live: RecordedEstimate, start: int, at: int, estimator: Estimator, out: Plan
+) -> Iterator[Segment]:
+    """The segments of one start of the live filter, whose first recorded estimate is number ``at``."""
+    here = _place(recording, start)
+    by_hand = here is not None and _place_of(live, start) is not None and int(live.stamp_ns[at]) != start
+    if here is not None and not by_hand:
+        yield Segment(here, start)
+        return
+    why_not = SET_BY_HAND if by_hand else BEGUN_LATER if start < recording.stamp_ns[0] else NOT_RECORDED
+    # Before the first recorded estimate there is nothing that the filter could disagree with.
+    first = 0 if not out.segments else int(np.searchsorted(recording.stamp_ns, live.stamp_ns[at]))
+    end = int(live.stamp_ns[np.flatnonzero(live.started_ns == start)[-1]])
+    for place, checkpoint in _usable(recording, start, end, estimator, out):
+        if place >= first:
+            yield Segment(first, start, None, why_not)
+        yield Segment(place + 1, start, checkpoint)
+        return
+    yield Segment(first, start, None, why_not)
+
+
+def _skip(recording: Recording, begin_ns: int, estimator: Estimator, out: Plan) -> None:
+    """Leave out what stands before the last checkpoint before a stamp, where that gives the same estimates."""
+    wanted = int(np.searchsorted(recording.stamp_ns, begin_ns))
+    number = max((k for k, segment in enumerate(out.segments) if segment.first <= wanted), default=0)
+    segment = out.segments[number]
+    # What goes on from a checkpoint is no start of the model.
+    out.model_first = next(item.first for item in reversed(out.segments[: number + 1]) if not item.checkpoint)
+    out.segments, before = out.segments[number:], segment.first
+    if segment.why_not == "" and segment.started_ns is not None:
+        last = int(recording.stamp_ns[max(wanted - 1, 0)])
+        for place, checkpoint in _usable(recording, segment.started_ns, last, estimator, out, newest_first=True):
+            if place >= segment.first:
+                before = place + 1
+                out.segments[0] = Segment(before, segment.started_ns, checkpoint)
+            break
+    out.skipped = before
+
+
+def _usable(
+    recording: Recording, start: int, end: int, estimator: Estimator, out: Plan, newest_first: bool = False
+) -> Iterator[tuple[int, Checkpoint]]:
+    """Checkpoints of one start up to a stamp whose own sample was recorded and that the filter takes."""
+    for recorded in reversed(recording.checkpoints) if newest_first else recording.checkpoints:
+        place = _place(recording, recorded.stamp_ns)
+        if recorded.started_ns != start or recorded.stamp_ns > end or place is None:
+            continue
+        checkpoint = of_recorded(recorded)
+        try:
+            estimator.restore(checkpoint)
+        except BadInput as error:
+            out.refused[str(error)] = None
+        else:
+            yield place, checkpoint
+
+
+def of_recorded(recorded: RecordedCheckpoint) -> Checkpoint:
+    """A checkpoint of what a bag holds; what has not the size of a matrix keeps its shape, which no filter takes.
+
+    Args:
+        recorded: of a bag.
+    """
+    names = {item.name for item in fields(FilterIdentity)}
+    n = max(1, len(recorded.state))
+    covariance, cross = recorded.covariance, recorded.cross
+    return Checkpoint(
+        recorded.stamp_ns,
+        recorded.started_ns,
+        FilterIdentity(**{name: getattr(recorded, name) for name in names}),
+        recorded.state,
+        covariance.reshape(n, -1) if len(covariance) % n == 0 else covariance,
+        cross.reshape(n, -1)
+        if len(cross) and len(cross) % n == 0
+        else cross.reshape(n, 0)
+        if not len(cross)
+        else cross,
+        recorded.voltage,
+        recorded.rejected,
+        recorded.distances,
+    )
+
+
+def _place(recording: Recording, stamp_ns: int) -> int | None:
+    """Number of the sample with a stamp."""
+    place = int(np.searchsorted(recording.stamp_ns, stamp_ns))
+    return place if place < len(recording) and recording.stamp_ns[place] == stamp_ns else None
+
+
+def _place_of(live: RecordedEstimate, stamp_ns: int) -> int | None:
+    place = int(np.searchsorted(live.stamp_ns, stamp_ns))
+    return place if place < len(live) and live.stamp_ns[place] == stamp_ns else None
