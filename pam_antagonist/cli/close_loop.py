@@ -29,7 +29,7 @@ Trace what the model of a rig lacks to a physical effect, add it, and report the
 Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured. The
 base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
 catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a recording of
-its own (--holdout), is kept to judge by. A rig whose valves are sealed wants a recording of its joint driven to and
+its own (--holdout), is kept to judge by. A rig whose valves are sealed needs a recording of its joint driven to and
 fro by a known torque (docs/evidence/sealed_joint.md).
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
@@ -58,7 +58,7 @@ def parser() -> common.Parser:
     )  # fmt: skip
     out.add_argument("--jobs", type=given.count, default=2, metavar="N", help="threads (default: 2)")
     cluster.add_dask(out)
-    out.add_argument("--seed", type=given.seed, default=0, help="draws the starts of fits (default: 0)")
+    out.add_argument("--seed", type=given.seed, default=0, help="seed of the random starts of fits (default: 0)")
     out.add_argument("--resume", action="store_true", help="go on with what an interrupted run left in DIR.part")
     given.add_names_and_report(out)
     return out

@@ -28,8 +28,8 @@ Run a sensor-less closed loop live and judge it.
 
 Starts a simulated joint, the estimator and the controller as three processes at the rig's sample rate (1 kHz), and a
 recorder. The reference of the joint's angle steps to ±20° and back, or that of its torque to ±2 N m with the joint
-locked at 0°. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the estimator. At the
-end stand tables, OUT/report.html and OUT/report.json.
+locked at 0°. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the estimator. The
+results are printed as tables and written to DIR/report.html and DIR/report.json.
 
 The simulated joint differs a little from the rig file (--mismatch), as a real one does. It is a simulator all the
 same: only a recording of a real joint shows how well a real joint does (see replay).
@@ -59,13 +59,13 @@ def parser() -> common.Parser:
     add("--duration", type=_seconds, default=12.0, metavar="S", help="length of the experiment [s] (default: 12)")
     add("--mode", choices=("angle", "torque"), default="angle", help="what is controlled (default: angle)")
     gains_help = (
-        "gains of the controller: fast ones (default), or those of the paper, which need 9 s a step of the angle"
+        "gains of the controller: fast ones (default), or those of the paper, which take 9 s for a step of the angle"
     )
     add("--gains", choices=tuple(_GAINS), default="fast", help=gains_help)
     rig_help = "a YAML file, or the name of a rig that comes with the package (default: shin2022)"
     add("--rig", default="shin2022", metavar="RIG", help=rig_help)
     add("--tuning", default="default", metavar="NAME", help="filter tuning of the rig (default: default)")
-    add("--seed", type=_seed, default=0, metavar="N", help="of the joint's mismatch and sensor noise (default: 0)")
+    add("--seed", type=_seed, default=0, metavar="N", help="seed of the joint's mismatch and sensor noise (default: 0)")
     mismatch_help = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
     add("--mismatch", type=_mismatch, default=0.01, metavar="X", help=mismatch_help)
     out_help = "folder for bag, logs and report; a new one (default: demo-DATE-TIME)"

@@ -47,14 +47,14 @@ def parser() -> common.Parser:
         "--hardware", default="example", metavar="FILE", help="calibration of its sensors (default: example)"
     )
     out.add_argument("--link", type=Path, metavar="PATH", help="link to the port, so that its name stays the same")
-    out.add_argument("--seed", type=int, default=0, help="of everything that is random (default: 0)")
+    out.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default: 0)")
     out.add_argument(
         "--mismatch", type=float, default=0.0, metavar="X", help="relative scatter of the parameters (default: 0)"
     )
     out.add_argument("--no-noise", action="store_true", help="exact sensors")
-    out.add_argument("--drift", type=float, default=0.0, metavar="PPM", help="of its clock [ppm] (default: 0)")
+    out.add_argument("--drift", type=float, default=0.0, metavar="PPM", help="error of its clock [ppm] (default: 0)")
     out.add_argument(
-        "--first-us", type=int, default=0, metavar="US", help="its counter of 32 bits at power-on [us] (default: 0)"
+        "--first-us", type=int, default=0, metavar="US", help="its 32-bit counter at power-on [us] (default: 0)"
     )
     out.add_argument("--log", type=Path, metavar="FILE", help="CSV file of the voltages on the valves, row by change")
     out.add_argument(

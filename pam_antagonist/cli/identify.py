@@ -50,8 +50,8 @@ def parser() -> common.Parser:
         "--holdout", type=given.share(0.05, 0.8), default=1.0 / 3.0, metavar="SHARE",
         help="share at the end of each recording that is kept to judge the result (default: a third)",
     )  # fmt: skip
-    out.add_argument("--starts", type=given.count, default=1, metavar="N", help="starts of the refinement (default: 1)")
-    out.add_argument("--seed", type=given.seed, default=0, help="of further starts (default: 0)")
+    out.add_argument("--starts", type=given.count, default=1, metavar="N", help="starts of the search (default: 1)")
+    out.add_argument("--seed", type=given.seed, default=0, help="seed of the further starts (default: 0)")
     out.add_argument("--jobs", type=given.count, default=2, metavar="N", help="threads (default: 2)")
     given.add_names_and_report(out)
     return out

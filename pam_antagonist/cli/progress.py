@@ -26,8 +26,8 @@ _TICK, _LINES = 0.5, 10.0
 """Time between two changes of the bar, and between two lines off a terminal [s]."""
 _TRUST = 0.2
 """Part of the expected time after which the measured pace counts as much as the expected one."""
-_SMOOTH = 0.2
-"""Part of what is shown too much that is taken off at the next tick."""
+_SMOOTH = 2.5, 0.05
+"""What is shown too much fades with this time constant [s], or this part of the first estimate, whichever is longer."""
 _BEHIND = 2.5
 """Where the estimate is so many times what is shown, no time is shown."""
 _BUSY = 1.6
@@ -68,7 +68,7 @@ IDENTIFY = Plan(0.6, 1.6, {
     "uncertain directions": 22, "process noise": 9, "scale of the uncertainty": 6, "own values": 21, "held-out": 3,
 })  # fmt: skip
 SEALED_CLOSE_LOOP = Plan(0.8, 2.5, {
-    "recalibrating": 20, "round 1": 10, "round 2": 5, "effects are needed": 5, "profile": 6, "tuning": 40, "errors": 8,
+    "recalibrating": 5, "round 1": 8, "round 2": 6, "effects are needed": 8, "profile": 4, "tuning": 60, "errors": 8,
 })  # fmt: skip
 SEALED_IDENTIFY = Plan(0.8, 2.5, {
     "closed chamber of muscle 1": 1, "closed chamber of muscle 2": 1, "balance": 1, "tuning": 40,
@@ -156,7 +156,7 @@ class Steady:
     """A time that is left, as it is shown: it only counts down, faster or slower as the estimate of it demands."""
 
     def __init__(self) -> None:
-        self._shown, self._at = math.nan, 0.0
+        self._shown, self._at, self._fades = math.nan, 0.0, 0.0
 
     def left(self, now: float, estimate: float) -> float:
         """The time left [s]; NaN where it is not known, or is much longer than what was shown last.
@@ -168,9 +168,10 @@ class Steady:
         if math.isnan(estimate):
             return estimate
         if math.isnan(self._shown):
-            self._shown, self._at = estimate, now
-        self._shown -= (now - self._at) * min(self._shown / max(estimate, 1e-9), 1.0)
-        self._shown -= _SMOOTH * max(self._shown - estimate, 0.0)
+            self._shown, self._at, self._fades = estimate, now, max(_SMOOTH[0], _SMOOTH[1] * estimate)
+        passed = now - self._at
+        self._shown -= passed * min(self._shown / max(estimate, 1e-9), 1.0)
+        self._shown -= max(self._shown - estimate, 0.0) * -math.expm1(-passed / self._fades)
         self._at = now
         return self._shown if estimate <= _BEHIND * max(self._shown, 1.0) else math.nan
 

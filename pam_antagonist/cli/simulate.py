@@ -21,9 +21,9 @@ from pam_antagonist.simulation import excitation
 _DESCRIPTION = """\
 Make a recording of a simulated joint: a rosbag2 (MCAP) with the topics of a live one.
 
-The model runs at a finer step than the estimator's, behind noisy, quantised sensors and, with --mismatch, off
-its declared parameters. It is this package's own model: agreement with it says nothing about a real joint.
-The same arguments give the same recording.
+The model runs at a finer step than the estimator's. Its sensors are noisy and quantised. With --mismatch, its
+parameters differ from the declared ones. It is this package's own model: agreement with it says nothing about a real
+joint. The same arguments give the same recording.
 """
 _EXAMPLES = """\
 examples:
@@ -48,7 +48,7 @@ def parser() -> common.Parser:
         "--duration", type=float, metavar="S", help="length [s] (default: 130 for paper, 60, or that of the CSV file)"
     )
     common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
-    out.add_argument("--seed", type=int, default=0, help="of everything that is random (default: 0)")
+    out.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default: 0)")
     out.add_argument(
         "--mismatch", type=float, default=0.0, metavar="X", help="relative scatter of the parameters (default: 0)"
     )

@@ -22,11 +22,12 @@ from pam_antagonist.rig.write import write_rig
 _DESCRIPTION = """\
 Fit a muscle's volume and force map to static measurements.
 
-CYLINDER.csv holds length and volume, MAP.csv length, pressure and force. Units stand in the columns' names
-(length_mm, volume_cm3, pressure_kPa_gauge, force_N) or are given with --column; a pressure is gauge or absolute.
+The table of --volume holds length and volume, that of --force-map length, pressure and force. Units stand in the
+columns' names (length_mm, volume_cm3, pressure_kPa_gauge, force_N) or are given with --column; a pressure is gauge or
+absolute.
 A column force_std_N or volume_std_cm3 is the standard deviation of each value. A force of 0 means a slack muscle.
 
-Writes DIR/rig.yaml (the start with the fitted coefficients, their standard deviations as priors for identify),
+Writes DIR/rig.yaml (the given rig with the fitted coefficients, their standard deviations as priors for identify),
 DIR/report.html and DIR/report.json. Status: 0 done, 2 bad input (one line says what and where).
 """
 _EXAMPLES = """\

@@ -99,7 +99,7 @@ def _compared(item: Ambiguity | None) -> str:
         f"{other} {item.unit} (RMS; ΔBIC {item.evidence:.1f}). They were compared {item.about.rstrip('.')}"
     )
     if item.size == item.size and item.ambiguous:
-        text += f". There, {item.found} is {number(item.size, 2)} {item.size_unit}"
+        text += f". In this comparison, {item.found} is {number(item.size, 2)} {item.size_unit}"
     return text
 
 

@@ -24,9 +24,9 @@ _DESCRIPTION = """\
 Diagnose a battery of simulated joints and say how often the diagnosis was right.
 
 Each case is a free and a locked recording of a joint with one effect, two, none, or something that is in no catalogue.
-The effects are written in another form than the catalogue's, their sizes are graded from half a noise to 16, the base
-parameters are scattered by a percent and the sensors are noisy. Every share comes with its 95 % interval. It is this
-package's own simulator: being right here is less than being right on a real joint.
+The effects are written in another form than the catalogue's. What they add to the most affected measurement ranges from
+half to 16 times the sensor's noise (RMS). The base parameters are scattered by a percent. Every share comes with its
+95 % interval. It is this package's own simulator: being right here is less than being right on a real joint.
 
 One JSON a finished case in the folder --out, and summary.json with all figures: the same command again goes on where it
 was interrupted. Shards of one battery may run at the same time into one folder; the tables are of the cases that are

@@ -37,7 +37,7 @@ def parser() -> common.Parser:
     out.add_argument(
         "--only", action="append", metavar="NAME", help="this fault alone; may be given several times (see --list)"
     )
-    out.add_argument("--list", action="store_true", help="tell the faults, and make none")
+    out.add_argument("--list", action="store_true", help="list the faults, and make none")
     out.add_argument(
         "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
     )
