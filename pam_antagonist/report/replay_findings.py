@@ -129,12 +129,12 @@ def _honesty(known: Sequence[Judged]) -> list[Finding]:
         return [Finding("warn", f"The filter's covariance is too small: its 95 % interval holds {text}.")]
     wide = [item for item in known if item.wide]
     if wide:
-        times = joined([f"{number((item.ukf.width or 0.0) / 1.96, 2)} × ({item.channel.name})" for item in wide])
+        times = [f"that of the {item.channel.name} {number((item.ukf.width or 0.0) / 1.96, 2)} times" for item in wide]
         return [
             Finding(
                 "note",
-                f"The filter's covariance is larger than needed: its 95 % interval holds {text} and is wide. Its "
-                f"standard deviation is {times} the RMS error.",
+                f"The filter's covariance is larger than needed: its 95 % interval holds {text} and is wide. The "
+                f"standard deviations are larger than the RMS errors: {joined(times)}.",
             )
         ]
     return [Finding("good", f"The filter's covariance is honest: its 95 % interval holds {text}.")]
@@ -164,8 +164,8 @@ def _whiteness(p: float, correlation: float) -> Finding:
         text = f"The innovations are nearly white: their autocorrelation is significant ({small}) but small ({size})."
         return Finding("note", text)
     if correlation > 0.0:
-        return Finding("note", f"The innovations keep their sign for a while ({size}): the model lacks a slow effect.")
-    text = f"The innovations change sign at once ({size}): the filter follows the sensors' noise too closely."
+        return Finding("note", f"Successive innovations have the same sign ({size}): the model lacks a slow effect.")
+    text = f"Successive innovations have opposite signs ({size}): the filter follows the sensors' noise too closely."
     return Finding("note", text)
 
 

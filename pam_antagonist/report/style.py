@@ -38,6 +38,7 @@ DARK = {
     HELD_OUT: "rgba(110, 180, 225, 0.14)",
     FAINT: "#565d66",
     PAPER: "#15181c",
+    "#56b4e9": "#f0e442",  # on dark paper, sky blue would be the blue of the model
     DEEP: "#5fb4e6",
     PALE: "#1d3a4d",
     INK: "#e4e7ea",

@@ -57,7 +57,7 @@ def test_an_interval_ten_times_the_error_is_called_wide(report: ReplayReport) ->
         return replace(report, ukf=replace(report.ukf, angle=replace(ANGLE, coverage95=coverage, width=width)))
 
     wide = with_angle(1.0, 10.0 * 1.96)
-    assert "larger than needed" in said(wide, "note") and "10 × (angle)" in said(wide, "note")
+    assert "larger than needed" in said(wide, "note") and "that of the angle 10 times" in said(wide, "note")
     assert "honest" not in said(wide, "good")
     for right in (with_angle(0.96, 1.96), with_angle(1.0, 2.5)):  # 2.5: a constant error that stays inside
         assert "honest" in said(right, "good") and "larger than needed" not in said(right, "note")
