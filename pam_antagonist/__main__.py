@@ -113,7 +113,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name not in COMMANDS:
         close = difflib.get_close_matches(name, COMMANDS, 1)
         hint = f"; did you mean {close[0]}?" if close else ""
-        print(f"error: unknown executable {name!r}: expected one of {', '.join(COMMANDS)}{hint}", file=sys.stderr)
+        print(f"error: unknown command {name!r}: expected one of {', '.join(COMMANDS)}{hint}", file=sys.stderr)
         return 2
     module, function = COMMANDS[name].target.split(":")
     return int(getattr(importlib.import_module(module), function)(rest) or 0)

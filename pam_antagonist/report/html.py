@@ -20,9 +20,8 @@ from pam_antagonist.report import plotly_renderer
 from pam_antagonist.report.document import Block, Columns, Document, Section
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.style import DARK
+from pam_antagonist.report.units import with_unit
 
-_UNIT = re.compile(r"(?<=[0-9]) (?=(%|N|kPa|Pa|s|ms|min|h|V|Hz|mm|cm|kg|×)(\W|$|²|³))")
-"""The space between a number and its unit."""
 _OPTION = re.compile(r"(?<!\S)--[a-z][a-z-]*")
 _CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
 
@@ -74,9 +73,7 @@ def _environment() -> Environment:
 
 def _unbroken(text: str) -> str:
     """No line ends between a number and its unit, within a unit or an option; one may end within a checksum."""
-    text = text.replace("N m", "N\u00a0m").replace("N mm", "N\u00a0mm")
-    text = _UNIT.sub("\u00a0", text)
-    shown = _CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), escape(text))
+    shown = _CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), escape(with_unit(text)))
     return do_mark_safe(_OPTION.sub(r'<span class="option">\g<0></span>', shown))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from pam_antagonist.report.document import Block, Finding, Findings, Section, Text
 from pam_antagonist.report.table import Table
+from pam_antagonist.report.units import with_unit
 
 WIDTH = 100
 _MARKS = {"good": "✓", "warn": "!", "note": " "}
@@ -21,7 +22,7 @@ def render(blocks: Sequence[Block]) -> str:
 def _block(block: Block) -> str:
     match block:
         case Text():
-            return textwrap.fill(block.text, WIDTH)
+            return _wrapped(block.text)
         case Findings():
             return "\n".join(finding(item) for item in block.items)
         case Table():
@@ -38,7 +39,15 @@ def finding(item: Finding) -> str:
 
 def marked(text: str, mark: str) -> str:
     """A wrapped sentence behind a mark of one character."""
-    return textwrap.fill(text, WIDTH, initial_indent=f"{mark} ", subsequent_indent="  ")
+    return _wrapped(text, f"{mark} ", "  ")
+
+
+def _wrapped(text: str, first: str = "", others: str = "") -> str:
+    """Lines of a paragraph; none ends between a number and its unit, or within a name."""
+    lines = textwrap.wrap(
+        with_unit(text), WIDTH, initial_indent=first, subsequent_indent=others, break_on_hyphens=False
+    )
+    return "\n".join(lines).replace("\u00a0", " ")
 
 
 def warnings(texts: Sequence[str]) -> str:

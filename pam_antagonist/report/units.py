@@ -22,6 +22,8 @@ class Unit(NamedTuple):
     scale: float
 
 
+_AFTER_NUMBER = re.compile(r"(?<=[0-9]) (?=(%|N|kPa|Pa|s|ms|min|h|V|Hz|mm|cm|kg|×)(\W|$|²|³))")
+"""The space between a number and its unit."""
 _READABLE = {
     "m": Unit("mm", 1e3),
     "m²": Unit("mm²", 1e6),
@@ -73,3 +75,12 @@ def unit_of(rig: Rig, name: str) -> str:
     about = getattr(fields[last], "description", None) or fields[last].field_info.description
     found = re.search(r"\[([^\]]*)\]", about)
     return found[1] if found else "-"
+
+
+def with_unit(text: str) -> str:
+    """The same text without a place to break a line between a number and its unit, or within a unit.
+
+    Args:
+        text: plain text; spaces become no-break spaces there.
+    """
+    return _AFTER_NUMBER.sub("\u00a0", text.replace("N m", "N\u00a0m"))

@@ -18,6 +18,12 @@ def test_findings_are_marked_and_wrapped() -> None:
     assert all(len(line) <= WIDTH for line in lines)
 
 
+def test_no_line_ends_between_a_number_and_its_unit() -> None:
+    text = render((Text("word " * 19 + "0.93 N m and 93.3 % of it"),))
+    assert [line.split()[-1] for line in text.splitlines()] == ["word", "it"] and "\u00a0" not in text
+    assert text.splitlines()[1].startswith("0.93 N m and 93.3 %")
+
+
 def test_warnings_are_those_of_findings() -> None:
     assert warnings(["look here", "and here"]) == "! look here\n! and here"
 
