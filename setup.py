@@ -43,7 +43,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *tree("config", (".json", ".xacro", ".xml", ".yaml")),
+        *tree("config", (".json", ".rviz", ".xacro", ".xml", ".yaml")),
         *tree("launch", (".py",)),
         *tree("urdf", (".xacro",)),
     ],

@@ -32,6 +32,7 @@ NAVIGATION = {
         "how-to/safety",
         "how-to/recording",
         "how-to/watch",
+        "how-to/tools",
         "how-to/security",
         "how-to/machines",
         "how-to/troubleshooting",
