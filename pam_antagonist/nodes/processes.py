@@ -16,7 +16,7 @@ from types import TracebackType
 
 from pam_antagonist.nodes.spin import PARENT_VARIABLE, PRIORITY_VARIABLE
 
-_START_LIMIT = 90.0  # for the nodes to start, which may have to compile first [s]
+_START_LIMIT = 300.0  # for the nodes to start, which may have to compile first, on a busy machine [s]
 _KILL_AFTER = 5.0  # time a process has to end by itself [s]
 _DOMAINS = 100  # with ports below those that Linux gives away by itself
 _FIRST_PORT, _PORTS_A_DOMAIN, _PARTICIPANTS = 7410, 250, 20
