@@ -31,8 +31,6 @@ NAVIGATION = {
         "how-to/several_joints",
         "how-to/safety",
         "how-to/recording",
-        "how-to/watch",
-        "how-to/tools",
         "how-to/security",
         "how-to/machines",
         "how-to/troubleshooting",

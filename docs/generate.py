@@ -17,7 +17,7 @@ from typing import Any
 
 import pam_antagonist
 from pam_antagonist.__main__ import COMMANDS
-from pam_antagonist.nodes import bridge, controller, estimator, plant
+from pam_antagonist.nodes import bridge, controller, estimator, joints, plant
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter
 from pam_antagonist.program import VARIABLE
 from pam_antagonist.recording.topics import TOPICS
@@ -26,7 +26,7 @@ from pam_antagonist.rig.json_schema import rig_json_schema
 ROOT = Path(__file__).resolve().parents[1]
 SCHEMA = ROOT / "config" / "rig.schema.json"
 MARKED = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-NODES = {"plant": plant, "bridge": bridge, "estimator": estimator, "controller": controller}
+NODES = {"plant": plant, "bridge": bridge, "estimator": estimator, "controller": controller, "joints": joints}
 MESSAGES = ROOT / "pam_antagonist_msgs"
 
 

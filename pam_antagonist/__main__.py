@@ -23,7 +23,6 @@ class Command(NamedTuple):
 
 COMMANDS: dict[str, Command] = {
     "demo": Command("pam_antagonist.cli.demo:main", "control a simulated joint live, record, replay and report it"),
-    "watch": Command("pam_antagonist.cli.watch:main", "show a running joint in the browser, 30 times a second"),
     "check": Command("pam_antagonist.cli.check:main", "is this a recording of this rig, in the right units?"),
     "replay": Command(
         "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"
@@ -59,6 +58,7 @@ COMMANDS: dict[str, Command] = {
     "bridge": Command("pam_antagonist.nodes.bridge:main", "from a microcontroller on a serial port to topics and back"),
     "estimator": Command("pam_antagonist.nodes.estimator:main", "the joint's angle and torque from two pressures"),
     "controller": Command("pam_antagonist.nodes.controller:main", "angle or torque control on the estimate"),
+    "joints": Command("pam_antagonist.nodes.joints:main", "several joints, with all of these nodes, in one process"),
     "record": Command("pam_antagonist.nodes.recorder:main", "write all topics into a rosbag2 (MCAP) bag"),
 }
 """Name of an executable -> what it is. In a ROS workspace, ``setup.py`` installs one script for each."""

@@ -205,8 +205,8 @@ class Configuration(str):
 
 
 @pytest.fixture
-def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Names of the launch file, which runs against doubles of launch: it is not among the wheels."""
+def launch_doubles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Doubles of launch, which is not among the wheels: launch files run against them."""
     doubles: dict[str, dict[str, object]] = {
         "launch": {"LaunchDescription": list, "LaunchContext": Context},
         "launch.actions": {
@@ -226,7 +226,18 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         module = types.ModuleType(name)
         module.__dict__.update(attributes)
         monkeypatch.setitem(sys.modules, name, module)
+
+
+@pytest.fixture
+def launch_file(launch_doubles: None) -> dict[str, Any]:
+    """Names of pipeline.launch.py."""
     return runpy.run_path(str(LAUNCH_FILE))
+
+
+@pytest.fixture
+def robot_launch_file(launch_doubles: None) -> dict[str, Any]:
+    """Names of robot.launch.py."""
+    return runpy.run_path(str(LAUNCH_FILE.with_name("robot.launch.py")))
 
 
 def defaults(launch_file: dict[str, Any], **given: str) -> Context:
@@ -312,6 +323,36 @@ def test_launch_file_refuses_arguments_that_it_does_not_know(
     # Arguments of a file that includes this one are that file's.
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", "my_robot", "all.launch.py"])
     assert launch_file["refuse_unknown"](context) is None
+
+
+def test_robot_launch_file_starts_one_process_and_records_every_joint(robot_launch_file: dict[str, Any]) -> None:
+    context = defaults(robot_launch_file, rig="7", use_sim_time="True", record="/tmp/bag")
+    process, recorder = [options for _, options in robot_launch_file["nodes"](context)]
+    assert (process["executable"], recorder["executable"]) == ("joints", "record")
+    assert all(node["package"] == "pam_antagonist" and node["executable"] in COMMANDS for node in (process, recorder))
+    assert "name" not in process and "namespace" not in process  # they would be for every node of the process
+    assert process["parameters"] == [str(config_dir() / "robot.yaml")]
+    assert process["ros_arguments"] == ["--log-level", "info", "-p", 'rig:="7"', "-p", "use_sim_time:=true"]
+    both = ["--namespace", "/left/elbow", "--namespace", "/left/wrist"]
+    assert recorder["arguments"] == ["--out", "/tmp/bag", *both]
+    (alone,) = robot_launch_file["nodes"](defaults(robot_launch_file))
+    assert alone[1]["ros_arguments"] == ["--log-level", "info"]
+
+
+def test_robot_launch_file_refuses_what_it_cannot_use(
+    robot_launch_file: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        robot_launch_file["nodes"](defaults(robot_launch_file, joints=str(tmp_path / "absent.yaml")))
+    with pytest.raises(ValueError, match="no section /\\*\\*/joints"):
+        robot_launch_file["nodes"](defaults(robot_launch_file, joints=str(config_dir() / "pipeline.yaml")))
+    with pytest.raises(ValueError, match="autostart:=yes: expected true or false"):
+        robot_launch_file["nodes"](defaults(robot_launch_file, autostart="yes"))
+    context = defaults(robot_launch_file)
+    context.argv = ("jionts:=robot.yaml",)
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "pam_antagonist", "robot.launch.py"])
+    with pytest.raises(ValueError, match="did you mean joints"):
+        robot_launch_file["refuse_unknown"](context)
 
 
 # ------------------------------------------------------------------------------------------------ colcon

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pam_antagonist.api.replay import ReplayResult, replay
@@ -13,7 +13,7 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import corrections, read_bag
+from pam_antagonist.recording import SeveralJoints, corrections, read_bag
 from pam_antagonist.replays.table import check_estimate
 from pam_antagonist.report.replay import write_report
 from pam_antagonist.rig import Rig, load_rig
@@ -23,7 +23,8 @@ Run recordings through the estimator again and report its errors.
 
 The unscented Kalman filter gets the recorded pressures and valve voltages, nothing else, by the code that
 runs live; the model alone gets the voltages. Both are compared with the measured angle and torque, where the
-bag has them. Where it has the estimate that was published live, the two are compared bit by bit.
+bag has them. Where it has the estimate that was published live, the two are compared bit by bit. Of a bag that holds
+several joints, each is replayed, with the one rig; --namespace picks one.
 
 Writes DIR/report.json and DIR/report.html. Status: 0 done, 2 bad input (one line says what and where).
 """
@@ -59,7 +60,7 @@ def parser() -> common.Parser:
     )  # fmt: skip
     common.add_topics(out)
     out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
-    out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where the bag holds several")
+    out.add_argument("--namespace", metavar="/NS", help="namespace of the joint, where the bag holds several")
     out.add_argument(
         "--restarts", choices=("refuse", "last"), default="refuse",
         help="of a bag whose clock was set back: refuse it, or read what came after the last time (default: refuse)",
@@ -96,8 +97,9 @@ def _run(arguments: argparse.Namespace) -> int:
     names = common.topics(arguments)
     replays = []
     for bag in arguments.bags:
-        replays.append(_replay(bag, names, rig, arguments))
-        print(f"\n{replays[-1].summary()}")
+        for done in _replays(bag, names, rig, arguments):
+            replays.append(done)
+            print(f"\n{replays[-1].summary()}")
     with common.output_folder(arguments.out) as folder:
         write_report(folder, replays, with_figures=not arguments.no_figures)
     print()
@@ -109,12 +111,29 @@ def _run(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-def _replay(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> ReplayResult:
+def _replays(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> Iterator[ReplayResult]:
+    """The one joint of a bag, or each of its joints.
+
+    Raises:
+        BadInput: several joints where one is wanted.
+    """
+    try:
+        yield _replay(bag, names, arguments.namespace, rig, arguments)
+    except SeveralJoints as found:
+        if names or arguments.save is not None:
+            raise
+        for namespace in found.namespaces:
+            yield _replay(bag, names, namespace, rig, arguments)
+
+
+def _replay(
+    bag: Path, names: dict[str, str], namespace: str | None, rig: Rig, arguments: argparse.Namespace
+) -> ReplayResult:
     begin = time.perf_counter()
     recording = read_bag(
         bag,
         topics=names,
-        namespace=arguments.namespace,
+        namespace=namespace,
         joint_name=arguments.joint_name,
         restarts=arguments.restarts,
         recover=arguments.recover,

@@ -52,6 +52,11 @@ class _SharedPort(ValvePort):
         with self._lock:
             return super()._on_clear(request, response)
 
+    def stop(self, reason: str) -> None:
+        """As :class:`ValvePort`, from any thread."""
+        with self._lock:
+            super().stop(reason)
+
 
 class BridgeNode(PamNode):
     """Publishes what a device samples, and gives it the commander's voltages as far as the rules let them through.

@@ -25,6 +25,8 @@ OVERRIDES = QoSOverridingOptions.with_default_policies()
 """What ``qos_overrides`` may change: reliability, history and depth. Not durability: what lay somewhere on the way is
 never to reach the valves, or to pass for a new reference."""
 
+_FIXED = ("/diagnostics", "/rosout", "/parameter_events", "/clock")
+
 QOS_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidQoSProfileException, RuntimeError, ValueError)
 """What rclpy may raise for overrides that it cannot use."""
 
@@ -33,11 +35,11 @@ def overridable(topic: str, profile: Any, options: dict[str, Any]) -> tuple[Any,
     """A profile of its own, and rclpy's option, for a topic whose quality of service a user may change.
 
     Args:
-        topic: its name; absolute ones, such as ``/diagnostics``, stay as they are.
+        topic: its name; ``/diagnostics`` and what ROS itself has stay as they are.
         profile: the default.
         options: what the caller gives to rclpy.
     """
-    if topic.startswith("/") or not isinstance(profile, QoSProfile):
+    if topic in _FIXED or not isinstance(profile, QoSProfile):
         return profile, options
     return copy.copy(profile), {"qos_overriding_options": OVERRIDES, **options}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -35,9 +35,23 @@ def _gains(values: Mapping[str, Any], mode: Mode) -> Gains:
 
 
 class ControllerNode(PamNode):
-    """One command for each estimate; safe voltages whenever there is nothing to go by."""
+    """One command for each estimate; safe voltages whenever there is nothing to go by.
 
-    def __init__(self, **options: Any) -> None:
+    Args:
+        linked: whether the estimator is in the same process: then it gives its estimates to :meth:`estimate`, and
+            ``joint_estimate`` is not listened to.
+        options: as :class:`PamNode`.
+
+    Attributes:
+        stopped: why it has stopped; empty where it has not.
+        deliver: is called with each command: stamp [ns], voltages (2,) [V]. None: nobody is.
+    """
+
+    stopped = ""
+    deliver: Callable[[int, tuple[float, float]], None] | None = None
+
+    def __init__(self, *, linked: bool = False, **options: Any) -> None:
+        self._linked = linked
         super().__init__("controller", PARAMETERS, **options)
 
     def configure(self) -> None:
@@ -68,7 +82,7 @@ class ControllerNode(PamNode):
         self._references = self.input.references
         self._max_age = round(values["max_age"] * 1e9)
         self._resume = round(values["resume_time"] * 1e9)
-        self._stopped = ""
+        self.stopped = ""
         self._enabled: bool = values["start_enabled"]
         self._estimate_ns = 0
         self._safe_since_ns: int | None = None
@@ -86,7 +100,7 @@ class ControllerNode(PamNode):
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/clear_stop", self._on_clear)
-        self._rigs = RigWatch(self, announce(self, rig), self._stop)
+        self._rigs = RigWatch(self, announce(self, rig), self.stop)
         self.start_diagnostics(values["joint_name"])
 
     def cleanup(self) -> None:
@@ -98,11 +112,12 @@ class ControllerNode(PamNode):
         self._heard_ns = None
         self._pi.stop()
         self._supervision.reset()
-        name = TOPICS["joint_estimate"].relative
-        self.create_subscription(JointEstimate, name, self._on_estimate, qos.STREAM, raw=True)
+        if not self._linked:
+            name = TOPICS["joint_estimate"].relative
+            self.create_subscription(JointEstimate, name, self._on_estimate, qos.STREAM, raw=True)
         self.input.listen()
         self._valve_state = self.collect(ValveCommand, TOPICS["valve_state"].relative, qos.GLANCE)
-        self.create_timer(self.values["max_age"] / _CHECKS, self._watch, clock=self._steady)
+        self.steady_timer(self.values["max_age"] / _CHECKS, self._watch)
 
     def deactivate(self) -> None:
         """Leave the valves at the safe voltages, and be silent."""
@@ -140,19 +155,24 @@ class ControllerNode(PamNode):
         recent = self._heard_ns is not None and self.now_ns() - self._heard_ns <= self._max_age
         response.success, response.message = True, "was not stopped"
         present = self._rigs.present or (recent and self._supervision.present)
-        if self._stopped and present:
+        if self.stopped and present:
             response.success, response.message = False, f"still so: {present}"
-        elif self._stopped:
-            response.message = f"cleared: {self._stopped}"
-            self._stopped = ""
+        elif self.stopped:
+            response.message = f"cleared: {self.stopped}"
+            self.stopped = ""
             self._supervision.reset()
             self._from_the_valves()
             self.get_logger().warning(response.message)
         return response
 
-    def _stop(self, reason: str) -> None:
-        if not self._stopped:
-            self._stopped = reason
+    def stop(self, reason: str) -> None:
+        """Safe voltages until ``clear_stop``.
+
+        Args:
+            reason: in words; of several the first one's stays.
+        """
+        if not self.stopped:
+            self.stopped = reason
             self.get_logger().error(f"stopped: {reason}")
 
     def _look(self) -> None:
@@ -173,7 +193,20 @@ class ControllerNode(PamNode):
     # ---------------------------------------------------------------- samples
 
     def _on_estimate(self, data: bytes) -> None:
-        stamp, angle, torque, nis, flags = self._estimate(data)
+        self.estimate(*self._estimate(data))
+
+    def estimate(self, stamp: int, angle: float, torque: float, nis: float, flags: int) -> None:
+        """Answer an estimate with a command.
+
+        Args:
+            stamp: of the sample [ns].
+            angle: [rad].
+            torque: [N m].
+            nis: normalised innovation squared [-]; NaN where nothing was measured.
+            flags: of ``JointEstimate``.
+        """
+        if not self.active:
+            return
         now = self.now_ns()
         if stamp < self._estimate_ns - RESTART_AFTER_NS:  # the clock was set back, and the filter has started again
             self._jumps += 1
@@ -186,8 +219,8 @@ class ControllerNode(PamNode):
             return
         reason = self._supervision.check(stamp, angle, nis, flags)
         if reason:
-            self._stop(reason)
-        if self._stopped:
+            self.stop(reason)
+        if self.stopped:
             self._send(self._pi.safe(Status.STOPPED), stamp)
             return
         late = now - stamp > self._max_age or bool(flags & JointEstimate.LATE) or self._supervision.settling
@@ -216,7 +249,7 @@ class ControllerNode(PamNode):
             if silent > self._resume:
                 self._pi.stop()
             self._silent = True
-            self._send(self._pi.safe(Status.STOPPED if self._stopped else Status.LATE), self._stamp + 1)
+            self._send(self._pi.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
         elif self._following.astray(self._voltage, time.monotonic_ns()):
             # Stopped, or somebody else's: once it obeys again, it must not jump to what has been adding up here.
             self._from_the_valves()
@@ -234,6 +267,8 @@ class ControllerNode(PamNode):
             if voltage != command.voltage and not self._pi.running:
                 self._pi.stop(voltage)
         self._output.send(stamp_ns, *voltage)
+        if self.deliver is not None:
+            self.deliver(stamp_ns, voltage)
         self._voltage = voltage
         self._stamp = stamp_ns
         self._commands += 1
@@ -264,8 +299,8 @@ class ControllerNode(PamNode):
         safe = sum(count for status, count in statuses.items() if status.safe)
         jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps
         astray, self._astray_before = self._following.astray_count - self._astray_before, self._following.astray_count
-        if self._stopped:
-            output = Health(Level.ERROR, f"stopped: {self._stopped}; clear_stop clears it")
+        if self.stopped:
+            output = Health(Level.ERROR, f"stopped: {self.stopped}; clear_stop clears it")
         elif not self._enabled:
             output = Health(Level.WARN, "disabled: silent")
         elif jumps:

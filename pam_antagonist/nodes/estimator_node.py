@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -30,9 +30,22 @@ _TUNING = next(parameter for parameter in PARAMETERS if parameter.name == "tunin
 
 
 class EstimatorNode(PamNode):
-    """Pairs the messages of a sample, steps the filter and publishes: one estimate a sample, in order."""
+    """Pairs the messages of a sample, steps the filter and publishes: one estimate a sample, in order.
 
-    def __init__(self, **options: Any) -> None:
+    Args:
+        linked: whether the plant is in the same process: then it gives its samples to :meth:`sample`, and their topics
+            are not listened to.
+        options: as :class:`PamNode`.
+
+    Attributes:
+        deliver: is called with each estimate: stamp [ns], angle [rad], torque [N m], normalised innovation squared,
+            flags. None: nobody is.
+    """
+
+    deliver: Callable[[int, float, float, float, int], None] | None = None
+
+    def __init__(self, *, linked: bool = False, **options: Any) -> None:
+        self._linked = linked
         super().__init__("estimator", PARAMETERS, **options)
 
     def configure(self) -> None:
@@ -70,13 +83,15 @@ class EstimatorNode(PamNode):
         self._estimator.reset()
         self._pairing.reset()
         self._last = None
+        self.steady_timer(checkpoints.PERIOD, self._remember)
+        if self._linked:
+            return
         for kind, topic, callback in (
             (FluidPressure, "pressure_1", self._on_pressure_1),
             (FluidPressure, "pressure_2", self._on_pressure_2),
             (ValveCommand, "valve_state", self._on_valves),
         ):
             self.create_subscription(kind, TOPICS[topic].relative, callback, qos.STREAM, raw=True)
-        self.steady_timer(checkpoints.PERIOD, self._remember)
         self.steady_timer(self.values["pairing_timeout"] / _CHECKS, lambda: self._take(self._pairing.expire()))
 
     def _remember(self) -> None:
@@ -124,6 +139,20 @@ class EstimatorNode(PamNode):
                 self._before = (self._estimator.counts, *self._before[1:])
         return SetParametersResult(successful=True)
 
+    def sample(self, stamp_ns: int, pressure_1: float, pressure_2: float, voltage_1: float, voltage_2: float) -> None:
+        """Take a sample of the plant in the same process.
+
+        Args:
+            stamp_ns: its stamp [ns].
+            pressure_1: absolute, NaN where missing [Pa].
+            pressure_2: likewise.
+            voltage_1: on valve 1 over the sample that ends at the stamp [V].
+            voltage_2: on valve 2 [V].
+        """
+        if not self.active:
+            return
+        self._take(self._pairing.whole(Sample(stamp_ns, pressure_1, pressure_2, voltage_1, voltage_2)))
+
     def _on_pressure_1(self, data: bytes) -> None:
         stamp_ns, pressure, _ = self._pressure(data)
         self._take(self._pairing.add(PRESSURE_1, stamp_ns, pressure))
@@ -158,6 +187,8 @@ class EstimatorNode(PamNode):
             self._latency.add(age)
             if not math.isnan(row["nis"]):
                 self._nis.add(row["nis"])
+            if self.deliver is not None:
+                self.deliver(sample.stamp_ns, float(row["angle"]), float(row["torque"]), float(row["nis"]), flags)
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the estimate: rate, losses and pairing since the last report."""

@@ -118,6 +118,24 @@ class SamplePairing:
             return []
         return self._pop_until(min(self._newest))  # type: ignore[type-var]
 
+    def whole(self, sample: Sample) -> list[Sample]:
+        """Take a sample whose messages never were apart; its values may be NaN. Not together with :meth:`add`.
+
+        Args:
+            sample: of a plant in the same process.
+
+        Returns:
+            It alone; nothing where its stamp is none after the last one's.
+        """
+        if self._final is not None and sample.stamp_ns <= self._final:
+            if self._final - sample.stamp_ns <= self._restart:
+                self.counts.late += 1
+                return []
+            self.counts.restarts += 1
+        self._final = sample.stamp_ns
+        self.counts.samples += 1
+        return [sample]
+
     def expire(self) -> list[Sample]:
         """The samples that have waited for too long, in the order of their stamps."""
         if not self._waiting:

@@ -12,7 +12,7 @@ from pam_antagonist.errors import BadInput
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-Value = bool | int | float | str | list[float]
+Value = bool | int | float | str | list[float] | list[str]
 
 _TYPES = {bool: "true or false", int: "an integer", float: "a number", str: "a text", list: "a list of numbers"}
 
@@ -31,7 +31,7 @@ class Parameter:
         description: one line with the unit in brackets.
         low: least value, of each element of a list; None: no bound.
         high: largest value.
-        length: number of elements of a list.
+        length: number of elements of a list of numbers.
         choices: allowed values of a text; empty: any.
         solid: whether a text must not be empty and holds no spaces.
         read_only: whether it is fixed once the node runs.
@@ -52,7 +52,7 @@ class Parameter:
         """What a value has to be, in words."""
         text = _TYPES[type(self.default)]
         if isinstance(self.default, list):
-            text = f"a list of {self.length} numbers"
+            text = "a list of texts" if self._texts else f"a list of {self.length} numbers"
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         if self.solid:
@@ -70,6 +70,8 @@ class Parameter:
         kind = type(self.default)
         if kind is float and type(value) is int:
             value = float(value)
+        if self._texts:
+            return self._check_texts(value)
         if kind is list and not isinstance(value, (str, bytes)) and hasattr(value, "__len__"):
             value = [float(item) if isinstance(item, (int, float)) else item for item in value]
         good = type(value) is kind and (not self.choices or value in self.choices)
@@ -82,6 +84,16 @@ class Parameter:
         if not good:
             raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
         return value  # type: ignore[no-any-return]
+
+    @property
+    def _texts(self) -> bool:
+        return isinstance(self.default, list) and (not self.default or isinstance(self.default[0], str))
+
+    def _check_texts(self, value: Any) -> list[str]:
+        texts = [value] if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
+        if not all(isinstance(item, str) and item for item in texts):
+            raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
+        return texts
 
     def _within(self, value: float) -> bool:
         low = -float("inf") if self.low is None else self.low

@@ -20,7 +20,7 @@ publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pa
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only),
              rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
-services:    ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
+services:    ~/stop, ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 
 PARAMETERS = (

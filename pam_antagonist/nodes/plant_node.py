@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from sensor_msgs.msg import FluidPressure, JointState
@@ -30,9 +30,20 @@ class PlantNode(PamNode):
 
     Sample k is stamped start + k T, without drift, and is published when the clock has reached that. After a stall
     every missed sample is made up for, as a device that runs on by itself would have sent them.
+
+    Args:
+        linked: whether the controller is in the same process: then it gives its commands to :meth:`command`, and
+            ``valve_command`` is not listened to.
+        options: as :class:`PamNode`.
+
+    Attributes:
+        deliver: is called with each sample: stamp [ns], two pressures [Pa], two voltages [V]. None: nobody is.
     """
 
-    def __init__(self, **options: Any) -> None:
+    deliver: Callable[[int, float, float, float, float], None] | None = None
+
+    def __init__(self, *, linked: bool = False, **options: Any) -> None:
+        self._linked = linked
         super().__init__("plant", PARAMETERS, **options)
 
     def configure(self) -> None:
@@ -41,7 +52,7 @@ class PlantNode(PamNode):
         COMPILING.tell = self.get_logger().info
         rig = load_rig(values["rig"])
         self._period = round(rig.sample_period * 1e9)
-        self.port = ValvePort(self, rig, noisy=values["noise"])
+        self.port = ValvePort(self, rig, noisy=values["noise"], linked=self._linked)
         self._plant = Plant(
             rig,
             joint=values["joint"],
@@ -55,6 +66,7 @@ class PlantNode(PamNode):
         # Compiles, or loads, what a step needs; a plant of its own, so that the real one starts at rest.
         Plant(rig, joint=values["joint"], lock_angle=values["lock_angle"]).step((5.0, 5.0))
         self._next: int | None = None
+        self._now: int | None = None  # while samples are made [ns]
         self._found_ns: int | None = None
         self._samples = self._jumps = self._jumps_before = 0
         self._lateness, self._rate = Window(), Rate()
@@ -95,10 +107,12 @@ class PlantNode(PamNode):
         for _ in range(_BURST):
             if self._next > now:
                 break
+            self._now = now
             self._sample(self._next)
             now = self.now_ns()
             self._lateness.add(now - self._next)
             self._next += self._period
+        self._now = None
 
     def _may_start(self, now: int) -> bool:
         """Whether the subscribers that are waited for can receive by now."""
@@ -124,6 +138,17 @@ class PlantNode(PamNode):
             output.send(stamp_ns, pressure, self._variance)
         self._valves.send(stamp_ns, *sample.voltage)
         self._joint.send(stamp_ns, *self._joint_values(sample.angle, sample.torque))
+        if self.deliver is not None:
+            self.deliver(stamp_ns, *sample.pressure, *sample.voltage)
+
+    def command(self, stamp_ns: int, voltage: tuple[float, float]) -> None:
+        """Take a command of the controller in the same process.
+
+        Args:
+            stamp_ns: of the sample that it answers [ns].
+            voltage: asked for (2,) [V].
+        """
+        self.port.command(stamp_ns, voltage, self.now_ns() if self._now is None else self._now)
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the simulation: rate and lateness since the last report."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -13,6 +14,7 @@ from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.program import typed
 from pam_antagonist.recording.bag_files import Limits
+from pam_antagonist.recording.topics import normalize_namespace
 
 if TYPE_CHECKING:
     from pam_antagonist.nodes.recorder_node import RecorderNode
@@ -29,6 +31,7 @@ options:
   --duration S      end by itself after so many seconds (default: when it is told to)
   --max-size MB     begin a new file when the last one has so many megabytes (default: one file)
   --max-duration S  begin a new file after so many seconds (default: one file)
+  --namespace /NS   record the joint in this namespace (default: that of this node); may be given several times
 
 subscribes:  pressure_1, pressure_2, valve_state, valve_command, joint_estimate, joint_states, reference,
              measured/joint_states, measured/external_torque, rig, filter_checkpoint, /diagnostics
@@ -37,6 +40,7 @@ subscribes:  pressure_1, pressure_2, valve_state, valve_command, joint_estimate,
 PARAMETERS: tuple[Parameter, ...] = ()
 
 _MEGABYTE = 1_000_000
+_NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 @dataclass(frozen=True)
@@ -47,11 +51,13 @@ class Options:
         out: folder of the bag.
         duration: after which it ends by itself [s]; None: never.
         limits: when to begin a new file.
+        namespaces: of the joints, absolute; empty: that of the node.
     """
 
     out: Path
     duration: float | None
     limits: Limits = field(default_factory=Limits)
+    namespaces: tuple[str, ...] = ()
 
 
 class _Parser(argparse.ArgumentParser):
@@ -70,12 +76,17 @@ def read_options(arguments: list[str]) -> Options:
     parser.add_argument("--duration", type=float)
     parser.add_argument("--max-size", type=float)
     parser.add_argument("--max-duration", type=float)
+    parser.add_argument("--namespace", action="append", default=[])
     given = parser.parse_args(arguments)
     _check("--duration", given.duration, 0.0, "seconds")
     _check("--max-duration", given.max_duration, 0.1, "seconds")
     _check("--max-size", given.max_size, 0.1, "megabytes")
     size = None if given.max_size is None else round(given.max_size * _MEGABYTE)
-    return Options(given.out, given.duration, Limits(size, given.max_duration))
+    namespaces = tuple(map(normalize_namespace, given.namespace))
+    for namespace in namespaces:
+        if not _NAMESPACE.fullmatch(namespace) or namespaces.count(namespace) > 1:
+            raise BadInput(f"--namespace {namespace or '/'}: expected a namespace such as /left/elbow, each once")
+    return Options(given.out, given.duration, Limits(size, given.max_duration), namespaces)
 
 
 def _check(name: str, value: float | None, above: float, unit: str) -> None:

@@ -6,7 +6,7 @@ import importlib
 import math
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,7 @@ from pam_antagonist.nodes.gaps import Gaps
 from pam_antagonist.nodes.health import Health, Level, Rate
 from pam_antagonist.nodes.node import PamNode, take
 from pam_antagonist.nodes.recorder import PARAMETERS, Options
-from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.recording.topics import TOPICS, Topic
 from pam_antagonist.recording.writer import BagWriter
 
 _KEPT = ("rig", "filter_checkpoint")  # topics whose last messages wait for those who come later
@@ -69,19 +69,27 @@ class RecorderNode(PamNode):
         """Make the bag."""
         self._bag = BagWriter(self._path, limits=self._options.limits, durable=True, backlog=_BACKLOG)
         self._finished = False
-        for topic in TOPICS.values():
-            name = self.resolve_topic_name(topic.relative)
+        for name, topic in self._wanted():
             self._bag.add_topic(name, topic.type)
             self._counts[name] = 0
             self._gaps[name] = Gaps(partial(self.count_publishers, name))
         self.start_diagnostics(self._path.name)
 
+    def _wanted(self) -> Iterator[tuple[str, Topic]]:
+        """Full name of each topic, with what it is."""
+        names: set[str] = set()
+        for namespace in self._options.namespaces or (None,):
+            for topic in TOPICS.values():
+                name = self.resolve_topic_name(topic.relative if namespace is None else topic.resolve(namespace))
+                if name not in names:  # /diagnostics is one for all
+                    names.add(name)
+                    yield name, topic
+
     def activate(self) -> None:
         """Listen."""
-        for topic in TOPICS.values():
-            name = self.resolve_topic_name(topic.relative)
+        for name, topic in self._wanted():
             profile = qos.LATCHED if topic.name in _KEPT else qos.RECORD
-            self._topics[name] = self.collect(message_class(topic.type), topic.relative, profile)
+            self._topics[name] = self.collect(message_class(topic.type), name, profile)
         self._since = time.monotonic()
         if self._options.duration is not None:
             self._until = self._since + self._options.duration

@@ -79,6 +79,7 @@ def run_node(
     description: str,
     table: Sequence[Parameter],
     options: Callable[[list[str]], Any] = no_options,
+    check: Callable[[Sequence[str]], object] = lambda arguments: None,
 ) -> int:
     """Run a node until SIGINT, SIGTERM, or until it says that it has finished.
 
@@ -90,6 +91,7 @@ def run_node(
         description: first part of ``--help``.
         table: the node's parameters, for ``--help``.
         options: reads the arguments that are not ROS's.
+        check: looks at all arguments first; may raise ``BadInput``.
 
     Returns:
         Exit status: 0, or 2 after bad input or where ROS is missing, which is said in one line.
@@ -99,6 +101,7 @@ def run_node(
         print(usage(name, description, table))
         return 0
     try:
+        check(arguments)
         return _run(create, arguments, name, options)
     except BadInput as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
@@ -147,10 +150,12 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
         try:
             spin(node, stop)
         finally:
-            node.close()
+            for one in (node, *reversed(node.members)):
+                one.close()
             # Whoever is behind by a moment asks the publisher again for what it missed.
             time.sleep(_FAREWELL)
-            node.destroy_node()
+            for one in (*node.members, node):
+                one.destroy_node()
     finally:
         rclpy.try_shutdown()
         for number, handler in handlers.items():
@@ -196,7 +201,7 @@ def tune_middleware() -> None:
 
 
 def spin(node: PamNode, stop: _Stop) -> None:
-    """Serve a node until a signal comes, it has finished, or the parent process is gone."""
+    """Serve a node, and its members, until a signal comes, it has finished, or the parent process is gone."""
     import rclpy
 
     executor = make_executor(node)
@@ -210,7 +215,8 @@ def spin(node: PamNode, stop: _Stop) -> None:
     gc.disable()
     hurry()
     try:
-        node.start()
+        for one in (*node.members, node):
+            one.start()
         while stop.signal is None and not node.finished and rclpy.ok():
             executor.spin_once(timeout_sec=_WAIT)
             if parent and os.getppid() != parent:
@@ -218,7 +224,8 @@ def spin(node: PamNode, stop: _Stop) -> None:
     finally:
         gc.enable()
         gc.unfreeze()
-        executor.remove_node(node)
+        for one in (node, *node.members):
+            executor.remove_node(one)
         executor.shutdown()
 
 
@@ -237,7 +244,7 @@ def hurry() -> None:
 
 
 def make_executor(node: PamNode) -> Any:
-    """An executor with the node in it."""
+    """An executor with the node and its members in it."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -249,7 +256,8 @@ def make_executor(node: PamNode) -> Any:
         executor: Any = SingleThreadedExecutor()
     else:
         executor = EventsExecutor()
-    executor.add_node(node)
+    for one in (node, *node.members):
+        executor.add_node(one)
     return executor
 
 

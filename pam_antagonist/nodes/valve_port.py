@@ -10,6 +10,8 @@ its parameters, makes a port in ``configure``, calls :meth:`ValvePort.listen` in
     ...
     port.supervise(stamp_ns, pressure_1, pressure_2)
 
+Where controller and valves are in one process, :meth:`ValvePort.command` takes the place of the topic.
+
 Any thread may do that, one at a time; the service and :meth:`ValvePort.health` belong to the executor's, so two threads
 need a lock around both.
 """
@@ -41,12 +43,13 @@ _MOST_NUMBER = 2**63  # beyond: the middleware's way to say that it gives no num
 class ValvePort:
     """Takes commands, decides what the valves get, and stops them.
 
-    It offers the service ``~/clear_stop``, which is refused while the cause of a stop is still there.
+    It offers the services ``~/stop``, and ``~/clear_stop``, which is refused while the cause of a stop is still there.
 
     Args:
         node: whose valves they are; with the parameters ``VALVE_OWNER`` in ``values``.
         rig: limits of the valves, supply pressure, noise of the sensors.
         noisy: whether the pressures have the rig's noise; without noise they may stand still.
+        linked: whether the controller is in the same process and calls :meth:`command`; then nobody else is obeyed.
 
     Attributes:
         guard: what decides.
@@ -56,7 +59,7 @@ class ValvePort:
         BadInput: a parameter that does not fit the rig.
     """
 
-    def __init__(self, node: PamNode, rig: Rig, *, noisy: bool = True) -> None:
+    def __init__(self, node: PamNode, rig: Rig, *, noisy: bool = True, linked: bool = False) -> None:
         values = node.values
         limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
         action = safe_action(
@@ -75,16 +78,19 @@ class ValvePort:
         self._node = node
         self._topic = TOPICS["valve_command"].relative
         self._unpack = wire.Incoming(wire.VALVES)
+        self._linked = linked
         self._subscription: Subscription | None = None
         self._holder: str | None = None  # identifier of the publisher that is obeyed, where that is certain
         self._rate = Rate()
         self._without = self._samples = 0
         self._refused_before = self._late_before = 0
         node.create_service(Trigger, "~/clear_stop", self._on_clear)
+        node.create_service(Trigger, "~/stop", self._on_stop)
 
     def listen(self) -> None:
         """Take commands from now on. The subscription ends with the node's transition."""
-        self._subscription = self._node.collect(ValveCommand, self._topic, qos.COMMAND)
+        if not self._linked:
+            self._subscription = self._node.collect(ValveCommand, self._topic, qos.COMMAND)
         self.guard.set_active(True)
 
     def rest(self) -> None:
@@ -126,6 +132,16 @@ class ValvePort:
             self._node.get_logger().error(self._conflict())
         return verdict
 
+    def command(self, stamp_ns: int, voltage: tuple[float, float], now_ns: int) -> None:
+        """Take a command of the controller in the same process.
+
+        Args:
+            stamp_ns: of the sample that it answers [ns].
+            voltage: asked for (2,) [V].
+            now_ns: [ns], of the clock that :meth:`output` is given, too.
+        """
+        self.guard.command(voltage, now_ns, late=stamp_ns > 0 and now_ns - stamp_ns > self._max_age)
+
     def output(self, now_ns: int) -> Decision:
         """What the valves get over the sample that ends now [ns]."""
         decision = self.guard.output(now_ns)
@@ -149,6 +165,13 @@ class ValvePort:
         """Stop the valves for a reason of the owner's, in words, until they are cleared."""
         if self.guard.stop(reason):
             self._node.get_logger().error(f"stopped: {reason}")
+
+    def _on_stop(self, _request: Any, response: Any) -> Any:
+        """Stop on request."""
+        before = self.guard.stopped
+        self.stop("on request")
+        response.success, response.message = True, f"was stopped: {before}" if before else "stopped"
+        return response
 
     def _on_clear(self, _request: Any, response: Any) -> Any:
         if not self.guard.stopped:
@@ -191,6 +214,9 @@ class ValvePort:
             level, message = Level.WARN, f"{message}; {late} came too late"
         if refused:
             level, message = Level.ERROR, f"{refused} commands refused: {self._conflict()}"
+        if self._linked and len(commanders) > 1:
+            names = ", ".join(sorted(commanders.values()))
+            level, message = Level.ERROR, f"the controller of this process alone is obeyed; commands come from {names}"
         commands = Health(
             level,
             message,

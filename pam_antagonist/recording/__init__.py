@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .writer import BagWriter, write_bag
 
 _LAZY = {
+    "SeveralJoints": "naming",
     "read_bag": "reader",
     "ESTIMATE_SHAPES": "recording",
     "Arrival": "recording",
@@ -41,6 +42,7 @@ __all__ = [
     "RecordedEstimate",
     "RecordedReference",
     "Recording",
+    "SeveralJoints",
     "Topic",
     "bag_hash",
     "bag_name",

@@ -16,6 +16,19 @@ READ_TOPICS = tuple(name for name in TOPICS if name not in ("diagnostics", "rig"
 _LISTED = 12  # topics named in an error message
 
 
+class SeveralJoints(BadInput):
+    """A bag holds several joints where one is wanted.
+
+    Args:
+        message: what to tell the user.
+        namespaces: of the joints.
+    """
+
+    def __init__(self, message: str, namespaces: list[str]) -> None:
+        super().__init__(message)
+        self.namespaces = namespaces
+
+
 def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str | None) -> dict[str, RawTopic]:
     """Find the package's topics in a bag.
 
@@ -29,6 +42,7 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
         ``bag.issues``.
 
     Raises:
+        SeveralJoints: Several namespaces hold such topics, and none is given.
         BadInput: A sample topic, or one named in ``topics``, is missing, empty or of the wrong type.
     """
     if not any(len(raw.log_ns) for raw in bag.topics.values()):
@@ -78,10 +92,31 @@ def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
         best = [prefix for prefix, count in found.items() if count == max(found.values())]
         if len(best) > 1:
             listed = ", ".join(sorted(prefix or "/" for prefix in best))
-            raise BadInput(f"{bag.path}: several namespaces hold such topics ({listed}), choose one with --namespace")
+            raise SeveralJoints(
+                f"{bag.path}: several namespaces hold such topics ({listed}), choose one with --namespace", sorted(best)
+            )
         if best:
             return best[0]
     return DEFAULT_NAMESPACE
+
+
+def joints_in(bag: RawBag) -> list[str]:
+    """The namespaces with messages of every sample topic: a joint each.
+
+    Args:
+        bag: The bag; payloads are not needed.
+
+    Returns:
+        Namespaces such as "/left/elbow", sorted; "" is the root.
+    """
+
+    def there(namespace: str, name: str) -> bool:
+        raw = bag.topics.get(TOPICS[name].resolve(namespace))
+        return raw is not None and raw.channel.msgtype == TOPICS[name].type and len(raw.log_ns) > 0
+
+    ending = f"/{TOPICS['valve_state'].relative}"
+    found = [actual[: -len(ending)] for actual in bag.topics if actual.endswith(ending)]
+    return sorted(namespace for namespace in found if all(there(namespace, name) for name in SAMPLE_TOPICS))
 
 
 def _problem(bag: RawBag, topic: Topic, actual: str) -> str | None:

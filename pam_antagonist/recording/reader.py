@@ -15,7 +15,7 @@ from . import checkpoints, plausible, stamps
 from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
-from .naming import READ_TOPICS, choose_topics
+from .naming import READ_TOPICS, choose_topics, joints_in
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
@@ -76,6 +76,7 @@ def read_bag(
         judge: False reads values in any unit, for :mod:`pam_antagonist.checks`.
 
     Raises:
+        SeveralJoints: The bag holds several joints, and ``namespace`` names none.
         BadInput: Not a bag, damaged, a topic missing or of another type, no samples, time running backwards, or values
             that cannot be what they should be (gauge pressure, other units).
 
@@ -135,7 +136,15 @@ def _read(
         issues=tuple(bag.issues),
         rigs=_rig_texts(bag, chosen["valve_state"].actual),
         checkpoints=() if remembered is None else checkpoints.read(remembered.decoded, remembered.keep),
+        namespace=_own_namespace(bag, chosen["valve_state"].actual),
     )
+
+
+def _own_namespace(bag: RawBag, valve_state: str) -> str:
+    """Which of a bag's joints it is; empty where there is one alone."""
+    joints = joints_in(bag)
+    mine = [joint for joint in joints if TOPICS["valve_state"].resolve(joint) == valve_state]
+    return mine[0] if mine and len(joints) > 1 else ""
 
 
 def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:

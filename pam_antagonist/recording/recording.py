@@ -169,6 +169,7 @@ class Recording:
         issues: Sentences about what was repaired, dropped or is doubtful.
         rigs: What the nodes said about their rigs, oldest first, for :meth:`pam_antagonist.rig.RigIdentity.read`.
         checkpoints: What the live filter remembered now and then, in the order of their stamps.
+        namespace: Of the joint, where the bag holds several; otherwise empty.
     """
 
     path: Path
@@ -185,6 +186,7 @@ class Recording:
     issues: tuple[str, ...] = ()
     rigs: tuple[str, ...] = ()
     checkpoints: tuple[RecordedCheckpoint, ...] = ()
+    namespace: str = ""
 
     def __post_init__(self) -> None:
         size = len(self.stamp_ns)

@@ -250,5 +250,5 @@ def test_what_is_no_rig_is_passed_over(node: Any) -> None:
     for text in ("", "shin2022", "{}", '{"node": "estimator"}'):
         node._rigs._on_rig(String(data=text))
     tell_rig(node, "controller", "sealed_joint")  # its own name: an earlier life's
-    assert node._rigs.present == "" and not node._stopped
+    assert node._rigs.present == "" and not node.stopped
     assert node.health(1)["rig"].message == "no other node has told its rig yet"

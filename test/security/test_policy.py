@@ -33,8 +33,8 @@ PUBLISHERS = {
     "diagnostics": set(NODES),
 }
 SERVICES = {
-    "plant": {"clear_stop"},
-    "bridge": {"clear_stop", "measure_rest"},
+    "plant": {"stop", "clear_stop"},
+    "bridge": {"stop", "clear_stop", "measure_rest"},
     "estimator": {"reset", "set_state"},
     "controller": {"clear_stop", "enable"},
     "recorder": set(),

@@ -29,6 +29,9 @@ Measure what the package costs on this machine.
   pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): losses,
             and the round trip pressure -> command against that of a pipeline that passes messages through
 
+  joints    six simulated joints in one process at 500 Hz, and at 1 kHz, with a recorder of all (needs ROS 2): losses,
+            memory, processor time; only where it is asked for by --only
+
   --soak S  instead of all that: the pipeline for S seconds, with what grows, what is lost and what drifts (600 is a
             good while); looks at every process once a second, and with --json FILE writes the series as a page beside
             it (FILE with the suffix .html)
@@ -37,12 +40,14 @@ Every figure is a ratio of two things that were timed in turn, so that a busy ma
 Status: 0 whether or not a bound holds, 2 bad input.
 """
 PARTS = ("kernels", "replay", "pipeline")
+"""What is measured unless something else is asked for."""
+_ALL = (*PARTS, "joints")
 
 
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("benchmark", _DESCRIPTION)
-    out.add_argument("--only", choices=PARTS, action="append", help="this part alone; may be given several times")
+    out.add_argument("--only", choices=_ALL, action="append", help="this part alone; may be given several times")
     out.add_argument(
         "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
     )
@@ -67,9 +72,10 @@ def _main(argv: Sequence[str] | None) -> int:
     rig = load_rig(arguments.rig)
     if arguments.soak is not None:
         return _soak(arguments)
-    parts = [part for part in PARTS if part in (arguments.only or PARTS)]
-    if "pipeline" in parts:
-        needs_ros("benchmark --only pipeline")
+    parts = [part for part in _ALL if part in (arguments.only or PARTS)]
+    for part in ("pipeline", "joints"):
+        if part in parts:
+            needs_ros(f"benchmark --only {part}")
     figures: list[Figure] = []
     with counted(len(parts), "benchmark") as done:
         for part in parts:
@@ -81,6 +87,10 @@ def _main(argv: Sequence[str] | None) -> int:
                 from pam_antagonist.validation.benchmark import offline
 
                 figures += offline.measure(arguments.rig, arguments.bag)
+            elif part == "joints":
+                from pam_antagonist.validation.benchmark import joints
+
+                figures += joints.measure(rig, arguments.duration)
             else:
                 from pam_antagonist.validation.benchmark import pipeline
 
