@@ -142,6 +142,8 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
         except _Interrupted:
             return 0  # nothing has been published, and nothing was subscribed to
         except Exception as error:
+            if stop.signal is not None:
+                return 0  # the compiler was calling back: it swallows what the signal raises, and fails a moment later
             if secured() and "secur" in str(error).lower():
                 raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
             raise

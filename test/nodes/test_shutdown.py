@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,22 @@ from pam_antagonist.nodes.processes import Processes, ros_arguments
 pytestmark = pytest.mark.ros
 
 SAFE = (5.0, 5.2)
+
+
+def test_a_signal_that_the_compiler_swallows_ends_the_node_without_a_traceback() -> None:
+    code = """
+import os, signal
+from pam_antagonist.nodes.spin import run_node
+def create(*arguments, **options):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except BaseException:
+        pass
+    raise RuntimeError("no compiled object yet")
+raise SystemExit(run_node(create, [], name="plant", description="", table=()))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0, check=False)
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
 
 
 def test_a_controller_that_is_shut_down_leaves_safe_voltages_and_ends(tmp_path: Path, module_domain: None) -> None:
