@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import explained, thresholds
+from pam_antagonist.diagnosis import explained, far_calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, evidence
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment, Point
@@ -85,6 +85,13 @@ def tried(
 
     fits = in_threads(delayed(fitted)(r, candidate) for (_, r), candidate in tasks.items())
     done = dict(zip(tasks, fits, strict=True))
+    if not model.effects:
+        far = [r for r, is_noisy in enumerate(noisy) if is_noisy]
+        others = in_threads(delayed(far_calibrations.fits)(experiments[r], model.fits[r], can[r]) for r in far)
+        for r, other in zip(far, others, strict=True):
+            for name, fit in other.items():
+                gains = [evidence(experiments[r], model.fits[r], one) for one in (done[name, r], fit)]
+                done[name, r] = fit if gains[1] > gains[0] else done[name, r]
     out = []
     for name in dict.fromkeys(name for name, _ in tasks):
         each = [done.get((name, r)) for r in range(len(experiments))]

@@ -30,6 +30,10 @@ _LATEST_ANGLE_S = 0.5
 """[s] An angle that begins so late tells the start as well: a node of its own, or its stamps, may be late."""
 _START_ANGLE = 1.7e-3
 """[rad] How well a measured start angle is known, stiction and encoder step together."""
+_CLOCKS_S = 0.02
+"""[s] How well clocks agree: where a recording begins in motion, its start is known as well as that."""
+_RATE_S = 0.1
+"""[s] At the beginning of a recording, in which it is told how quickly something changes."""
 STARTS = 3
 """Start values: the angle and both pressures."""
 _LONG_STEPS = (4e-3, 2e-3)
@@ -83,7 +87,8 @@ class ValveDriven(Experiment):
         """How well the start is known (3,) [rad, Pa, Pa]."""
         sensors = self.rig.sensors
         sample = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0)))
-        return np.array([0.0 if self.trial.joint == "locked" else _START_ANGLE, *(sample * self.first.share)])
+        known = np.hypot([_START_ANGLE, *(sample * self.first.share)], _CLOCKS_S * self.first.rate)
+        return known * np.array([0.0 if self.trial.joint == "locked" else 1.0, 1.0, 1.0])
 
     @property
     def runs_by_itself(self) -> bool:
@@ -225,11 +230,13 @@ class Start:
         angle: [rad], None where it was not measured.
         pressure: of both muscles (2,) [Pa].
         share: standard deviation of these (2,), over that of one sample.
+        rate: how quickly angle and pressures change there (3,) [rad/s, Pa/s, Pa/s].
     """
 
     angle: float | None
     pressure: Floats
     share: Floats
+    rate: Floats
 
 
 def start_of(trial: Trial) -> Start:
@@ -246,7 +253,9 @@ def start_of(trial: Trial) -> Start:
     early = trial.measured[: trial.samples(_LATEST_ANGLE_S), ANGLE]
     begin = int(np.argmax(np.isfinite(early)))
     angle = trial.lock_angle if trial.joint == "locked" else _at_first(early[begin : begin + len(first)])[0]
-    return Start(angle if np.isfinite(angle) else None, pressure, share)
+    begun = trial.measured[: trial.samples(_RATE_S)]
+    rate = np.array([_rate(begun[:, k]) / trial.dt for k in (ANGLE, PRESSURE_1, PRESSURE_1 + 1)])
+    return Start(angle if np.isfinite(angle) else None, pressure, share, rate)
 
 
 def _at_first(values: Floats) -> tuple[float, float]:
@@ -257,6 +266,12 @@ def _at_first(values: Floats) -> tuple[float, float]:
     middle, spread = known.mean(), np.sum((known - known.mean()) ** 2)
     line = np.polynomial.Polynomial.fit(known, values[known], 1)
     return float(line(0.0)), float(np.sqrt(1.0 / len(known) + middle**2 / spread))
+
+
+def _rate(values: Floats) -> float:
+    """Size of the slope of values (N,), a sample; 0 where there are not two."""
+    known = np.flatnonzero(np.isfinite(values))
+    return abs(float(np.polynomial.Polynomial.fit(known, values[known], 1).deriv()(0.0))) if len(known) > 1 else 0.0
 
 
 def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None, later: Sequence[Phase] = ()) -> Floats:

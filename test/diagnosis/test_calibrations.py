@@ -114,6 +114,21 @@ def test_a_zero_to_which_the_base_parameters_have_bent_is_found(rig, zero, names
         assert calibrations.found(experiments, models, chosen.calibrations, chosen.rivals) == ()
 
 
+@pytest.mark.parametrize("wrong", [{"encoder_zero": np.radians(2.0)}, {"delay_pressure": 0.05}])
+def test_a_calibration_is_found_however_large_it_is(rig, recorded, wrong) -> None:
+    """Base parameters bend so far to it that a fit from there does not come back; pressures begin in motion."""
+    trial = make_trial(
+        misread(recorded("none", joint="free", seconds=30.0, seed=2408002887), **wrong), rig, "free", 0.0, "free"
+    )
+    experiments = (ValveDriven(rig, trial, len(trial) * 2 // 3 // 100 * 100),)
+    base = recalibrate(experiments, jobs=1)
+    assert not explained.at_noise(experiments, base)
+    chosen = select(experiments, base, 1, lambda text: None, Checkpoint(), calibrate=True, most=1)
+    assert explained.at_noise(experiments, chosen.model)
+    (found,) = calibrations.found(experiments, [chosen.model], chosen.calibrations, chosen.rivals)
+    assert {found.name: found.value} == {name: pytest.approx(value, rel=0.06) for name, value in wrong.items()}
+
+
 def test_an_effect_and_a_calibration_beside_it_are_both_named(rig, recorded) -> None:
     recording = misread(recorded("leak", 1, "seeping", 15.0, seconds=22.0), delay_voltage=0.03)
     found = diagnose([recording], rig, joint="locked", jobs=1, profiles=False, estimator=False)
