@@ -39,11 +39,11 @@ setup(
     maintainer_email="maintainers@pam-antagonist.invalid",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/templates/*", "validation/battery/*.json"]},
+    package_data={NAME: ["py.typed", "report/templates/*", "nodes/*.html", "validation/battery/*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *tree("config", (".json", ".xacro", ".xml", ".yaml")),
+        *tree("config", (".json", ".rviz", ".xacro", ".xml", ".yaml")),
         *tree("launch", (".py",)),
         *tree("urdf", (".xacro",)),
     ],
@@ -85,6 +85,8 @@ setup(
             "ruff==0.17.5",
             "types-PyYAML",
         ],
+        # The live page: watch.
+        "watch": ["tornado>=6.3"],
     },
     entry_points={
         "console_scripts": [

@@ -31,6 +31,8 @@ NAVIGATION = {
         "how-to/several_joints",
         "how-to/safety",
         "how-to/recording",
+        "how-to/watch",
+        "how-to/tools",
         "how-to/security",
         "how-to/machines",
         "how-to/troubleshooting",

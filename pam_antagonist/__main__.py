@@ -23,6 +23,7 @@ class Command(NamedTuple):
 
 COMMANDS: dict[str, Command] = {
     "demo": Command("pam_antagonist.cli.demo:main", "control a simulated joint live, record, replay and report it"),
+    "watch": Command("pam_antagonist.cli.watch:main", "show a running joint in the browser, 30 times a second"),
     "check": Command("pam_antagonist.cli.check:main", "is this a recording of this rig, in the right units?"),
     "replay": Command(
         "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"

@@ -45,6 +45,7 @@ ROSDEP = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "serial": "python3-serial",
+    "tornado": "python3-tornado",
     "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
     "filterpy": "python3-filterpy-pip",

@@ -14,6 +14,9 @@ from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun
 from pam_antagonist.estimation.filter import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE
 from pam_antagonist.recording import RecordedEstimate, Recording
 
+ENDED = "the recording ended while the live filter ran"
+"""Why the last live estimates are not compared."""
+
 
 class LiveInput(NamedTuple):
     """What a filter is given of N samples.
@@ -126,9 +129,30 @@ def compare_with_live(live: RecordedEstimate, run: EstimateRun, apart: Sequence[
     return dataclasses.replace(
         compared,
         not_compared=int(own_live.sum()),
-        why_not=tuple(dict.fromkeys(part.why for part in apart)),
+        why_not=tuple(dict.fromkeys(part.why for part in apart if _within(live.stamp_ns, [part]).any())),
         apart_deg=(float(angle.max()), float(angle[-1])) if len(angle) else None,
     )
+
+
+def ended(recording: Recording) -> Apart | None:
+    """The samples at the end that the live filter had and the recording lacks, at least in part.
+
+    A recorder that ends while a pipeline runs leaves its topics one after the other.
+
+    Args:
+        recording: with a live estimate.
+    """
+    live, stamps = recording.estimate, recording.stamp_ns
+    if live is None or len(live) == 0:
+        return None
+    lacks = np.column_stack([np.isnan(recording.pressure), np.isnan(recording.voltage).any(axis=1)])
+    bits = np.array([MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE])
+    _, at, at_live = np.intersect1d(stamps, live.stamp_ns, return_indices=True)
+    had = (live.flags[at_live, None].astype(np.int64) & bits) == 0
+    tail = at > np.flatnonzero(~lacks.any(axis=1))[-1:].sum()
+    more = stamps[at[tail & (lacks[at] & had).any(axis=1)]]
+    first = int(more[0]) if len(more) else int(stamps[-1]) + 1
+    return Apart(first, int(live.stamp_ns[-1]) + 1, ENDED) if live.stamp_ns[-1] >= first else None
 
 
 def _within(stamp_ns: NDArray[np.int64], apart: Sequence[Apart]) -> NDArray[np.bool_]:

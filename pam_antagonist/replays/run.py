@@ -23,7 +23,7 @@ from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import sealed_muscles
-from pam_antagonist.replays.live import Apart, LiveComparison, LiveInput, as_live, compare_with_live, taken
+from pam_antagonist.replays.live import Apart, LiveComparison, LiveInput, as_live, compare_with_live, ended, taken
 from pam_antagonist.replays.result import (
     FilterFacts,
     Innovation,
@@ -300,6 +300,8 @@ def _live(recording: Recording, run: EstimateRun, planned: Plan, begin_ns: int |
         for segment, end in zip(planned.segments, ends, strict=False)
         if segment.why_not
     ]
+    end = ended(recording)
+    apart += [] if end is None else [end]
     return compare_with_live(live, run, apart)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from pam_antagonist.replays.live import LiveComparison
+from pam_antagonist.replays.live import ENDED, LiveComparison
 from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.report.channels import CHANNELS, Judged, joined, joint_text, judged
 from pam_antagonist.report.document import Finding
@@ -192,6 +192,8 @@ def _not_compared(live: LiveComparison, report: ReplayReport) -> Finding:
     if live.apart_deg is not None:
         largest, last = (number(value, 2) for value in live.apart_deg)
         text += f" There the two angles differ by {largest}° at most, and by {last}° at the end."
+    if live.why_not == (ENDED,):
+        return Finding("note", text)
     if report.estimator.refused:
         text += f" A checkpoint was of no use: {report.estimator.refused[0]}."
     elif not report.estimator.resumed_ns:

@@ -152,6 +152,29 @@ def test_a_checkpoint_without_its_sample_is_of_no_use(rig: Rig, begun_later: Rec
     assert equal is not None and (equal.compared, equal.equal) == (2000, 2000)
 
 
+def test_what_a_recorder_left_out_at_its_end_is_not_compared(
+    rig: Rig, free: Recording, live: Live, changed: Changed
+) -> None:
+    """It leaves the topics one after the other: the last samples lack a pressure, and estimates go on after them."""
+    pressure = free.pressure.copy()
+    pressure[4900:, 0] = np.nan
+    keep = np.arange(len(free)) < 4960
+    done = replay(changed(free, keep=keep, pressure=pressure, estimate=live.estimate), rig)
+    equal = done.report.live_equal
+    assert equal is not None and (equal.compared, equal.equal, equal.only_live) == (4900, 4900, 0)
+    assert equal.not_compared == 100 and equal.why_not == ("the recording ended while the live filter ran",)
+    assert "bit for bit, in all 4900 samples that were compared" in said(done) and "checkpoint" not in said(done)
+
+
+def test_a_sensor_that_fails_for_the_rest_is_compared_to_the_end(rig: Rig, free: Recording, changed: Changed) -> None:
+    pressure = free.pressure.copy()
+    pressure[1000:, 1] = np.nan
+    failed = changed(free, pressure=pressure)
+    live = run_live(rig, failed, 1500)
+    equal = replay(changed(failed, estimate=live.estimate), rig).report.live_equal
+    assert equal is not None and (equal.compared, equal.equal, equal.not_compared) == (1500, 1500, 0)
+
+
 def test_a_state_set_by_hand_is_gone_on_from(rig: Rig, free: Recording, changed: Changed) -> None:
     live = run_live(rig, free, 1500, set_at=400)
     done = replay(changed(free, estimate=live.estimate, checkpoints=live.checkpoints), rig)

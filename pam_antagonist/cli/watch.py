@@ -1,0 +1,107 @@
+"""``watch``: a page in the browser that shows a running joint."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import ipaddress
+import signal
+import sys
+import webbrowser
+from collections.abc import Sequence
+
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs, needs_ros
+from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
+
+_DESCRIPTION = """\
+Show a running joint in the browser, 30 times a second.
+
+The page shows the estimate with its 95 % interval beside reference and encoder, pressures and valve voltages
+within their limits, NIS, and what the nodes report: safety, faults, losses. It is for this machine alone unless
+--host says otherwise, and it commands nothing without --allow-commands. It subscribes only while somebody looks.
+
+Status: 0 ended by Ctrl-C, 2 bad input (one line says what).
+"""
+_EXAMPLES = """\
+examples:
+  {run} watch
+  {run} watch --namespace /left/elbow --port 8766
+  {run} watch --allow-commands
+"""
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("watch", _DESCRIPTION, _EXAMPLES)
+    out.add_argument(
+        "--namespace", metavar="/NS", default=DEFAULT_NAMESPACE, help="namespace of the joint (default: %(default)s)"
+    )
+    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    out.add_argument("--port", type=int, default=8765, help="port of the page; 0: any free one (default: %(default)s)")
+    out.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS",
+        help="address to listen on (default: %(default)s, this machine alone)",
+    )  # fmt: skip
+    out.add_argument(
+        "--allow-commands", action="store_true",
+        help="let the page send references, enable and disable the controller, and clear stops; the page needs the key "
+        "in the address that is printed",
+    )  # fmt: skip
+    out.add_argument("--open", action="store_true", help="open the page in the browser")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    if not 0 <= arguments.port <= 65535:
+        raise BadInput(f"--port {arguments.port}: expected 0 to 65535")
+    needs_ros("watch")
+    with needs("watch", "the live page"):
+        import tornado  # noqa: F401
+    _serve(arguments)
+    return common.DONE
+
+
+def _serve(arguments: argparse.Namespace) -> None:
+    """Serve until Ctrl-C."""
+    from pam_antagonist.nodes.watch import PipelineWatch
+    from pam_antagonist.nodes.watch_server import Server
+
+    loop = asyncio.new_event_loop()
+    asyncio.set_event_loop(loop)  # Tornado runs on the one that is set
+    # Not as an exception: in the middle of a call into rclpy it would become another one.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, loop.stop)
+    watch = PipelineWatch(arguments.namespace, arguments.joint_name, arguments.allow_commands)
+    try:
+        server = Server(watch, arguments.host, arguments.port, arguments.allow_commands)
+        try:
+            print(f"{watch.namespace or '/'}: {server.address}  (Ctrl-C ends)", flush=True)
+            if not _loopback(arguments.host):
+                print("warning: whoever reaches this machine on that port sees the joint", file=sys.stderr)
+            if arguments.open:
+                webbrowser.open(server.address)
+            loop.run_forever()
+        finally:
+            server.stop()
+    finally:
+        watch.close()
+        loop.close()
+
+
+def _loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,300 @@
+"""What a live page shows of a running joint: its latest messages thirty times a second, and what its nodes report.
+
+The node has no executor. It takes the newest message of each topic when a frame is made. While nobody looks it
+subscribes to nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import FluidPressure, JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from pam_antagonist.control import Mode
+from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.network import stay_on_this_machine
+from pam_antagonist.nodes.spin import tune_middleware
+from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS, normalize_namespace
+from pam_antagonist.rig import RigIdentity
+from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
+
+FIELDS = (
+    *("time", "angle", "angle_std", "torque", "torque_std", "nis", "flags", "pressure_1", "pressure_2"),
+    *("voltage_1", "voltage_2", "encoder", "torque_meter", "reference_angle", "reference_torque"),
+)
+"""Numbers of a frame, in this order; SI units, None where there is none."""
+
+_TOPICS: Mapping[str, tuple[Any, Any]] = {
+    "joint_estimate": (JointEstimate, qos.GLANCE),
+    "pressure_1": (FluidPressure, qos.GLANCE),
+    "pressure_2": (FluidPressure, qos.GLANCE),
+    "valve_state": (ValveCommand, qos.GLANCE),
+    "measured_joint_states": (JointState, qos.GLANCE),
+    "reference": (JointReference, qos.GLANCE),
+    "rig": (String, qos.LATCHED),
+    "diagnostics": (DiagnosticArray, qos.DIAGNOSTICS),
+}
+_FRESH = 0.3
+"""[s] A value that is older is not shown."""
+_GONE = 3.0
+"""[s] A node that has been silent on /diagnostics for so long is called silent."""
+_ANSWER = 5.0
+"""[s] Longest time for a service's answer."""
+
+
+@dataclass
+class _Call:
+    """A service call whose answer has not come."""
+
+    name: str
+    future: Any
+    until: float
+
+
+class PipelineWatch:
+    """The newest state of a joint, for a page.
+
+    Args:
+        namespace: of the joint's nodes.
+        joint_name: of the joint in ``measured/joint_states``; None: the first.
+        commands: whether :meth:`command` may be called.
+    """
+
+    def __init__(
+        self, namespace: str = DEFAULT_NAMESPACE, joint_name: str | None = None, commands: bool = False
+    ) -> None:
+        stay_on_this_machine()
+        tune_middleware()
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.namespace = normalize_namespace(namespace)
+        options: dict[str, Any] = {
+            "namespace": self.namespace,
+            "context": self._context,
+            "start_parameter_services": False,
+        }
+        self._node = Node("live_page", **options)
+        self._joint_name = joint_name
+        self._topics: dict[str, Any] = {}
+        self._latest: dict[str, tuple[float, Any]] = {}
+        self._statuses: dict[str, tuple[float, Any]] = {}
+        self._rig: RigIdentity | None = None
+        self._begin = time.monotonic()
+        self._caller: Node | None = None
+        self._reference: Any = None
+        self._calls: list[_Call] = []
+        self._answers: list[str] = []
+        if commands:
+            self._caller = Node("live_page_commands", **options)
+            self._executor = SingleThreadedExecutor(context=self._context)
+            self._executor.add_node(self._caller)
+            self._enable = self._caller.create_client(SetBool, "controller/enable")
+            self._clear = {
+                name: self._caller.create_client(Trigger, f"{name}/clear_stop")
+                for name in ("plant", "bridge", "controller")
+            }
+
+    def listen(self, wanted: bool) -> None:
+        """Subscribe, or cease to: nobody sends anything to a page that nobody looks at."""
+        if wanted and not self._topics:
+            for name, (kind, profile) in _TOPICS.items():
+                self._topics[name] = self._node.create_subscription(
+                    kind, TOPICS[name].relative, lambda message: None, profile
+                )
+        elif not wanted:
+            for subscription in self._topics.values():
+                self._node.destroy_subscription(subscription)
+            self._topics, self._latest, self._statuses = {}, {}, {}
+
+    @property
+    def listening(self) -> bool:
+        """Whether it subscribes to anything."""
+        return bool(self._topics)
+
+    def close(self) -> None:
+        """End the node."""
+        if self._caller is not None:
+            self._executor.shutdown()
+            self._caller.destroy_node()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    # ---------------------------------------------------------------- what is shown
+
+    def frame(self) -> list[float | None]:
+        """The newest numbers, as :data:`FIELDS` names them."""
+        now = time.monotonic()
+        self._take(now)
+        values: dict[str, float] = {"time": now - self._begin}
+        estimate = self._fresh("joint_estimate", now)
+        if estimate is not None:
+            values |= {"angle": estimate.angle, "torque": estimate.torque, "nis": estimate.nis}
+            values |= {"flags": estimate.flags}
+            for name, place in (("angle_std", 0), ("torque_std", 8)):
+                values[name] = math.sqrt(max(0.0, float(estimate.covariance[place])))
+        for name in ("pressure_1", "pressure_2"):
+            message = self._fresh(name, now)
+            if message is not None:
+                values[name] = message.fluid_pressure
+        valves = self._fresh("valve_state", now)
+        if valves is not None:
+            values["voltage_1"], values["voltage_2"] = (float(value) for value in valves.voltage)
+        values |= self._measured(self._fresh("measured_joint_states", now))
+        values |= self._referred(now)
+        return [_number(values.get(name)) for name in FIELDS]
+
+    def report(self) -> dict[str, Any]:
+        """What changes slowly: the rig's limits, the nodes' reports, answers to commands."""
+        now = time.monotonic()
+        answers, self._answers = self._answers, []
+        facts = {} if self._rig is None else dict(self._rig.facts)
+        return {
+            "namespace": self.namespace or "/",
+            "rig": None if self._rig is None else self._rig.name,
+            "limits": {
+                "pressure": [facts.get("atmosphere.pressure"), facts.get("supply.pressure")],
+                "voltage": [facts.get("valves.voltage_min"), facts.get("valves.voltage_max")],
+                "angle": facts.get("joint.stop"),
+            },
+            "statuses": [
+                {
+                    "name": name,
+                    "level": int.from_bytes(status.level, "little") if now - heard <= _GONE else 3,
+                    "text": status.message if now - heard <= _GONE else f"silent for {now - heard:.0f} s",
+                    "values": {item.key: item.value for item in status.values},
+                }
+                for name, (heard, status) in sorted(self._statuses.items())
+            ],
+            "answers": answers,
+        }
+
+    def _take(self, now: float) -> None:
+        for name, subscription in self._topics.items():
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+                    self._heard(name, taken[0], now)
+        if self._caller is not None:
+            self._answer(now)
+
+    def _heard(self, name: str, message: Any, now: float) -> None:
+        if name == "diagnostics":
+            own = f"{self.namespace.lstrip('/')}/" if self.namespace else ""
+            for status in message.status:
+                node, _, part = status.name.removeprefix(own).partition(": ")
+                if status.name.startswith(own) and part and "/" not in node:
+                    self._statuses[f"{node}: {part}"] = now, status
+        elif name == "rig":
+            try:
+                self._rig = RigIdentity.read(message.data)
+            except BadInput:
+                return  # whoever says so is told by the controller
+        else:
+            self._latest[name] = now, message
+
+    def _fresh(self, name: str, now: float) -> Any:
+        heard, message = self._latest.get(name, (-math.inf, None))
+        return message if now - heard <= _FRESH else None
+
+    def _measured(self, message: Any) -> dict[str, float]:
+        """Encoder and torque meter of the one joint."""
+        if message is None:
+            return {}
+        names = list(message.name)
+        place = 0 if self._joint_name is None else names.index(self._joint_name) if self._joint_name in names else None
+        if place is None:
+            return {}
+        parts = (("encoder", message.position), ("torque_meter", message.effort))
+        return {name: values[place] for name, values in parts if len(values) > place}
+
+    def _referred(self, now: float) -> dict[str, float]:
+        """The reference: the last message, or what the controller says that it holds."""
+        _, message = self._latest.get("reference", (now, None))
+        heard, status = self._statuses.get("controller: commands", (-math.inf, None))
+        if now - heard > _GONE:
+            return {}
+        values = {item.key: item.value for item in status.values}
+        mode, value = values.get("mode"), _float(values.get("reference [rad or N m]"))
+        if message is not None and mode != "none":
+            mode, value = ("torque" if message.mode == Mode.TORQUE else "angle"), message.value
+        return {f"reference_{mode}": value} if mode in ("angle", "torque") and math.isfinite(value) else {}
+
+    # ---------------------------------------------------------------- what is commanded
+
+    def command(self, order: Mapping[str, Any]) -> None:
+        """Carry out what a page asks for: ``{"do": "reference", "mode": "angle", "value": 0.1}`` and so on.
+
+        Args:
+            order: ``do`` is ``reference``, ``enable`` (with ``value``) or ``clear_stop``.
+
+        Raises:
+            BadInput: it is something else, or the watch was made without commands.
+        """
+        if self._caller is None:
+            raise BadInput("read-only: start watch with --allow-commands")
+        what, value = order.get("do"), order.get("value")
+        if what == "reference":
+            mode = {"angle": Mode.ANGLE, "torque": Mode.TORQUE}.get(str(order.get("mode")))
+            if mode is None or isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise BadInput("reference: expected a mode, angle or torque, and a number")
+            if not math.isfinite(value):
+                raise BadInput("reference: expected a finite number")
+            if self._reference is None:  # not before: the controller reports a second publisher
+                topic = TOPICS["reference"].relative
+                self._reference = self._node.create_publisher(JointReference, topic, qos.REFERENCE)
+            message = JointReference(mode=int(mode), value=float(value))
+            message.header.stamp = self._node.get_clock().now().to_msg()
+            self._reference.publish(message)
+        elif what == "enable":
+            if not isinstance(value, bool):
+                raise BadInput("enable: expected true or false")
+            self._call(
+                "controller: enable" if value else "controller: disable", self._enable, SetBool.Request(data=value)
+            )
+        elif what == "clear_stop":
+            for name, client in self._clear.items():
+                if client.service_is_ready():
+                    self._call(f"{name}: clear_stop", client, Trigger.Request())
+        else:
+            raise BadInput("expected reference, enable or clear_stop")
+
+    def _call(self, name: str, client: Any, request: Any) -> None:
+        if not client.service_is_ready():
+            raise BadInput(f"{name}: the node is not there")
+        self._calls.append(_Call(name, client.call_async(request), time.monotonic() + _ANSWER))
+
+    def _answer(self, now: float) -> None:
+        if self._calls:
+            self._executor.spin_once(timeout_sec=0.0)
+        waiting = []
+        for call in self._calls:
+            if call.future.done():
+                self._answers.append(f"{call.name}: {call.future.result().message}")
+            elif now > call.until:
+                self._answers.append(f"{call.name}: no answer")
+            else:
+                waiting.append(call)
+        self._calls = waiting
+
+
+def _number(value: float | None) -> float | None:
+    """A number as JSON knows it, with as many digits as a page shows."""
+    return None if value is None or not math.isfinite(value) else float(f"{value:.7g}")
+
+
+def _float(text: Any) -> float:
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return math.nan

@@ -1,0 +1,357 @@
+"""The live page: what its server sends, to whom, and what it takes; and what it shows of a joint."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import socket
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pam_antagonist.errors import BadInput
+
+pytest.importorskip("tornado")
+
+from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
+from tornado.websocket import websocket_connect
+
+from pam_antagonist.nodes import watch_server
+from pam_antagonist.nodes.watch_server import Server, names_this_machine
+
+PAGE = Path(watch_server.__file__).with_name("watch.html")
+
+
+class Joint:
+    """What a page shows, without ROS."""
+
+    def __init__(self) -> None:
+        self.listening: list[bool] = []
+        self.orders: list[dict[str, Any]] = []
+
+    def listen(self, wanted: bool) -> None:
+        self.listening.append(wanted)
+
+    def frame(self) -> list[float | None]:
+        return [1.0, 0.1, None]
+
+    def report(self) -> dict[str, Any]:
+        return {"rig": "shin2022"}
+
+    def command(self, order: dict[str, Any]) -> None:
+        if order.get("do") == "nonsense":
+            raise BadInput("expected reference, enable or clear_stop")
+        self.orders.append(order)
+
+
+VISITS: list[Any] = []
+"""Connections of a scene, which end with it."""
+Scene = Callable[[Joint, Server, str], Awaitable[None]]
+
+
+def play(scene: Scene, commands: bool = False) -> Joint:
+    """A server on a free port; the scene gets its address without the key."""
+
+    async def whole() -> Joint:
+        joint = Joint()
+        server = Server(joint, port=0, commands=commands)
+        try:
+            await asyncio.wait_for(scene(joint, server, server.address.partition("#")[0]), 30.0)
+        finally:
+            while VISITS:
+                VISITS.pop().close()
+            for _ in range(500):
+                if not server.pages:
+                    break
+                await asyncio.sleep(0.01)
+            server.stop()
+            await server._http.close_all_connections()
+        return joint
+
+    return asyncio.run(whole())
+
+
+def live(address: str, **headers: str) -> HTTPRequest:
+    return HTTPRequest(address.replace("http", "ws") + "live", headers=headers)
+
+
+async def visit(request: HTTPRequest) -> Any:
+    VISITS.append(await websocket_connect(request))
+    return VISITS[-1]
+
+
+async def refused(address: str, **headers: str) -> int:
+    try:
+        await visit(live(address, **headers))
+    except HTTPClientError as error:
+        return error.code
+    return 0
+
+
+def test_it_sends_thirty_frames_a_second_and_a_report_now_and_then() -> None:
+    async def scene(joint: Joint, server: Server, address: str) -> None:
+        page = await visit(live(address, Origin=address.rstrip("/")))
+        loop = asyncio.get_running_loop()
+        first = json.loads(await page.read_message())
+        assert first["frame"] == [1.0, 0.1, None]
+        assert first["report"] == {"rig": "shin2022", "commands": False}
+        begin = loop.time()
+        contents = [json.loads(await page.read_message()) for _ in range(45)]
+        took = loop.time() - begin
+        assert 1.3 < took < 10.0  # 1.5 s, and more on a busy machine
+        assert sum("report" in content for content in contents) == 3
+
+    assert play(scene).listening == [True, False]
+
+
+def test_nothing_is_subscribed_while_nobody_looks() -> None:
+    async def scene(joint: Joint, server: Server, address: str) -> None:
+        answer = await AsyncHTTPClient().fetch(address)
+        assert answer.code == 200 and answer.body.decode() == PAGE.read_text()
+
+    assert play(scene).listening == []
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", "https://{host}", "null", "file://"])
+def test_another_page_in_the_same_browser_cannot_read_it(origin: str) -> None:
+    async def scene(joint: Joint, server: Server, address: str) -> None:
+        host = address.removeprefix("http://").rstrip("/")
+        assert await refused(address, Origin=origin.format(host=host)) == 403
+        assert await refused(address, Origin=address.rstrip("/")) == 0
+
+    assert play(scene).listening[0] is True
+
+
+def test_a_foreign_name_that_points_here_is_refused() -> None:
+    """DNS rebinding: Origin and Host agree, and both are somebody else's."""
+
+    async def scene(joint: Joint, server: Server, address: str) -> None:
+        port = address.rsplit(":", 1)[1].rstrip("/")
+        assert await refused(address, Origin=f"http://evil.example:{port}", Host=f"evil.example:{port}") == 403
+        with pytest.raises(HTTPClientError, match="403"):
+            await AsyncHTTPClient().fetch(HTTPRequest(address, headers={"Host": "evil.example"}))
+
+    assert play(scene).listening == []
+
+
+@pytest.mark.parametrize(
+    ("host", "good"),
+    [
+        ("localhost", True),
+        ("127.0.0.1", True),
+        ("[::1]", True),
+        ("192.168.0.7", True),
+        (socket.gethostname(), True),
+        ("localhost.evil.example", False),
+        ("", False),
+    ],
+)
+def test_names_of_this_machine(host: str, good: bool) -> None:
+    assert names_this_machine(host) is good
+
+
+def test_it_takes_no_command_unless_it_is_told_to() -> None:
+    async def scene(joint: Joint, server: Server, address: str) -> None:
+        page = await visit(live(address))
+        await page.write_message(json.dumps({"do": "clear_stop", "key": ""}))
+        assert await answer_of(page) == "read-only: start watch with --allow-commands"
+
+    joint = play(scene)
+    assert joint.orders == []
+
+
+async def answer_of(page: Any) -> str:
+    while True:
+        content = json.loads(await page.read_message())
+        if "refused" in content:
+            return str(content["refused"])
+
+
+def test_a_command_needs_the_key_that_was_printed() -> None:
+    async def scene(joint: Joint, server: Server, address: str) -> None:
+        page = await visit(live(address))
+        for order in ({"do": "clear_stop"}, {"do": "clear_stop", "key": "x"}, {"do": "clear_stop", "key": None}):
+            await page.write_message(json.dumps(order))
+            assert await answer_of(page) == "a command: expected the key of the address that watch printed"
+        for text in ("[]", "nonsense", "[" * 500):
+            await page.write_message(text)
+            assert await answer_of(page) == "a command: expected JSON"
+        key = server.address.partition("#")[2]
+        assert len(key) > 15
+        await page.write_message(json.dumps({"do": "nonsense", "key": key}))
+        assert await answer_of(page) == "expected reference, enable or clear_stop"
+        await page.write_message(json.dumps({"do": "enable", "value": True, "key": key}))
+        while not joint.orders:
+            await page.read_message()
+
+    assert [order["do"] for order in play(scene, commands=True).orders] == ["enable"]
+
+
+def test_a_page_too_many_is_refused() -> None:
+    async def scene(joint: Joint, server: Server, address: str) -> None:
+        pages = [await visit(live(address)) for _ in range(8)]
+        assert await refused(address) == 503
+        assert len(pages) == len(server.pages)
+
+    play(scene)
+
+
+def test_the_page_may_load_and_reach_nothing_else() -> None:
+    async def scene(joint: Joint, server: Server, address: str) -> None:
+        answer = await AsyncHTTPClient().fetch(address)
+        policy = answer.headers["Content-Security-Policy"]
+        assert "default-src 'none'" in policy and "connect-src 'self'" in policy and "frame-ancestors 'none'" in policy
+        assert "script-src 'sha256-" in policy
+        assert answer.headers["Cache-Control"] == "no-store"
+
+    play(scene)
+    text = PAGE.read_text()
+    assert not re.findall(r"(?:src|href)=|https?://(?!www\.w3\.org)", text.replace('"https:"', ""))
+    assert text.count("<script>") == 1 and " onclick=" not in text
+
+
+def test_a_port_that_is_taken_is_said_in_one_line() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+
+        async def start() -> None:
+            with pytest.raises(BadInput, match=f"^cannot listen on 127.0.0.1, port {port}: "):
+                Server(Joint(), port=port)
+
+        asyncio.run(start())
+
+
+# ------------------------------------------------------------------ with ROS
+
+
+@pytest.mark.ros
+def test_the_page_and_the_frames_name_the_same_fields() -> None:
+    from pam_antagonist.nodes.watch import FIELDS
+
+    (listed,) = re.findall(r"const FIELDS = \[(.*?)\];", PAGE.read_text(), re.DOTALL)
+    assert tuple(re.findall(r'"(\w+)"', listed)) == FIELDS
+
+
+@pytest.mark.ros
+def test_frames_show_what_the_joint_publishes(domain: None) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+    from probe import Probe
+
+    from pam_antagonist.nodes import qos
+    from pam_antagonist.nodes.watch import FIELDS, PipelineWatch
+
+    watch = PipelineWatch()
+    try:
+        with Probe() as probe:
+            assert not watch.listening and watch.frame()[1:] == [None] * (len(FIELDS) - 1)
+            names = ("joint_estimate", "pressure_1", "valve_state", "measured_joint_states", "reference")
+            for name in names:
+                assert not probe.matched(name)
+            watch.listen(True)
+            health = probe.node.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+            probe.until(lambda: all(map(probe.matched, names)) and health.get_subscription_count() > 0, 20.0, "a page")
+            estimate = probe.publisher("joint_estimate").msg_type(angle=0.2, torque=1.5, nis=2.0)
+            estimate.covariance[0], estimate.covariance[8] = 0.0004, 0.01
+            messages = {
+                "joint_estimate": estimate,
+                "pressure_1": probe.publisher("pressure_1").msg_type(fluid_pressure=4e5),
+                "valve_state": probe.publisher("valve_state").msg_type(voltage=[5.0, 6.0]),
+                "measured_joint_states": probe.publisher("measured_joint_states").msg_type(
+                    name=["joint"], position=[0.21], effort=[float("nan")]
+                ),
+            }
+            values = [KeyValue(key="mode", value="angle"), KeyValue(key="reference [rad or N m]", value="0.25")]
+            statuses = [
+                DiagnosticStatus(name="pam/controller: commands", level=b"\x02", message="stopped", values=values),
+                DiagnosticStatus(name="other/controller: commands", level=b"\x00", message="of another joint"),
+            ]
+            frame: dict[str, float | None] = {}
+
+            def shown() -> bool:
+                for name, message in messages.items():
+                    probe.publisher(name).publish(message)
+                health.publish(DiagnosticArray(status=statuses))
+                frame.update(zip(FIELDS, watch.frame(), strict=True))
+                return None not in (frame["angle"], frame["pressure_1"], frame["encoder"], frame["reference_angle"])
+
+            probe.until(shown, 20.0, "a whole frame")
+            assert frame["angle"] == 0.2 and frame["angle_std"] == pytest.approx(0.02) and frame["nis"] == 2.0
+            assert frame["torque_std"] == pytest.approx(0.1) and frame["pressure_1"] == 4e5
+            assert (frame["voltage_1"], frame["voltage_2"]) == (5.0, 6.0)
+            assert frame["encoder"] == 0.21 and frame["torque_meter"] is None and frame["pressure_2"] is None
+            assert frame["reference_angle"] == 0.25 and frame["reference_torque"] is None
+            (status,) = watch.report()["statuses"]
+            assert (status["name"], status["level"], status["text"]) == ("controller: commands", 2, "stopped")
+            json.dumps(watch.report(), allow_nan=False)
+            probe.wait(0.5)
+            assert dict(zip(FIELDS, watch.frame(), strict=True))["angle"] is None  # too old to be shown
+            watch.listen(False)
+            probe.until(lambda: not any(map(probe.matched, names)), 20.0, "the end of the subscriptions")
+    finally:
+        watch.close()
+
+
+@pytest.mark.ros
+def test_commands_are_checked_and_carried_out(domain: None) -> None:
+    from probe import Probe
+    from rclpy.executors import SingleThreadedExecutor
+    from std_srvs.srv import SetBool
+
+    from pam_antagonist.nodes.watch import PipelineWatch
+
+    reader = PipelineWatch()
+    try:
+        with pytest.raises(BadInput, match="read-only"):
+            reader.command({"do": "clear_stop"})
+    finally:
+        reader.close()
+    watch = PipelineWatch(commands=True)
+    try:
+        with Probe("reference") as probe:
+            for order, why in (
+                ({"do": "reference", "mode": "angle", "value": float("inf")}, "finite"),
+                ({"do": "reference", "mode": "angle", "value": True}, "a number"),
+                ({"do": "reference", "mode": "speed", "value": 1.0}, "a mode"),
+                ({"do": "enable", "value": 1}, "true or false"),
+                ({"do": "enable", "value": True}, "the node is not there"),
+                ({"do": ["open"]}, "expected reference"),
+            ):
+                with pytest.raises(BadInput, match=why):
+                    watch.command(order)
+
+            def arrived() -> bool:
+                watch.command({"do": "reference", "mode": "torque", "value": 1.25})
+                return bool(probe.seen["reference"])
+
+            probe.until(arrived, 20.0, "a reference")
+            message = probe.seen["reference"][0][1]
+            assert (message.mode, message.value) == (1, 1.25) and message.header.stamp.sec > 0
+
+            asked: list[bool] = []
+
+            def enable(request: Any, response: Any) -> Any:
+                asked.append(request.data)
+                response.message = "disabled: silent"
+                return response
+
+            probe.node.create_service(SetBool, "controller/enable", enable)
+            executor = SingleThreadedExecutor(context=probe.node.context)
+            executor.add_node(probe.node)
+            probe.until(watch._enable.service_is_ready, 20.0, "the service")
+            watch.command({"do": "enable", "value": False})
+
+            def answered() -> bool:
+                executor.spin_once(0.0)
+                watch.frame()
+                return bool(watch._answers)
+
+            probe.until(answered, 20.0, "an answer")
+            assert asked == [False] and watch.report()["answers"] == ["controller: disable: disabled: silent"]
+            executor.shutdown()
+    finally:
+        watch.close()
