@@ -2,6 +2,7 @@
 
 import runpy
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -16,6 +17,10 @@ commands = runpy.run_path(str(ROOT / NAME / "__main__.py"))["COMMANDS"]
 # ros2 run looks: one for each name. pip builds a wheel, whose scripts land on PATH: pam alone, which takes the names.
 by_colcon = {"install", "develop"} & set(sys.argv)
 scripts = {name: command.target for name, command in commands.items()} if by_colcon else {}
+
+# Who keeps the package stands in package.xml alone.
+maintainer = ET.parse(ROOT / "package.xml").find("maintainer")
+assert maintainer is not None
 
 
 def tree(folder: str, suffixes: tuple[str, ...]) -> list[tuple[str, list[str]]]:
@@ -35,14 +40,14 @@ setup(
     long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
-    maintainer="pam_antagonist maintainers",
-    maintainer_email="maintainers@pam-antagonist.invalid",
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.attrib["email"],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed", "report/templates/*", "nodes/*.html", "validation/battery/*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}", ["package.xml", "LICENSE"]),
         *tree("config", (".json", ".rviz", ".xacro", ".xml", ".yaml")),
         *tree("launch", (".py",)),
         *tree("urdf", (".xacro",)),

@@ -53,6 +53,7 @@ NAVIGATION = {
         "explanation/identification",
         "explanation/close_loop",
         "architecture",
+        "release",
     ],
     "Evidence": [
         "evidence/sealed_joint",
@@ -72,7 +73,7 @@ NAVIGATION = {
 project = "pam_antagonist"
 author = "pam_antagonist maintainers"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["generate.py", "demo_picture.py", "evidence/step_speed.py"]
+exclude_patterns = ["generate.py", "layouts.py", "release.py", "demo_picture.py", "evidence/step_speed.py"]
 html_theme = "furo"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

@@ -376,6 +376,9 @@ def test_colcon_puts_files_where_ros_looks(workspace: Path) -> None:
     share = install / "pam_antagonist/share"
     assert (share / "ament_index/resource_index/packages/pam_antagonist").is_file()
     assert (share / "pam_antagonist/package.xml").is_file()
+    for package in ("pam_antagonist", "pam_antagonist_msgs"):
+        installed = install / package / "share" / package / "LICENSE"
+        assert installed.read_bytes() == (ROOT / "LICENSE").read_bytes()
     for file in (LAUNCH_FILE, *(path for path in (ROOT / "config").rglob("*") if path.is_file())):
         assert (share / "pam_antagonist" / file.relative_to(ROOT)).read_bytes() == file.read_bytes()
     messages = install / "pam_antagonist_msgs/share/pam_antagonist_msgs/msg"
