@@ -31,6 +31,7 @@ raise SystemExit(run_node(create, [], name="plant", description="", table=()))
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
 
 
+@pytest.mark.realtime
 def test_a_controller_that_is_shut_down_leaves_safe_voltages_and_ends(tmp_path: Path, module_domain: None) -> None:
     from probe import Probe
 

@@ -238,6 +238,7 @@ def test_the_page_and_the_frames_name_the_same_fields() -> None:
 
 
 @pytest.mark.ros
+@pytest.mark.realtime
 def test_frames_show_what_the_joint_publishes(domain: None) -> None:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     from probe import Probe
@@ -288,6 +289,8 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
             (status,) = watch.report()["statuses"]
             assert (status["name"], status["level"], status["text"]) == ("controller: commands", 2, "stopped")
             json.dumps(watch.report(), allow_nan=False)
+            probe.wait(0.2)
+            watch.frame()  # takes what was still on its way
             probe.wait(0.5)
             assert dict(zip(FIELDS, watch.frame(), strict=True))["angle"] is None  # too old to be shown
             watch.listen(False)
