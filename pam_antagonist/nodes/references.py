@@ -25,7 +25,10 @@ _NUMBER = "publication_sequence_number"
 _MOST_NUMBER = 2**63  # beyond: the middleware's way to say that it gives no numbers
 _LOOK = 0.005  # between two looks for references [s]
 _REPEAT_NS = 20_000_000  # between two messages by which a bag keeps what is followed [ns]
-_MODES = {"angle": Mode.ANGLE, "torque": Mode.TORQUE}
+MODES = {"angle": Mode.ANGLE, "torque": Mode.TORQUE}
+"""What may be asked for, by the word that parameters and pages use."""
+MODE, ASKED = "mode", "asked for now [rad or N m]"
+"""Keys of part ``reference`` of ``/diagnostics``: what is followed, and its value."""
 
 
 class ReferenceInput:
@@ -54,7 +57,7 @@ class ReferenceInput:
         )
         self._source: str = values["reference_source"]
         self._joint: str = values["joint_name"]
-        self._array = (_MODES[values["commands_mode"]], int(values["commands_index"]))
+        self._array = (MODES[values["commands_mode"]], int(values["commands_index"]))
         self._kind, self._topic, self._accept = self._interface()
         self._owner = ReferenceOwner()
         self._refused_before = self._lost_before = 0
@@ -206,8 +209,8 @@ class ReferenceInput:
             state = Health(Level.OK, "followed")
         values = {
             "source": f"{self._node.resolve_topic_name(self._topic)} ({self._kind.__name__})",
-            "mode": references.mode.name.lower() if references.mode is not None else "none",
-            "asked for now [rad or N m]": references.value,
+            MODE: references.mode.name.lower() if references.mode is not None else "none",
+            ASKED: references.value,
             "age [s]": f"{age:.3f}",
             "limited": references.limited_count,
             "timed out": references.lost_count,

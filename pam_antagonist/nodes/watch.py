@@ -25,6 +25,7 @@ from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.network import stay_on_this_machine
+from pam_antagonist.nodes.references import ASKED, MODE, MODES
 from pam_antagonist.nodes.spin import tune_middleware
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS, normalize_namespace
 from pam_antagonist.rig import RigIdentity
@@ -221,11 +222,11 @@ class PipelineWatch:
     def _referred(self, now: float) -> dict[str, float]:
         """The reference: the last message, or what the controller says that it holds."""
         _, message = self._latest.get("reference", (now, None))
-        heard, status = self._statuses.get("controller: commands", (-math.inf, None))
+        heard, status = self._statuses.get("controller: reference", (-math.inf, None))
         if now - heard > _GONE:
             return {}
         values = {item.key: item.value for item in status.values}
-        mode, value = values.get("mode"), _float(values.get("reference [rad or N m]"))
+        mode, value = values.get(MODE), _float(values.get(ASKED))
         if message is not None and mode != "none":
             mode, value = ("torque" if message.mode == Mode.TORQUE else "angle"), message.value
         return {f"reference_{mode}": value} if mode in ("angle", "torque") and math.isfinite(value) else {}
@@ -245,7 +246,7 @@ class PipelineWatch:
             raise BadInput("read-only: start watch with --allow-commands")
         what, value = order.get("do"), order.get("value")
         if what == "reference":
-            mode = {"angle": Mode.ANGLE, "torque": Mode.TORQUE}.get(str(order.get("mode")))
+            mode = MODES.get(str(order.get("mode")))
             if mode is None or isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise BadInput("reference: expected a mode, angle or torque, and a number")
             if not math.isfinite(value):

@@ -244,6 +244,7 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
     from probe import Probe
 
     from pam_antagonist.nodes import qos
+    from pam_antagonist.nodes.references import ASKED, MODE
     from pam_antagonist.nodes.watch import FIELDS, PipelineWatch
 
     watch = PipelineWatch()
@@ -266,9 +267,10 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
                     name=["joint"], position=[0.21], effort=[float("nan")]
                 ),
             }
-            values = [KeyValue(key="mode", value="angle"), KeyValue(key="reference [rad or N m]", value="0.25")]
+            values = [KeyValue(key=MODE, value="angle"), KeyValue(key=ASKED, value="0.25")]
             statuses = [
-                DiagnosticStatus(name="pam/controller: commands", level=b"\x02", message="stopped", values=values),
+                DiagnosticStatus(name="pam/controller: commands", level=b"\x02", message="stopped"),
+                DiagnosticStatus(name="pam/controller: reference", level=b"\x00", message="followed", values=values),
                 DiagnosticStatus(name="other/controller: commands", level=b"\x00", message="of another joint"),
             ]
             frame: dict[str, float | None] = {}
@@ -286,7 +288,8 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
             assert (frame["voltage_1"], frame["voltage_2"]) == (5.0, 6.0)
             assert frame["encoder"] == 0.21 and frame["torque_meter"] is None and frame["pressure_2"] is None
             assert frame["reference_angle"] == 0.25 and frame["reference_torque"] is None
-            (status,) = watch.report()["statuses"]
+            status, reference = watch.report()["statuses"]
+            assert (reference["name"], reference["values"]) == ("controller: reference", {MODE: "angle", ASKED: "0.25"})
             assert (status["name"], status["level"], status["text"]) == ("controller: commands", 2, "stopped")
             json.dumps(watch.report(), allow_nan=False)
             probe.wait(0.2)
