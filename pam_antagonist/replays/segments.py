@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
@@ -85,7 +86,7 @@ def _of_start(
 ) -> Iterator[Segment]:
     """The segments of one start of the live filter, whose first recorded estimate is number ``at``."""
     here = _place(recording, start)
-    by_hand = here is not None and _place_of(live, start) is not None and int(live.stamp_ns[at]) != start
+    by_hand = here is not None and _place(live, start) is not None and int(live.stamp_ns[at]) != start
     if here is not None and not by_hand:
         yield Segment(here, start)
         return
@@ -144,30 +145,24 @@ def of_recorded(recorded: RecordedCheckpoint) -> Checkpoint:
     """
     names = {item.name for item in fields(FilterIdentity)}
     n = max(1, len(recorded.state))
-    covariance, cross = recorded.covariance, recorded.cross
+
+    def matrix(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return values.reshape(n, -1) if len(values) % n == 0 else values
+
     return Checkpoint(
         recorded.stamp_ns,
         recorded.started_ns,
         FilterIdentity(**{name: getattr(recorded, name) for name in names}),
         recorded.state,
-        covariance.reshape(n, -1) if len(covariance) % n == 0 else covariance,
-        cross.reshape(n, -1)
-        if len(cross) and len(cross) % n == 0
-        else cross.reshape(n, 0)
-        if not len(cross)
-        else cross,
+        matrix(recorded.covariance),
+        matrix(recorded.cross),
         recorded.voltage,
         recorded.rejected,
         recorded.distances,
     )
 
 
-def _place(recording: Recording, stamp_ns: int) -> int | None:
+def _place(stamped: Recording | RecordedEstimate, stamp_ns: int) -> int | None:
     """Number of the sample with a stamp."""
-    place = int(np.searchsorted(recording.stamp_ns, stamp_ns))
-    return place if place < len(recording) and recording.stamp_ns[place] == stamp_ns else None
-
-
-def _place_of(live: RecordedEstimate, stamp_ns: int) -> int | None:
-    place = int(np.searchsorted(live.stamp_ns, stamp_ns))
-    return place if place < len(live) and live.stamp_ns[place] == stamp_ns else None
+    place = int(np.searchsorted(stamped.stamp_ns, stamp_ns))
+    return place if place < len(stamped) and stamped.stamp_ns[place] == stamp_ns else None
