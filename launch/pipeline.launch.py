@@ -7,8 +7,6 @@ ros2 launch pam_antagonist pipeline.launch.py source:=bridge enclave:=/pam
 ros2 launch pam_antagonist pipeline.launch.py rig:=my_rig.yaml joint_name:=elbow log_level:=debug
 """
 
-import difflib
-import sys
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -18,15 +16,13 @@ from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from pam_antagonist.nodes import launching
 from pam_antagonist.paths import config_dir
 
 PACKAGE = "pam_antagonist"
 
 PARAMETERS = ("rig", "joint_name", "use_sim_time", "autostart")
 """Parameters of every node that are arguments as well; an argument wins over the parameter file."""
-
-RESPAWN_DELAY = 2.0  # [s]
-STOP_TIME = "15"  # [s] for a node to end after Ctrl-C, on a machine that is busy compiling, before launch insists
 
 
 def require_parameters(context: LaunchContext) -> None:
@@ -41,22 +37,12 @@ def require_parameters(context: LaunchContext) -> None:
 
 
 def refuse_unknown(context: LaunchContext) -> None:
-    """Refuse arguments on the command line that this file does not have; launch would silently ignore them.
-
-    Where another launch file includes this one, its arguments are that file's matter.
+    """Refuse arguments on the command line that this file does not have.
 
     Raises:
         ValueError: an unknown argument.
     """
-    if Path(__file__).name not in {Path(word).name for word in sys.argv[1:]}:
-        return
-    known = [argument.name for argument in arguments()]
-    for word in context.argv:
-        name, given, _ = word.partition(":=")
-        if given and name not in known:
-            close = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {close[0]}?" if close else f"expected one of {', '.join(known)}"
-            raise ValueError(f"{word}: unknown argument; {hint}")
+    launching.refuse_unknown(Path(__file__).name, context.argv, [argument.name for argument in arguments()])
 
 
 def given_parameters(context: LaunchContext) -> dict[str, object]:
@@ -68,13 +54,10 @@ def given_parameters(context: LaunchContext) -> dict[str, object]:
     given: dict[str, object] = {}
     for name in PARAMETERS:
         text = LaunchConfiguration(name).perform(context)
-        if text and name in ("use_sim_time", "autostart"):
-            if text.lower() not in ("true", "false"):
-                raise ValueError(f"{name}:={text}: expected true or false")
-            given[name] = text.lower() == "true"
-        elif text:
+        if text:
+            value = launching.value_of(name, text)
             # As text, even where it reads like a number or as true.
-            given[name] = ParameterValue(text, value_type=str)
+            given[name] = ParameterValue(value, value_type=str) if isinstance(value, str) else value
     return given
 
 
@@ -99,8 +82,8 @@ def nodes(context: LaunchContext) -> list[Node]:
             "parameters": [LaunchConfiguration("parameters"), *([given] if given else [])],
             "output": "screen",
             "respawn": LaunchConfiguration("respawn"),
-            "respawn_delay": RESPAWN_DELAY,
-            "sigterm_timeout": STOP_TIME,
+            "respawn_delay": launching.RESPAWN_DELAY,
+            "sigterm_timeout": launching.STOP_TIME,
         }
         extra = ["--log-level", level] if level else []
         if enclaves:

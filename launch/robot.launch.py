@@ -4,9 +4,7 @@ ros2 launch pam_antagonist robot.launch.py joints:=/path/to/robot.yaml
 ros2 launch pam_antagonist robot.launch.py joints:=robot.yaml source:=bridge record:=/path/to/new_bag
 """
 
-import difflib
 import json
-import sys
 from pathlib import Path
 
 import yaml
@@ -15,6 +13,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from pam_antagonist.nodes import launching
 from pam_antagonist.paths import config_dir
 
 PACKAGE = "pam_antagonist"
@@ -22,25 +21,14 @@ PACKAGE = "pam_antagonist"
 PARAMETERS = ("source", "rig", "use_sim_time", "autostart")
 """Parameters that are arguments as well; an argument wins over the parameter file, for every joint."""
 
-RESPAWN_DELAY = 2.0  # [s]
-STOP_TIME = "15"  # [s] for the nodes to end after Ctrl-C, on a machine that is busy compiling, before launch insists
-
 
 def refuse_unknown(context: LaunchContext) -> None:
-    """Refuse arguments on the command line that this file does not have; launch would silently ignore them.
+    """Refuse arguments on the command line that this file does not have.
 
     Raises:
         ValueError: an unknown argument.
     """
-    if Path(__file__).name not in {Path(word).name for word in sys.argv[1:]}:
-        return  # another file includes this one
-    known = [argument.name for argument in arguments()]
-    for word in context.argv:
-        name, given, _ = word.partition(":=")
-        if given and name not in known:
-            close = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {close[0]}?" if close else f"expected one of {', '.join(known)}"
-            raise ValueError(f"{word}: unknown argument; {hint}")
+    launching.refuse_unknown(Path(__file__).name, context.argv, [argument.name for argument in arguments()])
 
 
 def namespaces(path: str) -> list[str]:
@@ -74,14 +62,10 @@ def nodes(context: LaunchContext) -> list[Node]:
     given: list[str] = []
     for name in PARAMETERS:
         text = LaunchConfiguration(name).perform(context)
-        if text and name in ("use_sim_time", "autostart"):
-            if text.lower() not in ("true", "false"):
-                raise ValueError(f"{name}:={text}: expected true or false")
-            given += ["-p", f"{name}:={text.lower()}"]
-        elif text:  # as text, even where it reads like a number or as true
-            given += ["-p", f"{name}:={json.dumps(text)}"]
+        if text:  # as text, even where it reads like a number or as true
+            given += ["-p", f"{name}:={json.dumps(launching.value_of(name, text))}"]
     level = ["--log-level", LaunchConfiguration("log_level").perform(context)]
-    common: dict[str, object] = {"package": PACKAGE, "output": "screen", "sigterm_timeout": STOP_TIME}
+    common: dict[str, object] = {"package": PACKAGE, "output": "screen", "sigterm_timeout": launching.STOP_TIME}
     # Without a name or a namespace: these would be for every node of the process.
     started = [
         Node(
@@ -89,7 +73,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             parameters=[path],
             ros_arguments=[*level, *given],
             respawn=LaunchConfiguration("respawn"),
-            respawn_delay=RESPAWN_DELAY,
+            respawn_delay=launching.RESPAWN_DELAY,
             **common,
         )
     ]
