@@ -133,7 +133,7 @@ def over_time(recording: Recording, sample_period: float, block: float) -> OverT
     for stage, stamp in stamps.items():
         there = np.bincount(number(stamp[(stamp >= first) & (stamp <= last)]), minlength=count)
         lost[stage] = np.asarray(expected - there, dtype=np.float64)
-    stamp, took = _took(recording, first, last)
+    stamp, took = round_trips(recording, first, last)
     ends = np.searchsorted(number(stamp), np.arange(count + 1))
     figures = np.full((3, count), np.nan)
     for k, (begin, end) in enumerate(zip(ends, ends[1:], strict=False)):
@@ -170,8 +170,17 @@ def _out_of_order(recording: Recording, stage: str, first: int, last: int) -> in
     return int(np.count_nonzero(np.diff(log[keep][order]) < 0))
 
 
-def _took(recording: Recording, first: int, last: int) -> tuple[Stamps, NDArray[np.float64]]:
-    """Stamps of the samples with pressure and command, and the time between the two [ms]."""
+def round_trips(recording: Recording, first: int, last: int) -> tuple[Stamps, NDArray[np.float64]]:
+    """Time from pressure to command of each sample that has both, as in :class:`Latency`.
+
+    Args:
+        recording: of the whole pipeline.
+        first: stamp of the first sample that counts [ns].
+        last: of the last one [ns].
+
+    Returns:
+        Stamps (N,) [ns], and the times (N,) [ms].
+    """
     pressure, command = recording.received_ns["pressure_1"], recording.received_ns["valve_command"]
     stamp, one, two = np.intersect1d(pressure.stamp_ns, command.stamp_ns, return_indices=True)
     inside = (stamp >= first) & (stamp <= last)
@@ -180,7 +189,7 @@ def _took(recording: Recording, first: int, last: int) -> tuple[Stamps, NDArray[
 
 
 def _latency(recording: Recording, first: int, last: int) -> Latency:
-    _, took = _took(recording, first, last)
+    _, took = round_trips(recording, first, last)
     if len(took) == 0:
         return Latency(0, math.nan, math.nan, math.nan)
     median, p99 = np.percentile(took, [50.0, 99.0])
