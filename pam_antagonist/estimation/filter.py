@@ -41,6 +41,8 @@ from pam_antagonist.estimation.stamps import (
 from pam_antagonist.estimation.ukf import Work
 from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
+from pam_antagonist.model.parameters import SLOT_OF
 
 PATIENCE = 20
 """Samples, at any rate: so many readings in a row tell a wrong filter from a wrong sensor."""
@@ -66,13 +68,17 @@ ESTIMATE_DTYPE = np.dtype(
         ("nis", "f8"),
         ("subsystem", "f8"),
         ("flags", "f8"),
+        ("external_torque", "f8"),
+        ("external_torque_covariance", "f8", (4,)),
     ]
 )
-"""One estimate: rad, rad/s, N m, their covariance, Pa, N, N m/rad, Pa, Pa², and what helps to judge it."""
+"""One estimate: rad, rad/s, N m, their covariance, Pa, N, N m/rad, Pa, Pa², and what helps to judge it; then the torque
+from outside [N m] and its covariance with angle, velocity, torque and itself, NaN where the rig has no such state."""
 
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
 _forces, _torque_slope, _start_state = dynamics.forces, dynamics.torque_slope, start.start
 _subsystem, _pressure_behind = dynamics.subsystem, sensor.pressure_behind
+_EXTERNAL_TORQUE = SLOT_OF[CATALOGUE[DISTURBANCE].states[0].name]
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
 
 
@@ -230,6 +236,12 @@ def _write(row, memory, settings, nis, flags, work):
     row.nis = nis
     row.subsystem = _subsystem(x, p)
     row.flags = flags
+    at = int(p[_EXTERNAL_TORQUE])
+    row.external_torque = x[at] if at > 0 else np.nan
+    for i in range(2):
+        row.external_torque_covariance[i] = covariance[at, i] if at > 0 else np.nan
+    row.external_torque_covariance[2] = moments[2 + at] if at > 0 else np.nan
+    row.external_torque_covariance[3] = covariance[at, at] if at > 0 else np.nan
     return math.isfinite(moments[0]) and math.isfinite(moments[1])
 
 

@@ -179,8 +179,10 @@ class EstimatorNode(PamNode):
             if age > self._max_age:
                 flags |= JointEstimate.LATE
                 self._late += 1
-            numbers = row.tobytes()[: 8 * wire.ESTIMATE_VALUES]
-            self._estimates.send(sample.stamp_ns, *divmod(started, 10**9), numbers, int(row["subsystem"]), flags)
+            data = row.tobytes()
+            numbers, external = data[: 8 * wire.ESTIMATE_VALUES], data[-8 * wire.EXTERNAL_VALUES :]
+            subsystem = int(row["subsystem"])
+            self._estimates.send(sample.stamp_ns, *divmod(started, 10**9), numbers, subsystem, flags, external)
             state = self._state_values(row["angle"], row["velocity"], row["torque"])
             self._states.send(sample.stamp_ns, *state)
             self._published += 1

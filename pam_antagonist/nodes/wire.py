@@ -31,11 +31,13 @@ PRESSURE: Body = (("dd", 8),)
 VALVES: Body = (("dd", 8),)
 """``pam_antagonist_msgs/ValveCommand``: voltage 1, voltage 2."""
 
-ESTIMATE_VALUES = 24
-"""Numbers (float64) in a JointEstimate, in the order of the message and of ``ESTIMATE_DTYPE``."""
+ESTIMATE_VALUES, EXTERNAL_VALUES = 24, 5
+"""Numbers (float64) in a JointEstimate before subsystem and flags, and behind them: the torque from outside and its
+covariance. They stand in the order of the message and of ``ESTIMATE_DTYPE``."""
 
-ESTIMATE: Body = (("iI", 4), (f"{8 * ESTIMATE_VALUES}s", 8), ("BB", 1))
-"""``pam_antagonist_msgs/JointEstimate``: started (s, ns), its numbers as they lie in memory, subsystem, flags."""
+ESTIMATE: Body = (("iI", 4), (f"{8 * ESTIMATE_VALUES}s", 8), ("BB", 1), (f"{8 * EXTERNAL_VALUES}s", 8))
+"""``pam_antagonist_msgs/JointEstimate``: started (s, ns), its numbers as they lie in memory, subsystem, flags, and the
+torque from outside as it lies in memory."""
 
 ESTIMATE_FOR_CONTROL: Body = (("8x", 4), ("d8xd", 8), (f"{8 * (ESTIMATE_VALUES - 4)}xdxB", 1))
 """The same; angle, torque, normalised innovation squared and flags of it."""

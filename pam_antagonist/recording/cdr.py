@@ -17,6 +17,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
 
 from .messages import typestore
 
@@ -99,6 +100,10 @@ class Decoded:
             result[group.rows] = group.columns[path]
         return result
 
+    def has(self, path: str) -> bool:
+        """Whether the messages have a field; those of a former definition lack what came later."""
+        return not self.groups or path in self.groups[0].columns
+
     def stamp_ns(self, path: str) -> NDArray[np.int64]:
         """Times of a builtin_interfaces/Time field (N,) [ns].
 
@@ -112,21 +117,33 @@ class Decoded:
         return self.fixed(f"{path}.sec").astype(np.int64) * 1_000_000_000 + nanosec
 
 
-def decode(payloads: Payloads, msgtype: str) -> Decoded:
+def decode(payloads: Payloads, msgtype: str, stores: Sequence[Typestore] = ()) -> Decoded:
     """Decode all messages of one topic.
 
     Args:
         payloads: N raw messages.
         msgtype: Message type known to :func:`~pam_antagonist.recording.messages.typestore`.
+        stores: where its definition may stand; the first whose definition fits is taken. Default: the present one.
 
     Raises:
-        CdrError: A payload is too short, too long, or not plain CDR.
+        CdrError: A payload is too short, too long, or not plain CDR; what the first definition says of it.
     """
+    first: CdrError | None = None
+    for store in stores or (typestore(),):
+        try:
+            return _decode(payloads, msgtype, store)
+        except CdrError as error:
+            first = first or error
+    assert first is not None
+    raise first
+
+
+def _decode(payloads: Payloads, msgtype: str, store: Typestore) -> Decoded:
     done: list[Group] = []
-    todo = _by_length_and_order(payloads, msgtype)
+    todo = _by_length_and_order(payloads, msgtype, store)
     while todo:
         group = todo.pop()
-        parts = _walk(group, msgtype)
+        parts = _walk(group, msgtype, store)
         if parts is None:
             done.append(group)
         else:
@@ -134,7 +151,7 @@ def decode(payloads: Payloads, msgtype: str) -> Decoded:
     return Decoded(len(payloads), tuple(done))
 
 
-def _by_length_and_order(payloads: Payloads, msgtype: str) -> list[Group]:
+def _by_length_and_order(payloads: Payloads, msgtype: str, store: Typestore) -> list[Group]:
     length = payloads.length
     if len(length) == 0:
         return []
@@ -155,24 +172,24 @@ def _by_length_and_order(payloads: Payloads, msgtype: str) -> list[Group]:
                 matrix = payloads.data.reshape(len(rows), size)
             else:
                 matrix = payloads.data[start[rows, None] + np.arange(size)]
-            groups.append(Group(rows, matrix, "<" if kind else ">", 0, _members("", msgtype)))
+            groups.append(Group(rows, matrix, "<" if kind else ">", 0, _members("", msgtype, store)))
     return groups
 
 
-def _members(prefix: str, msgtype: str) -> list[tuple[str, Any]]:
+def _members(prefix: str, msgtype: str, store: Typestore) -> list[tuple[str, Any]]:
     """Members of a message as a stack, the first one on top."""
     dot = f"{prefix}." if prefix else ""
-    return [(dot + name, description) for name, description in reversed(typestore().fielddefs[msgtype][1])]
+    return [(dot + name, description) for name, description in reversed(store.fielddefs[msgtype][1])]
 
 
-def _walk(group: Group, msgtype: str) -> list[Group] | None:
+def _walk(group: Group, msgtype: str, store: Typestore) -> list[Group] | None:
     """Walk the definition until it ends (None) or the rows' layouts part (the parts, to be walked on)."""
     while group.pending:
         path, (kind, what) = group.pending.pop()
         if kind == Nodetype.BASE and what[0] != "string":
             group.columns[path] = _take(group, path, what[0], 1)[:, 0]
         elif kind == Nodetype.NAME:
-            group.pending.extend(_members(path, what))
+            group.pending.extend(_members(path, what, store))
         elif kind == Nodetype.ARRAY:
             _elements(group, path, what[0], what[1])
         else:
@@ -307,12 +324,12 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
         ValueError: A column has the wrong shape.
     """
     out = _Encoder(size, little_endian)
-    pending = _members("", msgtype)
+    pending = _members("", msgtype, typestore())
     unused = set(columns)
     while pending:
         path, (kind, what) = pending.pop()
         if kind == Nodetype.NAME:
-            pending.extend(_members(path, what))
+            pending.extend(_members(path, what, typestore()))
             continue
         unused.discard(path)
         values = columns[path]

@@ -2,6 +2,9 @@
 
 The definitions of this project's messages stand here a second time because an offline installation has no
 ``pam_antagonist_msgs``; a test holds them against the ``.msg`` files field for field.
+
+Two messages have grown since the first recordings. Their former definitions stay here too, so that those recordings can
+be read.
 """
 
 from __future__ import annotations
@@ -23,8 +26,13 @@ float64[2] voltage
 std_msgs/Header header
 uint8 ANGLE=0
 uint8 TORQUE=1
+uint8 ANGLE_STIFFNESS=2
+uint8 TORQUE_STIFFNESS=3
+uint8 IMPEDANCE=4
 uint8 mode
 float64 value
+float64 stiffness
+float64 damping
 """,
         "pam_antagonist_msgs/msg/JointEstimate": """\
 std_msgs/Header header
@@ -48,6 +56,8 @@ uint8 GAP=16
 uint8 REPAIRED=32
 uint8 LATE=64
 uint8 flags
+float64 external_torque
+float64[4] external_torque_covariance
 """,
         "pam_antagonist_msgs/msg/FilterCheckpoint": """\
 std_msgs/Header header
@@ -71,18 +81,47 @@ int64[10] distances
 """Message type -> definition in .msg syntax."""
 
 
+def _without(msgtype: str, *lines: str) -> str:
+    """A definition without some of its lines."""
+    return "".join(f"{line}\n" for line in DEFINITIONS[msgtype].splitlines() if line not in lines)
+
+
+FORMER: Mapping[str, str] = MappingProxyType(
+    {
+        "pam_antagonist_msgs/msg/JointReference": _without(
+            "pam_antagonist_msgs/msg/JointReference",
+            "uint8 ANGLE_STIFFNESS=2",
+            "uint8 TORQUE_STIFFNESS=3",
+            "uint8 IMPEDANCE=4",
+            "float64 stiffness",
+            "float64 damping",
+        ),
+        "pam_antagonist_msgs/msg/JointEstimate": _without(
+            "pam_antagonist_msgs/msg/JointEstimate",
+            "float64 external_torque",
+            "float64[4] external_torque_covariance",
+        ),
+    }
+)
+"""Message type -> its definition in recordings from before it grew."""
+
+
 @cache
-def typestore() -> Typestore:
-    """Types of ROS 2 Jazzy with this project's messages registered."""
+def typestore(*, former: bool = False) -> Typestore:
+    """Types of ROS 2 Jazzy with this project's messages registered.
+
+    Args:
+        former: With the former definitions of the messages that have grown.
+    """
     store = get_typestore(Stores.ROS2_JAZZY)
-    for name, text in DEFINITIONS.items():
+    for name, text in {**DEFINITIONS, **(FORMER if former else {})}.items():
         store.register(get_types_from_msg(text, name))
     return store
 
 
 @cache
-def definition_differs(msgtype: str, digest: str, definition: str) -> bool:
-    """Tell whether a bag means something else by ``msgtype`` than this project does.
+def stores_of(msgtype: str, digest: str, definition: str) -> tuple[Typestore, ...]:
+    """Where the definitions stand that messages of a bag may have.
 
     Args:
         msgtype: Message type, known to :func:`typestore`.
@@ -90,9 +129,14 @@ def definition_differs(msgtype: str, digest: str, definition: str) -> bool:
         definition: Definition in the bag as .msg or IDL text, or "".
 
     Returns:
-        True if hash or, without one, fields differ. False if they agree or the bag says neither.
+        The present definition's store, then the former one's, without those that differ from what the bag states: its
+        hash or, without one, its fields. None is left where the bag means something else by the type.
     """
-    store = typestore()
+    stores = (typestore(), typestore(former=True)) if msgtype in FORMER else (typestore(),)
+    return tuple(store for store in stores if not _differs(store, msgtype, digest, definition))
+
+
+def _differs(store: Typestore, msgtype: str, digest: str, definition: str) -> bool:
     if digest:
         return digest != store.hash_rihs01(msgtype)
     if not definition:

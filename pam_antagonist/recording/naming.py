@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..errors import BadInput
-from .messages import definition_differs
+from .messages import stores_of
 from .raw import Channel, RawTopic
 from .storage import RawBag
 from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, TOPICS, Topic, find_topic
@@ -136,7 +136,7 @@ def _channel_problem(channel: Channel, topic: Topic, actual: str) -> str | None:
         return f"topic {actual} is a {channel.msgtype or 'message without a type'}, expected {topic.type}"
     if channel.encoding != "cdr":
         return f"topic {actual} is encoded as {channel.encoding!r}, expected cdr"
-    if definition_differs(channel.msgtype, channel.digest, channel.definition):
+    if not stores_of(channel.msgtype, channel.digest, channel.definition):
         return f"topic {actual} was recorded with another definition of {topic.type} than this package has"
     return None
 

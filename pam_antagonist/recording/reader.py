@@ -15,6 +15,7 @@ from . import checkpoints, plausible, stamps
 from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
+from .messages import stores_of
 from .naming import READ_TOPICS, choose_topics, joints_in
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
@@ -42,6 +43,12 @@ class _Topic:
     def values(self, path: str) -> NDArray[Any]:
         """A field of the kept messages (K,) or (K, n)."""
         return self.decoded.fixed(path)[self.keep]
+
+    def values_or_nan(self, path: str, *shape: int) -> NDArray[Any]:
+        """A field of numbers (K, *shape), NaN where the message had no such field when the bag was recorded."""
+        if not self.decoded.has(path):
+            return np.full((len(self.keep), *shape), np.nan)
+        return self.values(path).reshape(len(self.keep), *shape)
 
     @property
     def arrival(self) -> Arrival:
@@ -153,7 +160,8 @@ def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:
     try:
         raw = unpack_messages(raw)
         assert raw.payloads is not None
-        decoded = decode(raw.payloads, raw.channel.msgtype)
+        channel = raw.channel
+        decoded = decode(raw.payloads, channel.msgtype, stores_of(channel.msgtype, channel.digest, channel.definition))
         stamp_ns = decoded.stamp_ns("header.stamp")
     except (CdrError, CompressionError) as exc:
         raise BadInput(f"{path}: {actual} cannot be read as {raw.channel.msgtype}, {exc}") from exc
@@ -312,14 +320,14 @@ def _validation(
 
 
 def _estimate(topic: _Topic) -> RecordedEstimate:
-    size = len(topic.keep)
-    columns = {name: topic.values(name).reshape(size, *shape) for name, shape in ESTIMATE_SHAPES.items()}
+    columns = {name: topic.values_or_nan(name, *shape) for name, shape in ESTIMATE_SHAPES.items()}
     started_ns = topic.decoded.stamp_ns("started")[topic.keep]
     return RecordedEstimate(topic.arrival.stamp_ns, started_ns, **columns)
 
 
 def _reference(topic: _Topic) -> RecordedReference:
-    return RecordedReference(topic.arrival.stamp_ns, topic.values("mode"), topic.values("value"))
+    further = (topic.values_or_nan(name) for name in ("stiffness", "damping"))
+    return RecordedReference(topic.arrival.stamp_ns, topic.values("mode"), topic.values("value"), *further)
 
 
 def _rig_texts(bag: RawBag, valve_state: str) -> tuple[str, ...]:

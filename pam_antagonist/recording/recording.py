@@ -58,6 +58,7 @@ ESTIMATE_SHAPES: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
         "angle": (), "velocity": (), "torque": (), "covariance": (3, 3), "pressure": (2,), "force": (2,),
         "stiffness": (), "innovation": (2,), "innovation_covariance": (2, 2), "nis": (), "subsystem": (), "flags": (),
+        "external_torque": (), "external_torque_covariance": (4,),
     }
 )  # fmt: skip
 """Fields of JointEstimate beside its times -> shape of one sample."""
@@ -82,6 +83,9 @@ class RecordedEstimate:
         nis: (M,).
         subsystem: 1 to 18 (M,) uint8.
         flags: (M,) uint8.
+        external_torque: (M,) [N m]; NaN where the rig has no such state, or the recording is from before the message
+            had it.
+        external_torque_covariance: With angle, velocity, torque and itself (M, 4); NaN likewise.
     """
 
     stamp_ns: Stamps
@@ -98,6 +102,8 @@ class RecordedEstimate:
     nis: Floats
     subsystem: NDArray[np.uint8]
     flags: NDArray[np.uint8]
+    external_torque: Floats
+    external_torque_covariance: Floats
 
     def __post_init__(self) -> None:
         size = len(self.stamp_ns)
@@ -133,21 +139,30 @@ class RecordedReference:
 
     Attributes:
         stamp_ns: Header stamps (K,) [ns]; the time of reception where a message carried none.
-        mode: JointReference.ANGLE = 0 or TORQUE = 1 (K,) uint8.
+        mode: JointReference.ANGLE = 0, TORQUE = 1 and so on (K,) uint8.
         value: (K,) [rad] or [N m].
+        stiffness: (K,) [N m/rad]; NaN where the recording is from before the message had it.
+        damping: (K,) [N m s/rad]; NaN likewise.
     """
 
     stamp_ns: Stamps
     mode: NDArray[np.uint8]
     value: Floats
+    stiffness: Floats
+    damping: Floats
 
     def __post_init__(self) -> None:
         size = len(self.stamp_ns)
-        for name, dtype in (("stamp_ns", np.int64), ("mode", np.uint8), ("value", np.float64)):
+        for item in fields(self):
+            name, dtype = item.name, {"stamp_ns": np.int64, "mode": np.uint8}.get(item.name, np.float64)
             object.__setattr__(self, name, _frozen(getattr(self, name), dtype, (size,), f"reference.{name}"))
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
+
+    def take(self, index: Any) -> RecordedReference:
+        """The messages chosen by a slice, mask or index array."""
+        return RecordedReference(**{item.name: getattr(self, item.name)[index] for item in fields(self)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,15 +293,11 @@ class Recording:
             name: None if getattr(self, name) is None else getattr(self, name)[mask]
             for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque")
         }
-        reference = self.reference
-        if reference is not None:
-            keep = inside(reference.stamp_ns)
-            reference = RecordedReference(reference.stamp_ns[keep], reference.mode[keep], reference.value[keep])
         return replace(
             self,
             **arrays,
             estimate=None if self.estimate is None else self.estimate.take(inside(self.estimate.stamp_ns)),
-            reference=reference,
+            reference=None if self.reference is None else self.reference.take(inside(self.reference.stamp_ns)),
             checkpoints=tuple(item for item in self.checkpoints if low <= item.stamp_ns < high),
             received_ns={
                 name: Arrival(log[inside(stamp)], stamp[inside(stamp)])

@@ -337,7 +337,8 @@ def _blocks(
         add("measured_external_torque", stamp_ns[there], wrench)
     if recording.reference is not None:
         reference = recording.reference
-        add("reference", reference.stamp_ns, {"mode": reference.mode, "value": reference.value})
+        names = ("mode", "value", "stiffness", "damping")
+        add("reference", reference.stamp_ns, {name: getattr(reference, name) for name in names})
     if estimate is not None:
         columns = {name: getattr(estimate, name).reshape(len(estimate), -1) for name in ESTIMATE_SHAPES}
         columns = {name: values if values.shape[1] > 1 else values[:, 0] for name, values in columns.items()}

@@ -43,6 +43,7 @@ def estimate(frame: str) -> tuple[Any, np.void]:
     numbers[:24] = np.arange(1.0, 25.0) / 7.0
     numbers[23] = math.nan
     row["subsystem"], row["flags"] = 17, 9
+    numbers[26:] = np.arange(1.0, 6.0) / 11.0
     message = header(JointEstimate(), frame)
     message.started.sec, message.started.nanosec = 1_795_000_001, 5
     names = ESTIMATE_DTYPE.names or ()
@@ -88,7 +89,7 @@ def test_packed_is_what_rclpy_serialises(node: Any, frame: str) -> None:
 
     message, row = estimate(frame)
     out = wire.Outgoing(node, JointEstimate, "estimate", frame, wire.ESTIMATE)
-    assert_same(out.bytes_of(STAMP, 1_795_000_001, 5, row.tobytes()[:192], 17, 9), message)
+    assert_same(out.bytes_of(STAMP, 1_795_000_001, 5, row.tobytes()[:192], 17, 9, row.tobytes()[-40:]), message)
 
 
 @pytest.mark.parametrize("frame", FRAMES)

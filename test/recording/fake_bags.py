@@ -48,10 +48,11 @@ class FakeRig:
         self.torque = rng.uniform(-2.0, 2.0, size)
         self.external = rng.uniform(-1.0, 1.0, size)
         self.little_endian = True
+        self.store = typestore()
 
     def message(self, msgtype: str, stamp_ns: int, *, frame: str = "joint", log_ns: int | None = None, **values):
         """One message as (time of reception, CDR); ``values`` are the fields beside the header."""
-        store = typestore()
+        store = self.store
         stamp_ns = int(stamp_ns)
         time = store.types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
         header = store.types["std_msgs/msg/Header"](time, frame)
@@ -92,8 +93,9 @@ class FakeRig:
             f"{namespace}/measured/external_torque": wrench,
         }
 
-    @staticmethod
-    def write(path: Path, streams: dict[str, Stream], *, storage: str = "mcap", compression: str = "none") -> Path:
+    def write(
+        self, path: Path, streams: dict[str, Stream], *, storage: str = "mcap", compression: str = "none"
+    ) -> Path:
         """Write streams as a bag, interleaved by time of reception."""
         plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
         writer = Writer(path, version=9, storage_plugin=plugin)
@@ -101,7 +103,7 @@ class FakeRig:
         with writer:
             items = []
             for topic, stream in streams.items():
-                connection = writer.add_connection(topic, stream.type, typestore=typestore())
+                connection = writer.add_connection(topic, stream.type, typestore=self.store)
                 items.extend((log, connection, data) for log, data in stream.items)
             for log, connection, data in sorted(items, key=lambda item: item[0]):
                 writer.write(connection, log, data)

@@ -6,12 +6,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 
 from pam_antagonist.recording import TOPICS
-from pam_antagonist.recording.messages import DEFINITIONS, definition_differs, typestore
+from pam_antagonist.recording.cdr import CdrError, Payloads, decode
+from pam_antagonist.recording.messages import DEFINITIONS, FORMER, stores_of, typestore
 from pam_antagonist.recording.topics import find_topic
 
 MSG = Path(__file__).parents[2] / "pam_antagonist_msgs" / "msg"
@@ -59,7 +62,32 @@ def test_every_topic_has_a_known_type_and_a_name() -> None:
     ],
 )
 def test_other_definitions_are_noticed(digest: str, definition: str, differs: bool) -> None:
-    assert definition_differs(VALVE, digest, definition) is differs
+    assert (stores_of(VALVE, digest, definition) == ()) is differs
+
+
+@pytest.mark.parametrize("msgtype", FORMER)
+def test_a_former_definition_is_taken_where_the_bag_declares_it_or_the_length_fits(msgtype: str) -> None:
+    old, new = typestore(former=True), typestore()
+    assert stores_of(msgtype, old.hash_rihs01(msgtype), "") == (old,)
+    assert stores_of(msgtype, "", old.generate_msgdef(msgtype, ros_version=2)[0]) == (old,)
+    assert stores_of(msgtype, new.hash_rihs01(msgtype), "") == (new,)
+    undeclared = stores_of(msgtype, "", "")
+    assert undeclared == (new, old)
+    for store in (old, new):
+        time = store.types["builtin_interfaces/msg/Time"](1, 2)
+        values = {"header": store.types["std_msgs/msg/Header"](time, "ab"), "started": time}
+        for name, (kind, what) in store.fielddefs[msgtype][1]:
+            values.setdefault(name, np.ones(what[1]) if kind == Nodetype.ARRAY else 1)
+        fields = {name: values[name] for name, _ in store.fielddefs[msgtype][1]}
+        data = Payloads.of([bytes(store.serialize_cdr(store.types[msgtype](**fields), msgtype))])
+        decoded = decode(data, msgtype, undeclared)
+        for name in fields.keys() - {"header", "started"}:
+            assert np.all(decoded.fixed(name) == 1)
+        later = {"JointEstimate": "external_torque", "JointReference": "stiffness"}[msgtype.rpartition("/")[2]]
+        assert decoded.has(later) is (store is new)
+        cut = Payloads.of([data.data[:-9].tobytes()])
+        with pytest.raises(CdrError, match="needs"):
+            decode(cut, msgtype, undeclared)
 
 
 def test_topic_table_needs_no_bag_library() -> None:

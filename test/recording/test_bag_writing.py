@@ -51,7 +51,7 @@ def make_recording() -> Recording:
         torque=torque,
         external_torque=rng.normal(size=SIZE),
         estimate=RecordedEstimate(STAMPS, np.full(SIZE, STAMPS[0]), **columns),
-        reference=RecordedReference(STAMPS[[2, 9]], [0, 1], [0.1, -0.5]),
+        reference=RecordedReference(STAMPS[[2, 9]], [0, 2], [0.1, -0.5], [np.nan, 7.0], [np.nan, 0.2]),
         received_ns={"pressure_1": Arrival(STAMPS + 12345, STAMPS)},
     )
 
@@ -61,7 +61,7 @@ def assert_equal(left: Recording, right: Recording) -> None:
         np.testing.assert_array_equal(getattr(left, name), getattr(right, name), err_msg=name)
     for name in ("stamp_ns", "started_ns", *ESTIMATE_SHAPES):
         np.testing.assert_array_equal(getattr(left.estimate, name), getattr(right.estimate, name), err_msg=name)
-    for name in ("stamp_ns", "mode", "value"):
+    for name in ("stamp_ns", "mode", "value", "stiffness", "damping"):
         np.testing.assert_array_equal(getattr(left.reference, name), getattr(right.reference, name), err_msg=name)
 
 

@@ -68,7 +68,8 @@ def test_equal_layouts_are_one_group() -> None:
 def test_encoded_estimates_are_what_rosbags_writes(little: bool) -> None:
     rng = np.random.default_rng(1)
     sizes = {"angle": 1, "velocity": 1, "torque": 1, "covariance": 9, "pressure": 2, "force": 2, "stiffness": 1,
-             "innovation": 2, "innovation_covariance": 4, "nis": 1}  # fmt: skip
+             "innovation": 2, "innovation_covariance": 4, "nis": 1, "external_torque": 1,
+             "external_torque_covariance": 4}  # fmt: skip
     columns = {name: rng.normal(size=(3, n) if n > 1 else 3) for name, n in sizes.items()}
     columns["innovation"][1] = np.nan
     columns |= {"subsystem": np.array([1, 18, 7]), "flags": np.array([0, 127, 3])}

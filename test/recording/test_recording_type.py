@@ -69,7 +69,7 @@ together = np.column_stack([np.linspace(4e5, 5e5, 5)] * 2)
 
 
 def test_slice_cuts_everything_at_the_same_times() -> None:
-    reference = RecordedReference(STAMPS[[0, 2, 4]], [0, 1, 0], [0.1, 0.2, 0.3])
+    reference = RecordedReference(STAMPS[[0, 2, 4]], [0, 1, 0], [0.1, 0.2, 0.3], [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
     whole = recording(
         pressure=np.arange(10.0).reshape(5, 2),
         angle=np.arange(5.0),

@@ -24,7 +24,9 @@ Changed = Callable[..., Recording]
 def recording(free: Recording, changed: Changed) -> Recording:
     """Six seconds with the reference at 0, then at 2°."""
     stamps = free.stamp_ns[[0, 3000]]
-    reference = RecordedReference(stamps, np.full(2, int(Mode.ANGLE), dtype=np.uint8), np.radians([0.0, 2.0]))
+    reference = RecordedReference(
+        stamps, np.full(2, int(Mode.ANGLE), dtype=np.uint8), np.radians([0.0, 2.0]), *np.full((2, 2), np.nan)
+    )
     return changed(free, reference=reference)
 
 
