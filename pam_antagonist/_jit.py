@@ -150,8 +150,8 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
         self._py_file = py_file
         path = Path(py_file)
-        self._stamp = "" if path in _kernel_sources() else _content_hash(py_file)
         inside = path.is_relative_to(_PACKAGE)
+        self._stamp = "" if path in _kernel_sources() else _content_hash(str(path.parent) if inside else py_file)
         name = path.relative_to(_PACKAGE).with_suffix("").as_posix().replace("/", ".") if inside else path.stem
         self._cache_path = str(cache_dir() / name)
         # The line changes with every comment above; which of several kernels of a name this is does not.
@@ -177,8 +177,10 @@ _NAMES: Counter[tuple[str, str]] = Counter()
 
 
 @lru_cache(maxsize=64)
-def _content_hash(file: str) -> str:
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]
+def _content_hash(place: str) -> str:
+    """Hash of a file, or of the files of a folder: kernels of this package call those beside them."""
+    files = sorted(Path(place).glob("*.py")) if Path(place).is_dir() else [Path(place)]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 class Compiling(event.Listener):  # type: ignore[misc]

@@ -44,7 +44,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "rig": (BASE, "model", FILES),
     "simulation": _PHYSICS,
     "estimation": (BASE, "model", "rig"),
-    "control": (BASE,),
+    "control": (BASE, "model"),
     "safety": (BASE, "control", "estimation"),
     "hardware": (BASE, FILES, "simulation", "safety"),
     "recording": (BASE, FILES),

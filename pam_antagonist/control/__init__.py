@@ -1,27 +1,28 @@
-"""The paper's PI controller for angle and for torque, and the references that it follows."""
+"""The paper's PI controller, the law that goes through the model, and the references that they follow."""
 
-from pam_antagonist.control.pi import (
-    FAST_GAINS,
-    PUBLISHED_GAINS,
-    Command,
-    Gains,
-    Mode,
-    PiController,
-    Status,
-    VoltageLimits,
-)
+from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status, VoltageLimits
+from pam_antagonist.control.model_law import ModelController, ModelGains, Reached, Seen
+from pam_antagonist.control.pi import FAST_GAINS, PUBLISHED_GAINS, Gains, PiController
 from pam_antagonist.control.reference import LOST, References, Rules, Trajectory, Wanted
+from pam_antagonist.control.stiffness import Box
 
 __all__ = [
-    "FAST_GAINS",
     "LOST",
+    "PI_MODES",
+    "FAST_GAINS",
     "PUBLISHED_GAINS",
+    "Box",
     "Command",
     "Gains",
+    "Law",
     "Mode",
+    "ModelController",
+    "ModelGains",
     "PiController",
+    "Reached",
     "References",
     "Rules",
+    "Seen",
     "Status",
     "Trajectory",
     "VoltageLimits",

@@ -26,50 +26,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum, IntEnum
-from typing import NamedTuple
 
+from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status, VoltageLimits
 from pam_antagonist.errors import BadInput
 
 ANTI_WINDUP = ("conditional", "none")
-
-
-class Mode(IntEnum):
-    """What is controlled; the values are those of ``JointReference``."""
-
-    ANGLE = 0
-    TORQUE = 1
-
-
-class Status(Enum):
-    """Why a command is what it is."""
-
-    TRACKING = "tracking"
-    SATURATED = "valve at its limit"
-    NO_REFERENCE = "no reference yet: safe voltages"
-    BAD_REFERENCE = "reference not usable: safe voltages"
-    LATE = "estimate late: safe voltages"
-    NOT_FINITE = "estimate not finite: safe voltages"
-    LOST = "reference lost: safe voltages"
-    STOPPED = "stopped: safe voltages"
-    DISABLED = "disabled: safe voltages once, then silent"
-
-    @property
-    def safe(self) -> bool:
-        """Whether the valves are given the safe voltages."""
-        return self not in (Status.TRACKING, Status.SATURATED)
-
-
-class Command(NamedTuple):
-    """What is asked of the valves.
-
-    Attributes:
-        voltage: of muscle 1 and 2 (2,) [V].
-        status: why.
-    """
-
-    voltage: tuple[float, float]
-    status: Status
 
 
 @dataclass(frozen=True)
@@ -113,39 +74,7 @@ FAST_GAINS: Mapping[Mode, Gains] = {Mode.ANGLE: Gains(70.0, 70.0), Mode.TORQUE: 
 the time. Chosen in simulation, seed 0, from twenty pairs; not tried on a real joint."""
 
 
-@dataclass(frozen=True)
-class VoltageLimits:
-    """What may be put on a valve [V].
-
-    Attributes:
-        minimum: lowest voltage [V].
-        maximum: highest voltage [V].
-    """
-
-    minimum: float = 0.0
-    maximum: float = 10.0
-
-    def __post_init__(self) -> None:
-        if not -math.inf < self.minimum < self.maximum < math.inf:
-            raise BadInput(f"voltage limits {self.minimum!r} to {self.maximum!r} V: expected one below the other")
-
-    def clip(self, voltage: float) -> float:
-        """The nearest voltage within the limits; ``voltage`` must be a number [V]."""
-        return min(max(voltage, self.minimum), self.maximum)
-
-    def check(self, name: str, voltage: tuple[float, float]) -> tuple[float, float]:
-        """Two voltages [V] as they are, if they are within the limits.
-
-        Raises:
-            BadInput: not two finite voltages within the limits.
-        """
-        if len(voltage) != 2 or not all(self.minimum <= u <= self.maximum for u in voltage):
-            limits = f"{self.minimum:g} to {self.maximum:g} V"
-            raise BadInput(f"{name} {list(voltage)}: expected two voltages within {limits}")
-        return (float(voltage[0]), float(voltage[1]))
-
-
-class PiController:
+class PiController(Law):
     """PI control of an antagonistic pair: one command for each estimate.
 
     Args:
@@ -172,24 +101,13 @@ class PiController:
         blend_time: float = 0.5,
         anti_windup: str = "conditional",
     ) -> None:
-        self._limits = limits or VoltageLimits()
-        for name, value in (("sample period", sample_period), ("resume time", resume_time), ("blend time", blend_time)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise BadInput(f"{name} {value!r} s: expected a finite time above 0")
+        super().__init__(sample_period, limits, safe_voltage, resume_time, blend_time)
         if anti_windup not in ANTI_WINDUP:
             raise BadInput(f"anti-windup {anti_windup!r}: expected one of {', '.join(ANTI_WINDUP)}")
         self._anti_windup = anti_windup == "conditional"
-        self._period = sample_period
-        self._safe = self._limits.check("safe voltage", safe_voltage)
-        self._resume_samples = round(resume_time / sample_period)
-        self._fading = math.exp(-sample_period / blend_time)
         self._gains: dict[Mode, Gains] = {}
-        self._mode: Mode | None = None
         self._integral = 0.0
-        self._offset = (0.0, 0.0)
-        self._valves = self._safe
-        self._interrupted = 0
-        for mode in Mode:
+        for mode in PI_MODES:
             if mode not in gains:
                 raise BadInput(f"gains: none for mode {mode.name.lower()}")
             self.retune(mode, gains[mode])
@@ -198,16 +116,6 @@ class PiController:
     def integral(self) -> float:
         """The integral term I [V]: half of the voltage difference between the valves that it asks for."""
         return self._integral
-
-    @property
-    def safe_voltage(self) -> tuple[float, float]:
-        """The safe voltages (2,) [V]."""
-        return self._safe
-
-    @property
-    def running(self) -> bool:
-        """Whether the next command goes on from the integral, rather than starting bumplessly."""
-        return self._mode is not None
 
     def span(self, mode: Mode) -> float:
         """Largest half difference [V] at which neither valve has reached a limit."""
@@ -228,24 +136,6 @@ class PiController:
         self._gains[mode] = gains
         if self._mode is mode:
             self._mode = None
-
-    def stop(self, valves: tuple[float, float] | None = None) -> None:
-        """Forget the integral: the next command starts bumplessly.
-
-        Args:
-            valves: the voltages (2,) [V] that the valves have now; None: those that were commanded last.
-        """
-        self._mode = None
-        if valves is not None:
-            self._valves = self._limits.check("valve voltage", valves)
-
-    def safe(self, status: Status) -> Command:
-        """The safe voltages, for one sample without anything to go by."""
-        self._interrupted += 1
-        self._valves = self._safe
-        if self._interrupted > self._resume_samples or status is Status.NO_REFERENCE:
-            self._mode = None
-        return Command(self._safe, status)
 
     def step(
         self, mode: Mode | None, reference: float, value: float, *, velocity: float = 0.0, late: bool = False
@@ -269,7 +159,7 @@ class PiController:
         if not math.isfinite(value):
             return self.safe(Status.NOT_FINITE)
         error = reference - value
-        if not math.isfinite(error):
+        if not math.isfinite(error) or mode not in self._gains:
             return self.safe(Status.BAD_REFERENCE)
         self._interrupted = 0
         gains = self._gains[mode]
@@ -279,16 +169,12 @@ class PiController:
             command = Command(self._valves, Status.TRACKING)
             half = (self._valves[0] - self._valves[1]) / 2.0
         else:
-            mean, rest = self._offset = (self._offset[0] * self._fading, self._offset[1] * self._fading)
+            mean, rest = self._fade()
             half = self._integral + proportional + rest
             command = self._clipped(gains.bias + mean + half, gains.bias + mean - half)
         self._integrate(mode, gains, error, half)
         self._valves = command.voltage
         return command
-
-    def _clipped(self, first: float, second: float) -> Command:
-        voltage = (self._limits.clip(first), self._limits.clip(second))
-        return Command(voltage, Status.TRACKING if voltage == (first, second) else Status.SATURATED)
 
     def _start(self, mode: Mode, proportional: float) -> None:
         """Choose integral and offset such that the law gives the voltages that the valves have."""

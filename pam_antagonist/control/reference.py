@@ -8,7 +8,9 @@ A reference goes this way, at each sample:
    stay, so angles have none unless it is switched on. A trajectory that is under way is not lost.
 3. **Lost** means safe voltages, or, with ``hold``, the angle that was estimated at that moment.
 4. **Slew.** The reference moves to its target by no more than ``slew``. It begins at the estimate where the controller
-   did not track before, and where the mode changes.
+   did not track before, and where a torque follows an angle or the other way round.
+
+The modes with a stiffness keep to the rules of their value's quantity, angle or torque.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pam_antagonist.control.pi import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.errors import BadInput
 
 LOST = ("safe", "hold")
@@ -38,12 +40,16 @@ class Wanted(NamedTuple):
         value: angle [rad] or torque [N m]; NaN where the last reference cannot be used.
         velocity: of the angle, for feed-forward [rad/s]; 0 where it is not known.
         lost: whether it timed out and safe voltages are to follow.
+        stiffness: −∂τ/∂ψ [N m/rad]; NaN: not asked.
+        damping: [N m s/rad]; NaN: not asked.
     """
 
     mode: Mode | None
     value: float
     velocity: float = 0.0
     lost: bool = False
+    stiffness: float = math.nan
+    damping: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -51,9 +57,9 @@ class Rules:
     """What references have to keep to, in rad or N m.
 
     Attributes:
-        largest: magnitude that is not exceeded, by mode.
-        slew: largest change in a second, by mode; 0: any.
-        timeout: time after which a reference is lost that nobody repeats, by mode [s]; 0: never.
+        largest: magnitude that is not exceeded, by quantity (``Mode.ANGLE`` or ``Mode.TORQUE``).
+        slew: largest change in a second, by quantity; 0: any.
+        timeout: time after which a reference is lost that nobody repeats, by quantity [s]; 0: never.
         lost: ``safe`` or ``hold``.
     """
 
@@ -169,6 +175,7 @@ class References:
         self.value = math.nan
         self._target = math.nan
         self._velocity = 0.0
+        self._stiffness = self._damping = math.nan
         self._trajectory: Trajectory | None = None
         self._heard_ns = 0
         self._stamp_ns: int | None = None
@@ -178,7 +185,15 @@ class References:
         """The controller does not track now: the next reference begins at the estimate."""
         self._tracked = None
 
-    def set(self, mode: Mode, value: float, now_ns: int, velocity: float = 0.0) -> None:
+    def set(
+        self,
+        mode: Mode,
+        value: float,
+        now_ns: int,
+        velocity: float = 0.0,
+        stiffness: float = math.nan,
+        damping: float = math.nan,
+    ) -> None:
         """Take a reference.
 
         Args:
@@ -186,11 +201,27 @@ class References:
             value: [rad] or [N m]; one that is not finite cannot be used.
             now_ns: steady time [ns].
             velocity: of the angle, for feed-forward [rad/s].
+            stiffness: [N m/rad], for the modes that ask for one; it has to be above 0 there.
+            damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none beside the joint's own.
         """
         if not math.isfinite(value):
-            self.refuse(f"reference {value:g} {_UNIT[mode]}, expected a finite number", mode)
+            self.refuse(f"reference {value:g} {_UNIT[mode.quantity]}, expected a finite number", mode)
+            return
+        if mode.has_stiffness and not (math.isfinite(stiffness) and stiffness > 0.0):
+            self.refuse(
+                f"reference of mode {mode.name} has stiffness {stiffness:g} N m/rad, expected a number above 0 "
+                f"(mode {mode.quantity.name} leaves the stiffness free)",
+                mode,
+            )
+            return
+        if mode is Mode.IMPEDANCE and not (math.isnan(damping) or 0.0 <= damping < math.inf):
+            self.refuse(f"reference has damping {damping:g} N m s/rad, expected 0 or more, or NaN for none", mode)
             return
         self._take(mode, now_ns)
+        if mode.has_stiffness:
+            self._stiffness = stiffness
+        if mode is Mode.IMPEDANCE:
+            self._damping = 0.0 if math.isnan(damping) else damping
         self.limited = self._limit_words(mode, value)
         self.limited_count += bool(self.limited)
         self._target = self._within(mode, value)
@@ -228,16 +259,18 @@ class References:
         self.complaint = self.limited = ""
         self.lost = False
         self._trajectory = None
+        self._stiffness = self._damping = math.nan
 
     def _within(self, mode: Mode, value: float) -> float:
-        largest = self._rules.largest[mode]
+        largest = self._rules.largest[mode.quantity]
         return min(max(value, -largest), largest)
 
     def _limit_words(self, mode: Mode, value: float) -> str:
-        largest = self._rules.largest[mode]
+        largest = self._rules.largest[mode.quantity]
         if abs(value) <= largest:
             return ""
-        return f"reference {value:g} {_UNIT[mode]} is limited to ±{largest:g} {_UNIT[mode]}"
+        unit = _UNIT[mode.quantity]
+        return f"reference {value:g} {unit} is limited to ±{largest:g} {unit}"
 
     def at(self, stamp_ns: int, now_ns: int, angle: float, torque: float) -> Wanted:
         """What is asked for at a sample.
@@ -253,13 +286,13 @@ class References:
         if self.complaint:
             self.value = math.nan
             return Wanted(self.mode, math.nan)
-        estimate = torque if self.mode is Mode.TORQUE else angle
-        begins = self._tracked is not self.mode or not math.isfinite(self.value)
+        estimate = torque if self.mode.quantity is Mode.TORQUE else angle
+        begins = self._tracked is not self.mode.quantity or not math.isfinite(self.value)
         last = estimate if begins else self.value
         target, velocity = self._target, self._velocity
         if self._trajectory is not None:
             target, velocity = self._on_the_way(self._trajectory, stamp_ns, now_ns, last)
-        timeout = self._rules.timeout[self.mode]
+        timeout = self._rules.timeout[self.mode.quantity]
         if timeout > 0.0 and not self.lost and now_ns - self._heard_ns > timeout * 1e9:
             if self._rules.lost == "hold" and not math.isfinite(angle):
                 return Wanted(self.mode, math.nan, lost=True)  # there is nothing to hold yet
@@ -267,6 +300,7 @@ class References:
             self.lost_count += 1
             if self._rules.lost == "hold":
                 self.mode, begins, last = Mode.ANGLE, True, angle
+                self._stiffness = self._damping = math.nan
                 self._target = target = self._within(Mode.ANGLE, angle)
                 self._velocity, self._trajectory = 0.0, None
         if self.lost and self._rules.lost == "safe":
@@ -275,8 +309,9 @@ class References:
         if self.lost:
             velocity = 0.0
         self.value = self._slewed(self.mode, last, target, stamp_ns)
-        self._tracked, self._stamp_ns = self.mode, stamp_ns
-        return Wanted(self.mode, self.value, velocity if self.value == target else 0.0)
+        self._tracked, self._stamp_ns = self.mode.quantity, stamp_ns
+        velocity = velocity if self.value == target else 0.0
+        return Wanted(self.mode, self.value, velocity, stiffness=self._stiffness, damping=self._damping)
 
     def _on_the_way(self, trajectory: Trajectory, stamp_ns: int, now_ns: int, last: float) -> tuple[float, float]:
         if not trajectory.over(stamp_ns):
@@ -289,9 +324,9 @@ class References:
         return self._within(trajectory.mode, value), 0.0 if words else velocity
 
     def _slewed(self, mode: Mode, last: float, target: float, stamp_ns: int) -> float:
-        slew = self._rules.slew[mode]
+        slew = self._rules.slew[mode.quantity]
         if slew <= 0.0 or not math.isfinite(last):
             return target
-        before = self._stamp_ns if self._stamp_ns is not None and self._tracked is mode else stamp_ns
+        before = self._stamp_ns if self._stamp_ns is not None and self._tracked is mode.quantity else stamp_ns
         most = slew * min(max(stamp_ns - before, 0), _LONGEST_STEP_NS) * 1e-9
         return min(max(target, last - most), last + most)

@@ -19,8 +19,13 @@ _joint_steady = composition.joint_steady
 
 
 @inlined
-def _pull(x, p):
-    """Torque [N m] that moves a joint which stands and does not stick."""
+def pull(x, p):
+    """Torque [N m] that moves a joint which stands and does not stick, without a torque from outside.
+
+    Args:
+        x: state (n,), of which angle and pressures count.
+        p: parameter vector.
+    """
     sine, _, _ = _leverage(x[ANGLE], p)
     load = _joint_torque(0.0, x[ANGLE], 0.0, sine, x, p)
     return _torque(x, p) + load - p[STIFFNESS] * x[ANGLE]
@@ -40,14 +45,14 @@ def rest_angle(pressure_1, pressure_2, p):
     high = min(p[STOP], math.pi / 3.0)
     low = -high
     x = np.array([low, 0.0, pressure_1, pressure_2])
-    if _pull(x, p) <= 0.0:
+    if pull(x, p) <= 0.0:
         return low
     x[ANGLE] = high
-    if _pull(x, p) >= 0.0:
+    if pull(x, p) >= 0.0:
         return high
     for _ in range(60):
         x[ANGLE] = 0.5 * (low + high)
-        if _pull(x, p) > 0.0:
+        if pull(x, p) > 0.0:
             low = x[ANGLE]
         else:
             high = x[ANGLE]

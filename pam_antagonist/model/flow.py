@@ -93,6 +93,60 @@ def valve_flow(valve, alpha, pressure, supply, p):
 
 
 @inlined
+def open_rate_for(valve, flow, pressure, supply, p):
+    """Equation (5) solved for α: the open rate at which a valve lets a mass flow pass.
+
+    Args:
+        valve: 0 or 1.
+        flow: wanted into the chamber [kg/s].
+        pressure: pressure at the valve [Pa].
+        supply: P_tank [Pa].
+        p: parameter vector.
+
+    Returns:
+        Open rate in [0, 1]; the nearest end where no open rate gives that flow.
+    """
+    most, _ = valve_flow(valve, 1.0, pressure, supply, p)
+    least, _ = valve_flow(valve, 0.0, pressure, supply, p)
+    if flow >= most:
+        return 1.0
+    if flow <= least:
+        return 0.0
+    first = VALVE + valve * VALVE_SIZE
+    outflow = -least / p[first + OUTFLOW_AREA]
+    inflow = most / p[first + INFLOW_AREA]
+    # At this open rate in- and outflow are equal; the flow is linear in α on either side of it.
+    balance = min(max(outflow / (inflow + outflow), 0.0), 1.0)
+    if flow >= 0.0:
+        return balance + (1.0 - balance) * flow / most
+    return balance * (1.0 - flow / least)
+
+
+@inlined
+def voltage_for(valve, alpha, p):
+    """κ solved for the voltage [V] that opens a valve so far; the nearest end of the curve beyond its ends.
+
+    Args:
+        valve: 0 or 1.
+        alpha: open rate α [-].
+        p: parameter vector.
+    """
+    along, across = curve_shift(valve, p)
+    wanted = alpha - across
+    start = CURVE + valve * CURVE_SIZE
+    knots = int(p[start])
+    at = start + 1
+    rate = start + 1 + MAX_KNOTS
+    if wanted <= p[rate]:
+        return p[at] + along
+    for i in range(1, knots):
+        if wanted < p[rate + i]:
+            share = (wanted - p[rate + i - 1]) / (p[rate + i] - p[rate + i - 1])
+            return p[at + i - 1] + share * (p[at + i] - p[at + i - 1]) + along
+    return p[at + knots - 1] + along
+
+
+@inlined
 def mass_flow(valve, alpha, pressure, p):
     """Mass flow m_i into the chamber [kg/s], equation (5): α m_in − (1 − α) m_out.
 
@@ -120,6 +174,22 @@ def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
     supplied = p[POLYTROPIC_FLOW] * p[GAS_CONSTANT] * p[TEMPERATURE] * flow
     # The reciprocal is ready long before the flow is: one division less to wait for.
     return (supplied - p[POLYTROPIC_VOLUME] * volume_rate * pressure) * (1.0 / chamber_volume)
+
+
+@inlined
+def flow_for(rate, pressure, chamber_volume, volume_rate, p):
+    """Equation (4) solved for the mass flow m_i [kg/s] that changes the pressure so fast.
+
+    Args:
+        rate: Ṗ_i wanted [Pa/s].
+        pressure: P_i [Pa].
+        chamber_volume: V_i [m³].
+        volume_rate: V̇_i [m³/s].
+        p: parameter vector.
+    """
+    # The equation is linear in the flow: its own function gives the part without flow, and what a unit of flow adds.
+    without = pressure_rate(pressure, chamber_volume, volume_rate, 0.0, p)
+    return (rate - without) / pressure_rate(0.0, chamber_volume, 0.0, 1.0, p)
 
 
 @inlined

@@ -10,7 +10,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 
-from pam_antagonist.control import Command, Gains, Mode, PiController, Status, VoltageLimits
+from pam_antagonist.control import PI_MODES, Command, Gains, Mode, PiController, Status, VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 from pam_antagonist.nodes import qos, wire
@@ -63,7 +63,7 @@ class ControllerNode(PamNode):
             values["safe_action"], self._limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
         )
         self._pi = PiController(
-            {mode: _gains(values, mode) for mode in Mode},
+            {mode: _gains(values, mode) for mode in PI_MODES},
             sample_period=rig.sample_period,
             limits=self._limits,
             safe_voltage=self._action.hold,
@@ -283,8 +283,8 @@ class ControllerNode(PamNode):
                 if parameter.name in _GAIN_NAMES:
                     entry = next(item for item in PARAMETERS if item.name == parameter.name)
                     values[parameter.name] = entry.check(parameter.value)
-            gains = {mode: _gains(values, mode) for mode in Mode}
-            for mode in Mode:
+            gains = {mode: _gains(values, mode) for mode in PI_MODES}
+            for mode in PI_MODES:
                 if gains[mode] != _gains(self.values, mode):
                     self._pi.retune(mode, gains[mode])
         except BadInput as error:

@@ -60,6 +60,30 @@ def test_pressure_rate(p):
         assert rate == pytest.approx(paper.pressure_rate(T, 1, angle, velocity, pressure, u), rel=1e-9)
 
 
+@pytest.mark.parametrize("valve", [0, 1])
+def test_an_open_rate_is_found_again_from_its_flow(p, valve):
+    for pressure in (110e3, 230e3, 377e3, 520e3, 700e3):
+        for alpha in (0.0, 0.1, 0.4, 0.7, 1.0):
+            passed = flow.mass_flow(valve, alpha, pressure, p)
+            assert flow.open_rate_for(valve, passed, pressure, p[par.SUPPLY], p) == pytest.approx(alpha, abs=1e-9)
+        assert flow.open_rate_for(valve, 1.0, pressure, p[par.SUPPLY], p) == 1.0
+        assert flow.open_rate_for(valve, -1.0, pressure, p[par.SUPPLY], p) == 0.0
+
+
+@pytest.mark.parametrize("valve", [0, 1])
+def test_a_voltage_is_found_again_from_its_open_rate(rig, valve):
+    p = rig.parameters(changes={"effects.valve_offset.voltage_1": 0.2, "effects.valve_offset.voltage_2": -0.3})
+    for voltage in (0.7, 3.9, 4.3, 5.5, 6.2, 8.8):
+        alpha = flow.open_rate(valve, voltage, p)
+        assert flow.voltage_for(valve, alpha, p) == pytest.approx(voltage, abs=1e-9)
+
+
+def test_a_flow_is_found_again_from_its_pressure_rate(p):
+    for passed in (-5e-5, 0.0, 3e-5):
+        rate = flow.pressure_rate(4e5, 3.6e-5, 1e-6, passed, p)
+        assert flow.flow_for(rate, 4e5, 3.6e-5, 1e-6, p) == pytest.approx(passed, abs=1e-15)
+
+
 @pytest.mark.parametrize("pressure", EDGE_PRESSURES)
 def test_flow_regime(p, pressure):
     assert flow.flow_regime(pressure, p) == paper.regime(T, pressure)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.control import Mode, PiController
+from pam_antagonist.control import PI_MODES, Mode, PiController
 from pam_antagonist.control.tracking import SHORTEST_STEP, STEADY_PART, Tracking, held, tracking
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.recording import Recording
@@ -76,7 +76,7 @@ def closed_loop(work: SeedWork, mode: Mode, tuning: str) -> tuple[Floats, Floats
 def of_seed(work: SeedWork) -> dict[str, Any]:
     """Steady-state performance of either mode with both tunings."""
     out: dict[str, Any] = {}
-    for mode in Mode:
+    for mode in PI_MODES:
         out[mode.name.lower()] = {}
         for tuning in TUNINGS:
             wanted, measured, estimated = closed_loop(work, mode, tuning)
@@ -94,7 +94,7 @@ def of_seed(work: SeedWork) -> dict[str, Any]:
 def result(context: Context) -> Result:
     """Run both modes live, and put the seeds beside them."""
     runs: dict[Mode, tuple[Recording, Tracking]] = {}
-    for mode in Mode:
+    for mode in PI_MODES:
         steps, seconds = references(mode, context.short)
         context.log(f"live nodes, {mode.name.lower()} control, {seconds:g} s")
         recording = live.control(context, mode, LIVE_TUNING, steps, seconds)
@@ -135,7 +135,7 @@ def _followed(recording: Recording, mode: Mode) -> Tracking:
 
 def _beside(context: Context, runs: dict[Mode, tuple[Recording, Tracking]]) -> tuple[Beside, ...]:
     rows = []
-    for mode in Mode:
+    for mode in PI_MODES:
         name = mode.name.lower()
         rows.append(
             Beside(
@@ -170,7 +170,7 @@ def _why(mode: Mode, tuning: str) -> str:
 
 def _table(context: Context, runs: dict[Mode, tuple[Recording, Tracking]]) -> Table:
     rows = []
-    for mode in Mode:
+    for mode in PI_MODES:
         name, unit = mode.name.lower(), _UNIT[mode]
         followed = runs[mode][1]
         rows.append(
@@ -208,7 +208,7 @@ def _table(context: Context, runs: dict[Mode, tuple[Recording, Tracking]]) -> Ta
 
 def _findings(context: Context) -> tuple[str, ...]:
     out = []
-    for mode in Mode:
+    for mode in PI_MODES:
         name = mode.name.lower()
         shares = [
             f"{int(np.sum(np.array(context.values(name, tuning, 'performance')) >= _PAPER[mode]))} of "

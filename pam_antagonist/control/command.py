@@ -1,0 +1,175 @@
+"""What every law of control shares: modes, voltages and their limits, safe voltages, and a start without a bump."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+from pam_antagonist.errors import BadInput
+
+
+class Mode(IntEnum):
+    """What is controlled; the values are those of ``JointReference``."""
+
+    ANGLE = 0
+    TORQUE = 1
+    ANGLE_STIFFNESS = 2
+    TORQUE_STIFFNESS = 3
+    IMPEDANCE = 4
+
+    @property
+    def quantity(self) -> Mode:
+        """What the reference's value is: ``Mode.TORQUE`` [N m] or ``Mode.ANGLE`` [rad]."""
+        return Mode.TORQUE if self in (Mode.TORQUE, Mode.TORQUE_STIFFNESS) else Mode.ANGLE
+
+    @property
+    def has_stiffness(self) -> bool:
+        """Whether the reference asks for a stiffness, which takes the law that knows the model."""
+        return self not in PI_MODES
+
+
+PI_MODES = (Mode.ANGLE, Mode.TORQUE)
+"""The modes of the paper, which the PI controller has."""
+
+
+class Status(Enum):
+    """Why a command is what it is."""
+
+    TRACKING = "tracking"
+    SATURATED = "valve at its limit"
+    NO_REFERENCE = "no reference yet: safe voltages"
+    BAD_REFERENCE = "reference not usable: safe voltages"
+    LATE = "estimate late: safe voltages"
+    NOT_FINITE = "estimate not finite: safe voltages"
+    LOST = "reference lost: safe voltages"
+    STOPPED = "stopped: safe voltages"
+    DISABLED = "disabled: safe voltages once, then silent"
+
+    @property
+    def safe(self) -> bool:
+        """Whether the valves are given the safe voltages."""
+        return self not in (Status.TRACKING, Status.SATURATED)
+
+
+class Command(NamedTuple):
+    """What is asked of the valves.
+
+    Attributes:
+        voltage: of muscle 1 and 2 (2,) [V].
+        status: why.
+    """
+
+    voltage: tuple[float, float]
+    status: Status
+
+
+@dataclass(frozen=True)
+class VoltageLimits:
+    """What may be put on a valve [V].
+
+    Attributes:
+        minimum: lowest voltage [V].
+        maximum: highest voltage [V].
+    """
+
+    minimum: float = 0.0
+    maximum: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not -math.inf < self.minimum < self.maximum < math.inf:
+            raise BadInput(f"voltage limits {self.minimum!r} to {self.maximum!r} V: expected one below the other")
+
+    def clip(self, voltage: float) -> float:
+        """The nearest voltage within the limits; ``voltage`` must be a number [V]."""
+        return min(max(voltage, self.minimum), self.maximum)
+
+    def check(self, name: str, voltage: tuple[float, float]) -> tuple[float, float]:
+        """Two voltages [V] as they are, if they are within the limits.
+
+        Raises:
+            BadInput: not two finite voltages within the limits.
+        """
+        if len(voltage) != 2 or not all(self.minimum <= u <= self.maximum for u in voltage):
+            limits = f"{self.minimum:g} to {self.maximum:g} V"
+            raise BadInput(f"{name} {list(voltage)}: expected two voltages within {limits}")
+        return (float(voltage[0]), float(voltage[1]))
+
+
+class Law:
+    """A law of control, as far as all are alike: what it remembers of the valves, and safe voltages.
+
+    Args:
+        sample_period: T_stp, the time between two estimates [s].
+        limits: of both valves.
+        safe_voltage: what the valves get while there is nothing to go by (2,) [V]; also what they have at the start.
+        resume_time: longest interruption after which the integral goes on where it was [s].
+        blend_time: time constant with which the remainder of a bumpless start fades away [s].
+
+    Raises:
+        BadInput: a value that is out of range.
+    """
+
+    def __init__(
+        self,
+        sample_period: float,
+        limits: VoltageLimits | None,
+        safe_voltage: tuple[float, float],
+        resume_time: float,
+        blend_time: float,
+    ) -> None:
+        self._limits = limits or VoltageLimits()
+        for name, value in (("sample period", sample_period), ("resume time", resume_time), ("blend time", blend_time)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise BadInput(f"{name} {value!r} s: expected a finite time above 0")
+        self._period = sample_period
+        self._safe = self._limits.check("safe voltage", safe_voltage)
+        self._resume_samples = round(resume_time / sample_period)
+        self._fading = math.exp(-sample_period / blend_time)
+        self._mode: Mode | None = None
+        self._offset = (0.0, 0.0)
+        self._valves = self._safe
+        self._interrupted = 0
+
+    @property
+    def safe_voltage(self) -> tuple[float, float]:
+        """The safe voltages (2,) [V]."""
+        return self._safe
+
+    @property
+    def valves(self) -> tuple[float, float]:
+        """The voltages (2,) [V] that were commanded last."""
+        return self._valves
+
+    @property
+    def running(self) -> bool:
+        """Whether the next command goes on from the integral, rather than starting bumplessly."""
+        return self._mode is not None
+
+    def stop(self, valves: tuple[float, float] | None = None) -> None:
+        """Forget the integral: the next command starts bumplessly.
+
+        Args:
+            valves: the voltages (2,) [V] that the valves have now; None: those that were commanded last.
+        """
+        self._mode = None
+        if valves is not None:
+            self._valves = self._limits.check("valve voltage", valves)
+
+    def safe(self, status: Status) -> Command:
+        """The safe voltages, for one sample without anything to go by."""
+        self._interrupted += 1
+        self._valves = self._safe
+        if self._interrupted > self._resume_samples or status is Status.NO_REFERENCE:
+            self._mode = None
+        return Command(self._safe, status)
+
+    def _fade(self) -> tuple[float, float]:
+        """What is left of the remainder of a bumpless start, one sample on."""
+        self._offset = (self._offset[0] * self._fading, self._offset[1] * self._fading)
+        return self._offset
+
+    def _clipped(self, first: float, second: float) -> Command:
+        voltage = (self._limits.clip(first), self._limits.clip(second))
+        return Command(voltage, Status.TRACKING if voltage == (first, second) else Status.SATURATED)

@@ -1,0 +1,154 @@
+"""The two pressures at which a joint has a torque and a stiffness: equations (2) and (6) to (9) solved for them.
+
+At an angle, τ and −∂τ/∂ψ are linear in P_1 and P_2 with the paper's force map (6). Two wanted values are then two
+linear equations. The pressures also have to stay within a box: the declared bounds, and for each muscle the pressure
+below which its force is less than the least one (:class:`Box`). Within the box, all pressures of one torque lie on a
+line from its softest end to its stiffest one. So a stiffness that is out of reach becomes that of the nearer end, and
+a torque that is out of reach becomes that of the nearest corner: the torque comes first, and the stiffness gives way.
+
+Everything is found through the model's own functions. Force maps that are not linear in the pressure take some steps
+more of the same iteration.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.model import dynamics
+from pam_antagonist.model.dynamics import PRESSURE_1, PRESSURE_2
+
+# numba compiles calls of plain names, not of attributes that it would have to look up again.
+_forces, _torque, _torque_slope = dynamics.forces, dynamics.torque, dynamics.torque_slope
+
+_FORCE_1, _FORCE_2, _TORQUE = 0, 1, 2
+_MOST_STEPS = 40
+_TORQUE_TOLERANCE, _FORCE_TOLERANCE, _STIFFNESS_TOLERANCE = 1e-6, 1e-4, 1e-5
+"""[N m], [N], [N m/rad] What counts as equal: far below what any sensor shows."""
+_PRESSURE_STEP = 1e3
+"""[Pa] Step of the difference quotients, of use with force maps only that are not linear in the pressure."""
+
+
+class Box(NamedTuple):
+    """Within what the chambers' pressures are chosen.
+
+    Attributes:
+        lowest: pressure [Pa].
+        highest: pressure [Pa].
+        least_force: contraction force of either muscle [N].
+    """
+
+    lowest: float
+    highest: float
+    least_force: float
+
+
+@inlined
+def _quantity(kind, x, p):
+    if kind == _TORQUE:
+        return _torque(x, p)
+    force_1, force_2 = _forces(x, p)
+    return force_1 if kind == _FORCE_1 else force_2
+
+
+@in_place
+def _solve(i, kind, wanted, low, high, x, p):
+    """Set pressure i of x so that a force or the torque is as wanted; the nearer end where it is not between them."""
+    at = PRESSURE_1 + i
+    tolerance = _TORQUE_TOLERANCE if kind == _TORQUE else _FORCE_TOLERANCE
+    x[at] = low
+    off_low = _quantity(kind, x, p) - wanted
+    x[at] = high
+    off_high = _quantity(kind, x, p) - wanted
+    if off_low * off_high > 0.0:
+        x[at] = low if abs(off_low) < abs(off_high) else high
+        return
+    for step in range(_MOST_STEPS):
+        # False position, exact at once for a linear map; bisection now and then for one that is strongly curved.
+        share = 0.5 if step % 3 == 2 else off_low / (off_low - off_high) if off_low != off_high else 0.0
+        x[at] = low + share * (high - low)
+        off = _quantity(kind, x, p) - wanted
+        if abs(off) <= tolerance:
+            return
+        if off * off_low > 0.0:
+            low, off_low = x[at], off
+        else:
+            high, off_high = x[at], off
+
+
+@in_place
+def _least_pressure(i, box, x, p):
+    """Lowest pressure [Pa] of muscle i in the box."""
+    x[PRESSURE_1], x[PRESSURE_2] = box.lowest, box.lowest
+    if _quantity(i, x, p) < box.least_force:
+        _solve(i, i, box.least_force, box.lowest, box.highest, x, p)
+    return x[PRESSURE_1 + i]
+
+
+@in_place
+def _end(stiff, torque, low_1, low_2, high, x, p):
+    """Set the pressures of x to the softest or stiffest ones of a torque; returns their stiffness."""
+    if stiff:
+        x[PRESSURE_1], x[PRESSURE_2] = high, high
+        lower_first = _torque(x, p) > torque
+        i, low = (0, low_1) if lower_first else (1, low_2)
+    else:
+        x[PRESSURE_1], x[PRESSURE_2] = low_1, low_2
+        raise_second = _torque(x, p) > torque
+        i, low = (1, low_2) if raise_second else (0, low_1)
+    _solve(i, _TORQUE, torque, low, high, x, p)
+    return -_torque_slope(x, p)
+
+
+@in_place
+def _refine(torque, stiffness, low_1, low_2, high, x, p):
+    """Newton steps on both equations; none where the force map is linear in the pressure."""
+    for _ in range(_MOST_STEPS):
+        off_torque, off_stiffness = _torque(x, p) - torque, -_torque_slope(x, p) - stiffness
+        if abs(off_torque) <= _TORQUE_TOLERANCE and abs(off_stiffness) <= _STIFFNESS_TOLERANCE:
+            return
+        x[PRESSURE_1] += _PRESSURE_STEP
+        a, c = _torque(x, p) - torque - off_torque, -_torque_slope(x, p) - stiffness - off_stiffness
+        x[PRESSURE_1] -= _PRESSURE_STEP
+        x[PRESSURE_2] += _PRESSURE_STEP
+        b, d = _torque(x, p) - torque - off_torque, -_torque_slope(x, p) - stiffness - off_stiffness
+        x[PRESSURE_2] -= _PRESSURE_STEP
+        determinant = a * d - b * c
+        if determinant == 0.0:
+            return
+        first = (d * off_torque - b * off_stiffness) / determinant * _PRESSURE_STEP
+        second = (a * off_stiffness - c * off_torque) / determinant * _PRESSURE_STEP
+        x[PRESSURE_1] = min(max(x[PRESSURE_1] - first, low_1), high)
+        x[PRESSURE_2] = min(max(x[PRESSURE_2] - second, low_2), high)
+
+
+@in_place
+def set_pressures(torque, stiffness, box, x, p):
+    """Set the pressures of a state so that its muscles have a torque and, as far as can be, a stiffness.
+
+    Args:
+        torque: τ wanted at the state's angle [N m].
+        stiffness: −∂τ/∂ψ wanted [N m/rad]; NaN: the middle of those that the torque leaves.
+        box: within what the pressures have to be (a :class:`Box`).
+        x: state (n,); its pressures are set.
+        p: parameter vector.
+
+    Returns:
+        Softest and stiffest value that the torque leaves [N m/rad], and τ wanted minus what is reached [N m].
+    """
+    low_1, low_2 = _least_pressure(0, box, x, p), _least_pressure(1, box, x, p)
+    high = box.highest
+    softest = _end(False, torque, low_1, low_2, high, x, p)
+    soft_1, soft_2 = x[PRESSURE_1], x[PRESSURE_2]
+    stiffest = _end(True, torque, low_1, low_2, high, x, p)
+    missing = torque - _torque(x, p)
+    wanted = 0.5 * (softest + stiffest)
+    if not math.isnan(stiffness):
+        wanted = min(max(stiffness, softest), stiffest)
+    if stiffest - softest > _STIFFNESS_TOLERANCE:
+        share = (wanted - softest) / (stiffest - softest)
+        x[PRESSURE_1] = soft_1 + share * (x[PRESSURE_1] - soft_1)
+        x[PRESSURE_2] = soft_2 + share * (x[PRESSURE_2] - soft_2)
+        _refine(torque, wanted, low_1, low_2, high, x, p)
+    return softest, stiffest, missing
