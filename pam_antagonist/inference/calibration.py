@@ -33,13 +33,13 @@ CALIBRATIONS: Mapping[str, EffectParameter] = MappingProxyType(
     {
         item.name: item
         for item in (
-            _item("encoder_zero", "rad", 0.35, 5e-3, "so much too high the encoder reads"),
-            _item("torque_zero", "N m", 20.0, 0.05, "so much too high the torque meter reads"),
-            _item("torque_scale", "-", 0.9, 0.03, "by this share too much the torque meter reads"),
-            _item("delay_voltage", "s", 1.0, 4e-3, "so much too early the voltages are stamped"),
-            _item("delay_angle", "s", 1.0, 4e-3, "so much too early the angle is stamped"),
-            _item("delay_torque", "s", 1.0, 4e-3, "so much too early the torque is stamped"),
-            _item("delay_pressure", "s", 1.0, 4e-3, "so much too early the pressures are stamped"),
+            _item("encoder_zero", "rad", 0.35, 5e-3, "by how much the encoder reads too high"),
+            _item("torque_zero", "N m", 20.0, 0.05, "by how much the torque meter reads too high"),
+            _item("torque_scale", "-", 0.9, 0.03, "share by which the torque meter reads too high"),
+            _item("delay_voltage", "s", 1.0, 4e-3, "by how much the stamps of the voltages are too early"),
+            _item("delay_angle", "s", 1.0, 4e-3, "by how much the stamps of the angle are too early"),
+            _item("delay_torque", "s", 1.0, 4e-3, "by how much the stamps of the torque are too early"),
+            _item("delay_pressure", "s", 1.0, 4e-3, "by how much the stamps of the pressures are too early"),
         )
     }
 )

@@ -54,14 +54,14 @@ PARAMETERS = (
     Parameter(
         "angle_reference_timeout",
         0.0,
-        "time after which an angle is lost that nobody repeats [s]; 0: never",
+        "time after which an angle reference that is not repeated is lost [s]; 0: never",
         0.0,
         3600.0,
     ),
     Parameter(
         "torque_reference_timeout",
         0.5,
-        "time after which a torque is lost that nobody repeats [s]; 0: never",
+        "time after which a torque reference that is not repeated is lost [s]; 0: never",
         0.0,
         3600.0,
     ),
@@ -91,7 +91,7 @@ PARAMETERS = (
     Parameter("nis_limit", 13.8, "normalised innovation squared that counts as out of bounds [-]", 0.1, 1e9),
     Parameter("nis_time", 0.1, "time of which 15 % of the samples are out of bounds to stop it [s]", 0.01, 60.0),
     Parameter("blind_time", 0.1, "how long an estimate may be without one of the pressures [s]", 0.001, 10.0),
-    Parameter("blend_time", 0.5, "time constant of what is left over from a bumpless start [s]", 0.001, 60.0),
+    Parameter("blend_time", 0.5, "time constant with which the offset of a bumpless start fades [s]", 0.001, 60.0),
 )
 
 

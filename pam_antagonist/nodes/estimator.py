@@ -33,7 +33,7 @@ PARAMETERS = (
         "name of one of the rig's filter tunings; a new one starts the filter again",
         read_only=False,
     ),
-    Parameter("pairing_timeout", 0.02, "time that a sample waits for a topic that stays away [s]", 0.001, 1.0),
+    Parameter("pairing_timeout", 0.02, "longest time that a sample waits for its other topics [s]", 0.001, 1.0),
     Parameter("max_age", 0.02, "age beyond which an estimate is flagged LATE [s]", 0.001, 10.0),
 )
 

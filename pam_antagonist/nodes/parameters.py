@@ -107,7 +107,7 @@ LOCK_ANGLE = Parameter("lock_angle", 0.0, "angle at which a locked joint is held
 JOINT_NAME = Parameter("joint_name", "joint", "name of the joint in messages and diagnostics", solid=True)
 FRAME = Parameter("frame_id", "joint", "frame of the joint in the messages")
 SAFE_VOLTAGE = Parameter(
-    "safe_voltage", [5.5, 5.5], "voltages of both valves while there is nothing to go by [V]", 0.0, 10.0
+    "safe_voltage", [5.5, 5.5], "voltages of both valves while no valid command comes [V]", 0.0, 10.0
 )
 SAFE_ACTION = Parameter(
     "safe_action",
@@ -128,7 +128,7 @@ VALVE_OWNER = (
     Parameter(
         "max_command_age",
         0.05,
-        "age beyond which a command is left out, by the stamp of the sample that it answers; a stamp of 0 has none [s]",
+        "age of the sample that a command answers, beyond which the command is ignored [s]; stamp 0: not checked",
         0.005,
         10.0,
     ),
@@ -152,7 +152,7 @@ VALVE_OWNER = (
 )
 """What a node that owns the valves, the plant or a bridge, has beside that: see docs/how-to/safety.md."""
 
-AUTOSTART = Parameter("autostart", True, "whether the node configures and activates itself, without anybody's asking")
+AUTOSTART = Parameter("autostart", True, "whether the node configures and activates itself")
 DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)
 
 

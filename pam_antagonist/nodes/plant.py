@@ -36,7 +36,11 @@ PARAMETERS = (
     Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),
     Parameter("initial_pressure", [450e3, 450e3], "pressures at the start, absolute [Pa]", 5e4, 2e6),
     Parameter(
-        "wait_for_subscribers", 0, "the first sample waits until the pressures and valve_state have so many [-]", 0, 16
+        "wait_for_subscribers",
+        0,
+        "subscribers of each sample topic that the first sample waits for [-]",
+        0,
+        16,
     ),
 )
 

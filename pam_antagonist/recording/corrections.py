@@ -41,7 +41,7 @@ class Corrections:
         flip_torque: the torque meter counts in the other direction.
         encoder_zero: by how much the encoder reads too high [rad].
         torque_zero: by how much the torque meter reads too high [N m].
-        torque_scale: the torque meter reads so many times the torque, beside its zero.
+        torque_scale: reading of the torque meter over the torque, its zero aside.
         delay_voltage: by how much the voltages are stamped too early against everything else [s].
         delay_angle: by how much the angle is stamped too early [s].
         delay_torque: by how much the torque is stamped too early [s].
@@ -222,13 +222,13 @@ _HELP = {
     "flip_angle": "the encoder counts in the other direction",
     "torque_unit": "unit of the measured torque (default: N m)",
     "flip_torque": "the torque meter counts in the other direction",
-    "encoder_zero": "the encoder reads so many degrees too high",
-    "torque_zero": "the torque meter reads so many N m too high",
-    "torque_scale": "the torque meter reads so many times the torque",
-    "delay_voltage": "the voltages are stamped so many milliseconds too early",
-    "delay_angle": "the angle is stamped so many milliseconds too early",
-    "delay_torque": "the torque is stamped so many milliseconds too early",
-    "delay_pressure": "the pressures are stamped so many milliseconds too early",
+    "encoder_zero": "degrees by which the encoder reads too high",
+    "torque_zero": "N m by which the torque meter reads too high",
+    "torque_scale": "reading of the torque meter over the torque",
+    "delay_voltage": "milliseconds by which the stamps of the voltages are too early",
+    "delay_angle": "milliseconds by which the stamps of the angle are too early",
+    "delay_torque": "milliseconds by which the stamps of the torque are too early",
+    "delay_pressure": "milliseconds by which the stamps of the pressures are too early",
 }
 
 

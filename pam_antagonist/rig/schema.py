@@ -190,21 +190,25 @@ class Calibration(Strict):
     """Zeros, scale and clocks of the recordings, which are corrected by them while they are read; no node uses them."""
 
     encoder_zero: float = Field(
-        default=0.0, ge=-math.pi, le=math.pi, description="so much too high the encoder reads [rad]"
+        default=0.0, ge=-math.pi, le=math.pi, description="zero error: by how much the encoder reads too high [rad]"
     )
     torque_zero: float = Field(
-        default=0.0, ge=-1e3, le=1e3, description="so much too high the torque meter reads [N m]"
+        default=0.0, ge=-1e3, le=1e3, description="zero error: by how much the torque meter reads too high [N m]"
     )
     torque_scale: float = Field(
-        default=1.0, ge=0.1, le=10.0, description="so many times the torque the meter reads [-]"
+        default=1.0, ge=0.1, le=10.0, description="scale error: reading of the torque meter over the torque [-]"
     )
     delay_voltage: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="so much too early the voltages are stamped [s]"
+        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the voltages are too early [s]"
     )
-    delay_angle: float = Field(default=0.0, ge=-1.0, le=1.0, description="so much too early the angle is stamped [s]")
-    delay_torque: float = Field(default=0.0, ge=-1.0, le=1.0, description="so much too early the torque is stamped [s]")
+    delay_angle: float = Field(
+        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the angle are too early [s]"
+    )
+    delay_torque: float = Field(
+        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the torque are too early [s]"
+    )
     delay_pressure: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="so much too early the pressures are stamped [s]"
+        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the pressures are too early [s]"
     )
 
 

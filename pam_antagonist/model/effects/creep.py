@@ -73,9 +73,9 @@ EFFECT = Effect(
     signature="Torque and rest angle drift for seconds after a step while the pressures are constant. κ alone "
     "shows only while the joint moves.",
     parameters=(
-        *per_muscle("share", "-", -0.5, 0.5, 0.02, "late share of a change of force", symbol=r"\varphi"),
+        *per_muscle("share", "-", -0.5, 0.5, 0.02, "share of a change of force that comes late", symbol=r"\varphi"),
         EffectParameter(
-            "stiffness", "N/m", 0.0, -2000.0, 2000.0, 50.0, "stiffness of a muscle that relaxes", r"\kappa"
+            "stiffness", "N/m", 0.0, -2000.0, 2000.0, 50.0, "stiffness of the part of the tube that relaxes", r"\kappa"
         ),
         EffectParameter("time", "s", 4.0, 0.2, 60.0, 4.0, "time constant", "T"),
     ),

@@ -46,7 +46,7 @@ EFFECT = Effect(
     signature="The mass flow of one muscle is too low, by more at higher pressure. Its steady pressures are too low.",
     parameters=(
         *per_muscle("area", "m2", 0.0, 5e-8, 1e-9, "area of the leak", symbol="A"),
-        EffectParameter("exponent", "-", 1.0, 0.6, 3.0, 1.0, "power of the gauge pressure beside an orifice's", "n"),
+        EffectParameter("exponent", "-", 1.0, 0.6, 3.0, 1.0, "exponent of the gauge pressure; 1: an orifice", "n"),
     ),
     hooks={"mass_loss": outflow},
     sentence="air leaks from {muscle}",

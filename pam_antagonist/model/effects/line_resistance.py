@@ -7,9 +7,9 @@ m_i = m^{(5)}(\alpha_i, P_{s,i}).
 ```
 
 Valve and sensor see $P_s$, the state `pressure`; volume, force and friction see the chamber's $P_c$, the added state.
-All air that passes the valve arrives in the chamber. With $n = 1$ the line is laminar; turbulent flow, bends and
-fittings resist with the flow's square, $n = 2$. At $m_0 = 0.05$ g/s, which a muscle draws when it fills, lines of any
-$n$ have the resistance $R_i$.
+All air that passes the valve arrives in the chamber. With $n = 1$ the flow is laminar. In turbulent flow, bends and
+fittings the pressure drop grows with the square of the flow, $n = 2$. At $m_0 = 0.05$ g/s, which a muscle draws when it
+fills, lines of any $n$ have the resistance $R_i$.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ EFFECT = Effect(
     parameters=(
         *per_muscle("resistance", "Pa s/kg", 0.0, 5e9, 1e8, "resistance of the line", symbol="R"),
         EffectParameter("time", "s", 2e-3, 1e-3, 0.05, 2e-3, "lag of the line", "T"),
-        EffectParameter("exponent", "-", 1.0, 1.0, 2.0, 1.5, "power of the flow in the fall of pressure", "n"),
+        EffectParameter("exponent", "-", 1.0, 1.0, 2.0, 1.5, "exponent of the flow in the pressure drop", "n"),
     ),
     states=state_per_muscle(
         "chamber", "Pa", "resistance", 1e3, 50.0, symbol="P_{c,#}", rate=behind_rate, steady_value=steady_chamber

@@ -28,7 +28,7 @@ def load(constant, sine, travel):
 
 EFFECT = Effect(
     name="load_torque",
-    meaning="Something beside the muscles pulls at the joint always: a limb's weight, a spring.",
+    meaning="A constant load beside the muscles acts on the joint: a limb's weight, a spring.",
     law="τ gains b + a sin ψ on the joint's side; a torque meter on the muscles does not see it",
     source="rigid body under gravity",
     signature="Motion and rest angle of the joint are wrong. Pressures and the torque of a locked joint are right.",

@@ -5,13 +5,14 @@ y_i = (1 + g_i)\,P_i + o_i + s_i,\qquad
 \ddot s_i = -\frac{2}{T}\,\dot s_i - \frac{1}{T^2}\,s_i + w_i .
 ```
 
-The filter takes offset and gain out of every reading (`sensor.pressure_behind`), the model alone is compared with
+The filter removes offset and gain from every reading (`sensor.pressure_behind`). The model alone is compared with
 readings (`sensor.reading`). Everything else is in true pressures.
 
-The drift $s$ is what a reading strays by: of the sensor, or of a chamber that warms, creeps and leaks. No law gives it,
-so the model alone has $s = 0$, and a filter estimates it. It is a smooth random process, a second-order Gauss–Markov
-one. White noise $w$ of the density $n^2$ gives it the standard deviation $\sigma = n\,T^{3/2}/2$. With it the state
-`pressure` is the reading with its drift; the chamber's pressure is $P - s$. The valve's flow is taken at the reading.
+The drift $s$ is a slow error of the reading. It comes from the sensor, or from a chamber that warms, creeps or leaks.
+No law gives it: the model alone has $s = 0$, and a filter estimates it. It is a smooth random process (second-order
+Gauss–Markov). White noise $w$ of the density $n^2$ gives it the standard deviation $\sigma = n\,T^{3/2}/2$. With it the
+state `pressure` is the reading with its drift; the chamber's pressure is $P - s$. The valve's flow is taken at the
+reading.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ m_{in,i} = A_{1i}\,\alpha_i\, q(P_{tank}+s, P_i).
 ```
 
 Air is drawn through the inflow orifice. Its area is $A_{1i}$ also where $A_0$ of (5) is the outflow area: in the steady
-state the net flow is zero, and its sign is chance.
+state the net flow is zero, and its sign is random.
 
 A valve of this kind draws $m_{in}$ in the steady state as well, since as much flows out. So the supply does not recover
 completely: it stays low by $cT$ times this flow.
@@ -45,7 +45,7 @@ EFFECT = Effect(
     signature="The inflow of both muscles is too low while one of them fills. Steady pressures are too low, "
     "since the valves go on drawing air.",
     parameters=(
-        EffectParameter("stiffness", "Pa/kg", 0.0, 0.0, 5e10, 2e8, "fall of the supply a kilogram drawn from it", "c"),
+        EffectParameter("stiffness", "Pa/kg", 0.0, 0.0, 5e10, 2e8, "fall of the supply pressure per mass drawn", "c"),
         EffectParameter("time", "s", 0.5, 0.02, 20.0, 0.5, "time constant of its recovery", "T"),
     ),
     states=(AddedState("supply", "Pa", "stiffness", 1e3, 10.0, symbol="s", rate=deviation_rate),),

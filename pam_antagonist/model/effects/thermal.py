@@ -4,8 +4,8 @@ r"""Warmth of the gas.
 \dot P_i = \dot P_i^{(4)} - q_i/T,\qquad \dot q_i = \chi_i\,\dot P_i^{(4)} - q_i/T .
 ```
 
-$q_i$ is the part of the pressure that the gas holds because it is warmer than its surroundings. A closed muscle ends
-$q_i$ lower; at rest $q_i = 0$ and nothing is changed.
+$q_i$ is the part of the pressure that is due to the gas being warmer than its surroundings. The pressure of a closed
+muscle ends lower by $q_i$. At rest $q_i = 0$, and nothing is changed.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ def warmth_rate(share, time, warmth, polytropic_rate):
 
 EFFECT = Effect(
     name="thermal",
-    meaning="The gas warms when it is compressed and cools with time, and the pressure with it.",
+    meaning="Compression warms the gas. It cools with time, and its pressure falls.",
     law="dP_i/dt loses q_i/T, dq_i/dt = χ_i dP_i/dt|(4) − q_i/T",
     source="first-order heat exchange with the wall about the polytropic law (4)",
-    signature="After each filling or emptying, the pressure goes back a little for seconds.",
+    signature="For seconds after each filling or emptying, the pressure goes back by a part of its change.",
     parameters=(
         *per_muscle("share", "-", -0.5, 0.9, 0.05, "thermal share of a change of pressure", symbol=r"\chi"),
         EffectParameter("time", "s", 1.0, 0.05, 30.0, 1.0, "time constant of the heat exchange", "T"),

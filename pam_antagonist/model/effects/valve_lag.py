@@ -63,14 +63,14 @@ def small_signal_lag(time, reach):
 
 EFFECT = Effect(
     name="valve_lag",
-    meaning="The valve follows its voltage with a lag of first order, and at most at its full speed.",
+    meaning="The valve follows its voltage with a first-order lag, and no faster than its full speed.",
     law="dα_i/dt = (κ(u_i) − α_i)/(w T_i), at most 1/T_i either way",
     source="first-order spool whose drive saturates: the small-signal and the full-stroke time of data sheets",
     signature="The mass flow is wrong for milliseconds after each change of voltage. In the steady state "
     "nothing is wrong.",
     parameters=(
         *per_muscle("time", "s", 0.0, 2.0, 0.01, "time constant, or time of a full stroke, of the valve", symbol="T"),
-        EffectParameter("reach", "-", 1.0, 1e-2, 1.0, 0.05, "open rate still to go above which the speed is full", "w"),
+        EffectParameter("reach", "-", 1.0, 1e-2, 1.0, 0.05, "remaining stroke above which the speed is full", "w"),
     ),
     states=state_per_muscle(
         "open_rate",

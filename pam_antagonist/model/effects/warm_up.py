@@ -4,11 +4,11 @@ r"""A force map that drifts with running time.
 F_i = F(l_i, P_i) - s_i\, w\,\big(F(l_i, P_i) - F(l_i, P_{out})\big),\qquad \dot w = (1 - w)/T,\qquad w(0) = 0 .
 ```
 
-The share $s_i$ is lost of what the pressure adds to the force; a negative share is gained. The pressure's part is the
-product of the gauge pressure and the braid's geometry (Chou and Hannaford 1996). How much of it arrives depends on
-bladder and braid, whose elasticity and friction change as the muscle warms and is worked in. The force at the
-atmosphere's pressure stays as it was identified. The clock starts with the recording: a muscle that is warm already
-drifts no more. Where `hysteresis` or `creep` is there too, their parts do not drift.
+The muscle loses the share $s_i$ of what the pressure adds to its force. A negative share is a gain. The pressure's part
+is the gauge pressure times a factor of the braid's geometry (Chou and Hannaford 1996). Bladder and braid take some of
+it, and their elasticity and friction change as the muscle warms and is worked in. The force at the atmosphere's
+pressure stays as it was identified. The clock starts with the recording. A muscle that is warm by then does not drift.
+The parts of `hysteresis` and `creep` do not drift.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ EFFECT = Effect(
     signature="Torque and rest angle drift from the start on, by more at higher pressure. No step of voltage "
     "or angle starts the drift, and the pressures are right.",
     parameters=(
-        *per_muscle("share", "-", -0.3, 0.3, 0.02, "lost share of the pressure's force", symbol="s"),
+        *per_muscle("share", "-", -0.3, 0.3, 0.02, "lost share of the force that the pressure adds", symbol="s"),
         EffectParameter("time", "s", 40.0, 5.0, 600.0, 40.0, "time constant of the warming", "T"),
     ),
     states=(AddedState("warmed", "-", "share_1", 0.1, 1e-3, ("share_2",), symbol="w", rate=warming),),
     hooks={"contraction_force": lost_force},
     sentence="the force of the muscles drifts with running time (warm_up)",
-    experiment="record for ten minutes, and once more at once: a muscle that is warm drifts no more",
+    experiment="record for ten minutes, and again directly afterwards: a warm muscle does not drift",
     distinguished_by={
         "creep": "hold voltages and angle for ten minutes, then step: creep begins anew with each step, warming does "
         "not",
