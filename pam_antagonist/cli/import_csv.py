@@ -99,15 +99,21 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
     valves = [
         f"valve {number} {'sealed' if valve.sealed else span(voltage[:, number - 1], 1.0, 'V')}"
         for number, valve in enumerate(mapping.valves, 1)
+        if mapping.drive == "valve"
     ]
     lines = [
         f"{arguments.out}: {len(recording)} samples, {recording.duration_s:.3f} s, one each "
         f"{recording.sample_period_s * 1e3:.4g} ms",
         f"  pressures {span(pressure[:, 0], 1e-3, 'kPa')} and {span(pressure[:, 1], 1e-3, 'kPa')} absolute",
-        f"  {', '.join(valves)}",
+        f"  {', '.join(valves) or 'pressure regulators: no valve voltages'}",
         f"  angle {span(recording.angle, float(np.degrees(1.0)), 'deg')}, torque {span(recording.torque, 1.0, 'N m')}, "
         f"external torque {span(recording.external_torque, 1.0, 'N m')}",
     ]
+    for name, signal in recording.signals.items():
+        lines.append(f"  also {name}: {span(signal.values, 1.0, signal.unit)}")
+    if recording.episode_ns is not None:
+        lengths = [part.stop - part.start for part in recording.episodes]
+        lines.append(f"  {len(lengths)} episodes of {min(lengths)} to {max(lengths)} samples")
     lines += [textwrap.fill(text, 100, initial_indent="! ", subsequent_indent="  ") for text in recording.issues]
     if mapping.sealed:
         lines.append(

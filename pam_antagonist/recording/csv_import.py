@@ -12,16 +12,19 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import wrong_unit
-from .csv_map import CsvMap
+from .csv_map import ALSO, CsvMap
 from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
-from .notes import SEALED
+from .notes import REGULATOR, SEALED
 from .recording import Recording
+from .signals import FurtherSignal
 from .stamps import interpolate, judge_pairing
 from .units import UNITS
 from .wrong_unit import Signal
 
 Floats = NDArray[np.float64]
+
+_UNIT = {"pressure": "Pa", "angle": "rad", "temperature": "degC"}
 
 
 def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object] | None = None) -> Recording:
@@ -67,6 +70,10 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
         angle=measured.get("angle"),
         torque=measured.get("torque"),
         external_torque=measured.get("external_torque"),
+        signals={
+            name: FurtherSignal(columns[f"{ALSO}{name}"], _UNIT[entry.quantity]) for name, entry in mapping.also.items()
+        },
+        episode_ns=times.episode_ns,
     )
     _judge_missing(where, recording, table, issues)
     return _cut(where, replace(recording, issues=tuple(issues)), mapping)
@@ -103,6 +110,8 @@ def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
     found = {"pam_antagonist.source": path.name, "pam_antagonist.source_sha256": digest.hexdigest()}
     if mapping.sealed:
         found[SEALED] = " ".join(map(str, mapping.sealed))
+    if mapping.drive == "regulator":
+        found[REGULATOR] = "true"
     return found
 
 
@@ -110,9 +119,9 @@ def _signals(mapping: CsvMap, table: Table, keep: NDArray[np.intp], issues: list
     """Scaled numbers of every column, in its unit; NaN for what is not finite."""
     signals = {}
     for name, cells in table.values.items():
-        if name == "time":
+        if name in ("time", "episode"):
             continue
-        entry = getattr(mapping, name)
+        entry = mapping.entry(name)
         values = cells[keep] * entry.scale + entry.offset
         infinite = np.isinf(values)
         if np.any(infinite):
@@ -121,7 +130,7 @@ def _signals(mapping: CsvMap, table: Table, keep: NDArray[np.intp], issues: list
         if getattr(entry, "holds", "until_row") == "from_row":
             # A sample has the voltage of the time before it; nothing is known of the time before the first row.
             values = np.concatenate((values[:1], values[:-1]))
-        signals[name] = Signal(table.labels[name], values, entry.unit, getattr(entry, "reference", ""))
+        signals[name] = Signal(table.labels[name], values, entry.unit, getattr(entry, "reference", None) or "")
     return signals
 
 
@@ -155,6 +164,8 @@ def _si(mapping: CsvMap, name: str, signal: Signal) -> Floats:
     if signal.reference:
         return wrong_unit.pascal(signal.values, signal.unit, signal.reference, _atmosphere(mapping))
     quantity = "voltage" if name.startswith("valve") else "angle" if name == "angle" else "torque"
+    if name.startswith(ALSO):
+        quantity = mapping.also[name[len(ALSO) :]].quantity
     return np.asarray(signal.values * UNITS[quantity][signal.unit])
 
 
@@ -197,7 +208,7 @@ def _judge_missing(where: str, recording: Recording, table: Table, issues: list[
     valves = [label for name, label in table.labels.items() if name.startswith("valve")]
     if valves:
         present[" and ".join(valves)] = np.asarray(np.isfinite(recording.voltage).all(axis=1))
-    judge_pairing(where, recording.stamp_ns, present, issues)
+    judge_pairing(where, recording.stamp_ns, present, issues, recording.episode_ns)
     for label, there in present.items():
         if not np.any(there):
             raise BadInput(f"{where}: {label} holds no value in {len(there)} samples")

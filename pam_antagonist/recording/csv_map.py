@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import codecs
+import contextlib
 import difflib
+import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, Optional, Tuple, Union  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+from typing import Dict, Literal, Optional, Tuple, Union  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
 
 from pydantic import Field, StrictFloat, StrictInt, StrictStr
 
@@ -25,6 +27,8 @@ QUANTITIES = {
     "valve_1": "voltage", "valve_2": "voltage", "angle": "angle", "torque": "torque", "external_torque": "torque",
 }  # fmt: skip
 """Entry of a map -> quantity of ``UNITS`` that its unit is one of."""
+ALSO = "also/"
+"""What stands before the name of a further signal, where columns are listed."""
 EXAMPLE = "example"
 """Name of the map that explains maps."""
 
@@ -75,6 +79,19 @@ class Pressure(Column):
     reference: Literal["gauge", "absolute"] = Field(description="whether 0 is the atmosphere or the vacuum")
 
 
+class Further(Column):
+    """A signal beside the joint's own: another joint's pressure or angle, a temperature."""
+
+    reference: Optional[Literal["gauge", "absolute"]] = Field(  # noqa: UP045
+        None, description="of a pressure: whether 0 is the atmosphere or the vacuum"
+    )
+
+    @property
+    def quantity(self) -> str:
+        """Quantity of ``UNITS`` that its unit is one of; empty where it is none that can be written."""
+        return next((name for name in ("pressure", "angle", "temperature") if self.unit in UNITS[name]), "")
+
+
 class Atmosphere(Strict):
     """What a gauge pressure counts from."""
 
@@ -104,8 +121,15 @@ class CsvMap(Strict):
     atmosphere: Optional[Atmosphere] = None  # noqa: UP045
     pressure_1: Pressure
     pressure_2: Pressure
-    valve_1: Valve
-    valve_2: Valve
+    valve_1: Optional[Valve] = None  # noqa: UP045
+    valve_2: Optional[Valve] = None  # noqa: UP045
+    drive: Literal["valve", "regulator"] = Field(
+        "valve", description="whether voltages of valves were recorded; regulators have none"
+    )
+    episode: Optional[Name] = Field(  # noqa: UP045
+        None, description="column that changes where an episode begins, before which nothing is known"
+    )
+    also: Dict[str, Further] = Field({}, description="further signals, by name")  # noqa: UP006
     angle: Optional[Column] = None  # noqa: UP045
     torque: Optional[Column] = None  # noqa: UP045
     external_torque: Optional[Column] = None  # noqa: UP045
@@ -117,8 +141,9 @@ class CsvMap(Strict):
 
     @property
     def valves(self) -> tuple[Valve, Valve]:
-        """Both valves."""
-        return self.valve_1, self.valve_2
+        """Both valves; of a joint with pressure regulators a voltage of 0 as a placeholder."""
+        none = Valve(column=None, constant=0.0, sealed=False, unit="V", scale=1.0, offset=0.0, holds="until_row")
+        return self.valve_1 or none, self.valve_2 or none
 
     @property
     def sealed(self) -> tuple[int, ...]:
@@ -132,11 +157,20 @@ class CsvMap(Strict):
 
     def columns(self) -> dict[str, Name]:
         """Quantity -> column, for everything that is read from the file."""
-        entries: dict[str, Time | Column | Valve] = {
+        entries: dict[str, Time | Column | Valve | None] = {
             "time": self.time, "pressure_1": self.pressure_1, "pressure_2": self.pressure_2,
             "valve_1": self.valve_1, "valve_2": self.valve_2, **self.measured(),
         }  # fmt: skip
-        return {name: entry.column for name, entry in entries.items() if entry.column is not None}
+        found = {name: entry.column for name, entry in entries.items() if entry and entry.column is not None}
+        if self.episode is not None:
+            found["episode"] = self.episode
+        return found | {f"{ALSO}{name}": entry.column for name, entry in self.also.items()}
+
+    def entry(self, name: str) -> Column | Valve:
+        """The entry of a column with numbers, by its name in :meth:`columns`."""
+        found: Column | Valve
+        found = self.also[name[len(ALSO) :]] if name.startswith(ALSO) else getattr(self, name)
+        return found
 
 
 def map_names() -> list[str]:
@@ -160,10 +194,9 @@ def load_map(name_or_path: str | Path) -> CsvMap:
     """
     path = _locate(str(name_or_path))
     content = read_mapping(path, "map", typed("import_csv --example"))
-    found = validated(CsvMap, content, str(path), _SWITCHES)
+    found = _in_known_units(str(path), validated(CsvMap, content, str(path), _SWITCHES))
     for complaint in _contradictions(found):
         raise BadInput(f"{path}: {complaint}")
-    found = _in_known_units(str(path), found)
     if found.atmosphere is not None:
         _check_atmosphere(str(path), found.atmosphere)
     return found
@@ -184,7 +217,13 @@ def _contradictions(found: CsvMap) -> Iterator[str]:
     """What the schema cannot see."""
     yield from _time_contradictions(found.time)
     for name, valve in (("valve_1", found.valve_1), ("valve_2", found.valve_2)):
-        yield from _valve_contradictions(name, valve)
+        if found.drive == "regulator" and valve is not None:
+            yield f"{name} is given, but the joint has pressure regulators (drive: regulator): expected no valves"
+        elif valve is not None:
+            yield from _valve_contradictions(name, valve)
+        elif found.drive == "valve":
+            yield f"{name} is missing; for a joint with pressure regulators in place of valves, give drive: regulator"
+    yield from _episode_contradictions(found)
     for name, entry in _scaled(found):
         if entry.scale == 0.0:
             yield f"{name}.scale is 0: expected the factor between cells and values"
@@ -200,6 +239,17 @@ def _time_contradictions(time: Time) -> Iterator[str]:
         yield "time: expected either column (with its unit) or rate"
     if time.column is not None and time.unit is None:
         yield f"time.unit is missing: expected one of {', '.join(UNITS['time'])}"
+
+
+def _episode_contradictions(found: CsvMap) -> Iterator[str]:
+    time = found.time
+    if found.episode is not None and (time.resample is not None or time.begin or time.end is not None):
+        yield "time: expected no resample, begin or end in a file of episodes"
+    for name, entry in found.also.items():
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            yield f"also.{name}: expected a name of letters, digits and _ that begins with a letter"
+        if (entry.reference is not None) != (entry.quantity == "pressure"):
+            yield f"also.{name}.reference: expected gauge or absolute of a pressure, and of nothing else"
 
 
 def _valve_contradictions(name: str, valve: Valve) -> Iterator[str]:
@@ -241,7 +291,8 @@ def _columns_twice(found: CsvMap) -> Iterator[str]:
 def _scaled(found: CsvMap) -> list[tuple[str, Column | Valve]]:
     return [
         ("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2),
-        ("valve_1", found.valve_1), ("valve_2", found.valve_2), *found.measured().items(),
+        *((f"valve_{n}", valve) for n, valve in enumerate(found.valves, 1)), *found.measured().items(),
+        *((f"also.{name}", entry) for name, entry in found.also.items()),
     ]  # fmt: skip
 
 
@@ -252,7 +303,18 @@ def _in_known_units(path: str, found: CsvMap) -> CsvMap:
         entry = getattr(found, name)
         if entry is not None and entry.unit is not None:
             changed[name] = entry.replaced(unit=canonical(f"{path}: {name}.unit", quantity, entry.unit))
-    return found.replaced(**changed)
+    further = {}
+    for name, entry in found.also.items():
+        spelt = {}
+        for quantity in ("pressure", "angle", "temperature"):
+            with contextlib.suppress(BadInput):
+                spelt["unit"] = canonical(path, quantity, entry.unit)
+        if not spelt:
+            raise BadInput(
+                f"{path}: also.{name}.unit: unknown unit {entry.unit[:40]!r}, expected one of a pressure, angle or degC"
+            )
+        further[name] = entry.replaced(**spelt)
+    return found.replaced(**changed, also=further)
 
 
 def _check_atmosphere(path: str, atmosphere: Atmosphere) -> None:

@@ -6,7 +6,7 @@ cannot take (repeated or backward times, rows at just any time) is refused, unle
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,11 @@ Stamps = NDArray[np.int64]
 
 START_NS = 1_000_000_000_000_000_000
 """Stamp of the first row (in 2001) where its column does not count from 1970: one file always gives one bag."""
+
+LEAST_ROWS = 10
+"""Rows of an episode; with fewer, its start would be most of it."""
+PAUSE_NS = 2_000_000_000
+"""Between an episode's last row and the next one's first: over a second, so that a filter starts anew."""
 
 _FIRST_EPOCH, _LAST_EPOCH = 900_000_000.0, 2_147_483_000.0  # [s] since 1970; ROS stamps end with 31 bits of seconds
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 20e-6, 0.5  # [s] that are believed
@@ -38,11 +43,13 @@ class Timing:
         stamp_ns: Stamps of the kept rows (M,) [ns], strictly increasing.
         keep: Indices of the kept rows in the file (M,).
         issues: Sentences about what was dropped or is odd.
+        episode_ns: Stamps at which episodes begin (E,) [ns]; None for a file in one piece.
     """
 
     stamp_ns: Stamps
     keep: NDArray[np.intp]
     issues: tuple[str, ...]
+    episode_ns: Stamps | None = None
 
 
 def timing(where: str, time: Time, table: Table) -> Timing:
@@ -59,6 +66,8 @@ def timing(where: str, time: Time, table: Table) -> Timing:
     """
     if len(table) < 2:
         raise BadInput(f"{where}: {len(table)} row of numbers, expected at least two")
+    if "episode" in table.values:
+        return _of_episodes(where, time, table)
     if time.rate is not None:
         return Timing(START_NS + _grid(len(table), time.rate), np.arange(len(table)), ())
     assert time.unit is not None
@@ -80,6 +89,48 @@ def timing(where: str, time: Time, table: Table) -> Timing:
         raise BadInput(f"{where}: {table.labels['time']} has steps of less than a nanosecond")
     _judge_intervals(where, time, table, keep, since, issues)
     return Timing(stamp_ns, keep, tuple(issues))
+
+
+def _of_episodes(where: str, time: Time, table: Table) -> Timing:
+    """Stamps of a file whose time may begin anew with each episode: these then follow each other, a pause between."""
+    number = table.values["episode"]
+    bad = np.flatnonzero(~np.isfinite(number))
+    if len(bad):
+        raise BadInput(f"{where}: line {table.line[bad[0]]}: {table.labels['episode']} is missing")
+    first = np.flatnonzero(np.diff(number, prepend=np.nan) != 0.0)
+    bounds = list(zip(first.tolist(), [*first[1:].tolist(), len(number)], strict=True))
+    long = [(begin, end) for begin, end in bounds if end - begin >= LEAST_ROWS]
+    issues: list[str] = []
+    if len(long) < len(bounds):
+        begin = next(begin for begin, end in bounds if end - begin < LEAST_ROWS)
+        issues.append(
+            f"{len(bounds) - len(long)} of {len(bounds)} episodes have fewer than {LEAST_ROWS} rows, the first in line "
+            f"{table.line[begin]}: left out"
+        )
+    if len(long) < 2:
+        raise BadInput(
+            f"{where}: {table.labels['episode']} makes {len(long)} episodes of {LEAST_ROWS} rows or more, expected two "
+            "at least; is it the column that counts the rows?"
+        )
+    at, keep, begins = START_NS, [], []
+    stamps = []
+    for begin, end in long:
+        part = replace(table, values={"time": table.values["time"][begin:end]}) if time.rate is None else None
+        if part is None:
+            assert time.rate is not None
+            since, rows = _grid(end - begin, time.rate), np.arange(end - begin)
+        else:
+            assert time.unit is not None
+            part = replace(part, line=table.line[begin:end])
+            rows = _in_order(where, time, part, issues)
+            _check_period(where, table.labels["time"], time.unit, part.values["time"][rows])
+            seconds = part.values["time"][rows] * UNITS["time"][time.unit]
+            since = np.rint((seconds - seconds[0]) * 1e9).astype(np.int64)
+        begins.append(at)
+        stamps.append(at + since)
+        keep.append(begin + rows)
+        at = int(stamps[-1][-1]) + PAUSE_NS
+    return Timing(np.concatenate(stamps), np.concatenate(keep), tuple(issues), np.array(begins, np.int64))
 
 
 def even_grid(stamp_ns: Stamps, rate: float) -> Stamps:
@@ -118,7 +169,10 @@ def _in_order(where: str, time: Time, table: Table, issues: list[str]) -> NDArra
         )
     else:
         what = f"runs backwards, {cells[row]:.12g} {time.unit} after {newest[row - 1]:.12g} {time.unit}"
-        hint = "cut a file that holds several recordings at such lines; for a few stray rows, give out_of_order: drop"
+        hint = (
+            "of a file that holds several recordings, name the column that counts them (episode: COLUMN), or cut it "
+            "at such lines; for a few stray rows, give out_of_order: drop"
+        )
     many = f" ({len(wrong)} of {len(cells)} rows are not later than those before them)" if len(wrong) > 1 else ""
     raise BadInput(f"{begin} {what}{many}, expected increasing times; {hint}")
 

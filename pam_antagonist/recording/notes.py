@@ -14,6 +14,8 @@ from . import metadata
 
 SEALED = "pam_antagonist.sealed"
 """Name of the note that lists the muscles whose chambers are sealed: "1", "2" or "1 2"."""
+REGULATOR = "pam_antagonist.regulator"
+"""Name of the note that says of a bag that its valve voltages are placeholders: pressure regulators drove the joint."""
 
 
 def write_notes(path: Path, notes: Mapping[str, str]) -> None:

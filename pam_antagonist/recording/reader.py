@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from . import checkpoints, plausible, stamps
+from . import checkpoints, plausible, signals, stamps
 from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
@@ -65,6 +65,7 @@ def read_bag(
     recover: bool = False,
     corrections: Corrections | None = None,
     judge: bool = True,
+    also: Sequence[str] = (),
 ) -> Recording:
     """Read a rosbag2 recording of a rig.
 
@@ -81,6 +82,7 @@ def read_bag(
         recover: Read what stands before a damaged or cut off place instead of refusing the bag.
         corrections: What is to be changed in the recorded values; None for nothing.
         judge: False reads values in any unit, for :mod:`pam_antagonist.checks`.
+        also: Topics of further signals, beside those below ``also/`` of the joint's namespace.
 
     Raises:
         SeveralJoints: The bag holds several joints, and ``namespace`` names none.
@@ -95,7 +97,7 @@ def read_bag(
     """
     try:
         recording = _read(
-            Path(path), topics, namespace, joint_name, restarts, recover, corrections or Corrections(), judge
+            Path(path), topics, namespace, joint_name, restarts, recover, corrections or Corrections(), judge, also
         )
         return recording if corrections is None else corrections.arranged(recording)
     except MemoryError:
@@ -112,18 +114,22 @@ def _read(
     recover: bool,
     corrections: Corrections,
     judge: bool,
+    also: Sequence[str],
 ) -> Recording:
     if restarts not in ("refuse", "last"):
         raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
-    bag = read_raw(path, {TOPICS[name].type for name in (*READ_TOPICS, "rig")}, recover=recover)
+    types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
+    bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
     chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
     if restarts == "last":
         _cut(chosen, bag.issues)
     for topic in chosen.values():
         _sort(path, topic, bag.issues)
     samples = stamps.union([chosen[name].arrival.stamp_ns for name in SAMPLE_TOPICS])
+    beside = chosen["valve_state"].actual.rpartition("/")[0]
+    episode_ns = signals.read_episodes(bag, beside, samples)
     convert = _Values(str(path), bag.issues, corrections, judge)
-    pressure, voltage = _samples(bag, chosen, samples, convert)
+    pressure, voltage = _samples(bag, chosen, samples, convert, episode_ns)
     measured = chosen.get("measured_joint_states")
     angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, joint_name, convert)
     external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
@@ -144,6 +150,8 @@ def _read(
         rigs=_rig_texts(bag, chosen["valve_state"].actual),
         checkpoints=() if remembered is None else checkpoints.read(remembered.decoded, remembered.keep),
         namespace=_own_namespace(bag, chosen["valve_state"].actual),
+        signals=signals.read_signals(bag, beside, samples, also),
+        episode_ns=episode_ns,
     )
 
 
@@ -225,7 +233,11 @@ _JUDGES = {
 
 
 def _samples(
-    bag: RawBag, chosen: Mapping[str, _Topic], samples: NDArray[np.int64], convert: _Values
+    bag: RawBag,
+    chosen: Mapping[str, _Topic],
+    samples: NDArray[np.int64],
+    convert: _Values,
+    episode_ns: NDArray[np.int64] | None,
 ) -> tuple[Floats, Floats]:
     """Pressures and voltages at the sample stamps (N, 2) each."""
     where = str(bag.path)
@@ -242,7 +254,7 @@ def _samples(
             [stamps.spread(samples, stamp_ns, column) for column in values.reshape(len(values), -1).T]
         )
         present[topic.actual] = np.isin(samples, stamp_ns, assume_unique=True)
-    stamps.judge_pairing(where, samples, present, bag.issues)
+    stamps.judge_pairing(where, samples, present, bag.issues, episode_ns)
     return np.column_stack([columns["pressure_1"], columns["pressure_2"]]), columns["valve_state"]
 
 

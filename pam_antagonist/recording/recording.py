@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..optional import needs
 from .checkpoints import RecordedCheckpoint
+from .signals import FurtherSignal
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -185,6 +186,9 @@ class Recording:
         rigs: What the nodes said about their rigs, oldest first, for :meth:`pam_antagonist.rig.RigIdentity.read`.
         checkpoints: What the live filter remembered now and then, in the order of their stamps.
         namespace: Of the joint, where the bag holds several; otherwise empty.
+        signals: What was recorded beside the joint's own signals, by name.
+        episode_ns: Stamps of the first samples of episodes (E,) [ns], between which nothing is known of the joint; None
+            for a recording in one piece.
     """
 
     path: Path
@@ -202,6 +206,8 @@ class Recording:
     rigs: tuple[str, ...] = ()
     checkpoints: tuple[RecordedCheckpoint, ...] = ()
     namespace: str = ""
+    signals: Mapping[str, FurtherSignal] = field(default_factory=dict)
+    episode_ns: Stamps | None = None
 
     def __post_init__(self) -> None:
         size = len(self.stamp_ns)
@@ -221,6 +227,13 @@ class Recording:
             arrivals[name] = Arrival(log, _frozen(stamp_ns, np.int64, (len(log),), f"received_ns[{name!r}].stamp_ns"))
         object.__setattr__(self, "received_ns", MappingProxyType(arrivals))
         object.__setattr__(self, "topics", MappingProxyType(dict(self.topics)))
+        signals = {
+            name: FurtherSignal(_frozen(values, np.float64, (size,), f"signals[{name!r}]"), unit)
+            for name, (values, unit) in self.signals.items()
+        }
+        object.__setattr__(self, "signals", MappingProxyType(signals))
+        if self.episode_ns is not None:
+            object.__setattr__(self, "episode_ns", _frozen(self.episode_ns, np.int64, (None,), "episode_ns"))
         object.__setattr__(self, "issues", tuple(self.issues))
         object.__setattr__(self, "rigs", tuple(self.rigs))
         object.__setattr__(self, "checkpoints", tuple(sorted(self.checkpoints, key=lambda item: item.stamp_ns)))
@@ -242,6 +255,12 @@ class Recording:
     def sample_period_s(self) -> float:
         """Median time between samples [s]; NaN for a single one."""
         return float(np.median(np.diff(self.stamp_ns))) * 1e-9 if len(self) > 1 else float("nan")
+
+    @property
+    def episodes(self) -> tuple[slice, ...]:
+        """The samples of each episode, in order; all of them where the recording is in one piece."""
+        first = [0] if self.episode_ns is None else np.searchsorted(self.stamp_ns, self.episode_ns).tolist()
+        return tuple(slice(begin, end) for begin, end in zip(first, [*first[1:], len(self)], strict=True))
 
     def even_grid(self, nominal_s: float) -> tuple[float, Stamps]:
         """The grid of this recording's own period, and where its samples lie on it.
@@ -293,11 +312,18 @@ class Recording:
             name: None if getattr(self, name) is None else getattr(self, name)[mask]
             for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque")
         }
+        signals = {name: FurtherSignal(values[mask], unit) for name, (values, unit) in self.signals.items()}
+        episode_ns = self.episode_ns
+        if episode_ns is not None:
+            begin = self.stamp_ns[mask][:1]
+            episode_ns = np.union1d(begin, episode_ns[inside(episode_ns)])
         return replace(
             self,
             **arrays,
             estimate=None if self.estimate is None else self.estimate.take(inside(self.estimate.stamp_ns)),
             reference=None if self.reference is None else self.reference.take(inside(self.reference.stamp_ns)),
+            signals=signals,
+            episode_ns=episode_ns,
             checkpoints=tuple(item for item in self.checkpoints if low <= item.stamp_ns < high),
             received_ns={
                 name: Arrival(log[inside(stamp)], stamp[inside(stamp)])

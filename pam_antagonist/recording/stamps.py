@@ -116,7 +116,11 @@ def interpolate(
 
 
 def judge_pairing(
-    where: str, samples: NDArray[np.int64], present: Mapping[str, NDArray[np.bool_]], issues: list[str]
+    where: str,
+    samples: NDArray[np.int64],
+    present: Mapping[str, NDArray[np.bool_]],
+    issues: list[str],
+    episode_ns: NDArray[np.int64] | None = None,
 ) -> None:
     """Say how many samples miss a topic, and where the stream of samples stops for a while.
 
@@ -125,6 +129,7 @@ def judge_pairing(
         samples: Sample stamps (N,) [ns].
         present: Topic -> which samples have its message (N,); the two pressures come first.
         issues: Gets the sentences.
+        episode_ns: Stamps at which episodes begin (E,) [ns]: a stop before one is none; None for one piece.
 
     Raises:
         BadInput: The two pressures hardly ever carry one stamp.
@@ -141,6 +146,8 @@ def judge_pairing(
         if missing:
             issues.append(f"{missing} of {len(samples)} samples without {topic}")
     gaps = np.flatnonzero(np.diff(samples) > MAX_FORWARD_NS)
+    if episode_ns is not None:
+        gaps = gaps[~np.isin(samples[gaps + 1], episode_ns)]
     for index in gaps[:3]:
         length, since = (samples[index + 1] - samples[index]) * 1e-9, (samples[index] - samples[0]) * 1e-9
         issues.append(f"no samples for {length:.3f} s, from {since:.3f} s after the first one on")

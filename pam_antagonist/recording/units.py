@@ -20,6 +20,7 @@ _TABLE = {
     "torque": {
         "N m": 1.0, "N cm": 1e-2, "N mm": 1e-3, "mN m": 1e-3, "kgf cm": 9.80665e-2, "lbf in": _POUND_FORCE * 0.0254,
     },
+    "temperature": {"degC": 1.0},
     "voltage": {"V": 1.0, "mV": 1e-3},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254},
     "volume": {"m3": 1.0, "dm3": 1e-3, "l": 1e-3, "cm3": 1e-6, "ml": 1e-6, "mm3": 1e-9},
@@ -29,7 +30,7 @@ _TABLE = {
 UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {quantity: MappingProxyType(units) for quantity, units in _TABLE.items()}
 )
-"""Quantity -> unit -> how many SI units (s, Pa, rad, N m, V, m, m³, N) one of it is."""
+"""Quantity -> unit -> how many SI units (s, Pa, rad, N m, V, m, m³, N; degC of a temperature) one of it is."""
 
 _ALIASES = {"µs": "us", "μs": "us", "°": "deg", "degrees": "deg", "degree": "deg",
             "m³": "m3", "dm³": "dm3", "cm³": "cm3", "mm³": "mm3", "L": "l", "mL": "ml"}  # fmt: skip

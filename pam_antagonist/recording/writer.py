@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from . import checkpoints
+from . import checkpoints, signals
 from .bag_files import MODES, PLUGINS, BagFiles, Compression, Limits, Storage
 from .cdr import encode
 from .messages import typestore
 from .recording import ESTIMATE_SHAPES, RecordedEstimate, Recording
-from .topics import DEFAULT_NAMESPACE, TOPICS
+from .topics import DEFAULT_NAMESPACE, TOPICS, Topic
 
 _FLUSH_S = 1.0  # what a killed recorder, or one without power, may lose [s]
 _BATCH = 4096  # messages that are handed to the writing thread at once
@@ -270,11 +270,11 @@ def write_bag(
     blocks = _blocks(recording, recording.estimate if estimate is None else estimate, frame_id, pressure_variance)
     with BagWriter(path, storage=storage, compression=compression) as bag:
         items: list[Item] = []
-        for name, (stamp_ns, matrix) in blocks.items():
-            topic = TOPICS[name].resolve(namespace)
-            bag.add_topic(topic, TOPICS[name].type)
+        for kind, (stamp_ns, matrix) in blocks.items():
+            topic = kind.resolve(namespace)
+            bag.add_topic(topic, kind.type)
             width, view = matrix.shape[1], np.ascontiguousarray(matrix).reshape(-1).data
-            times = _log_times(recording, name, stamp_ns)
+            times = _log_times(recording, kind.name, stamp_ns)
             items.extend((topic, log, view[i * width : (i + 1) * width]) for i, log in enumerate(times.tolist()))
         if recording.checkpoints:
             topic = TOPICS["filter_checkpoint"].resolve(namespace)
@@ -306,13 +306,13 @@ def _time(path: str, stamp_ns: NDArray[np.int64]) -> dict[str, Any]:
 
 def _blocks(
     recording: Recording, estimate: RecordedEstimate | None, frame_id: str, variance: float
-) -> dict[str, tuple[NDArray[np.int64], NDArray[np.uint8]]]:
-    """Logical topic name -> stamps (K,) and messages (K, L)."""
+) -> dict[Topic, tuple[NDArray[np.int64], NDArray[np.uint8]]]:
+    """Topic -> stamps (K,) and messages (K, L)."""
     blocks = {}
 
     def add(name: str, stamp_ns: NDArray[np.int64], fields: dict[str, Any], frame: str = frame_id) -> None:
         columns = {**_header(stamp_ns, frame), **fields}
-        blocks[name] = (stamp_ns, encode(TOPICS[name].type, len(stamp_ns), columns))
+        blocks[TOPICS[name]] = (stamp_ns, encode(TOPICS[name].type, len(stamp_ns), columns))
 
     stamp_ns = recording.stamp_ns
     there: Any  # mask of the samples that have a value (N,)
@@ -322,8 +322,8 @@ def _blocks(
         add(f"pressure_{muscle + 1}", stamp_ns[there], fields, f"muscle_{muscle + 1}")
     there = np.isfinite(recording.voltage).any(axis=1)
     add("valve_state", stamp_ns[there], {"voltage": recording.voltage[there]})
-    signals = {"position": recording.angle, "effort": recording.torque}
-    known = {name: values for name, values in signals.items() if values is not None}
+    measured = {"position": recording.angle, "effort": recording.torque}
+    known = {name: values for name, values in measured.items() if values is not None}
     if known:
         there = np.isfinite(np.column_stack(list(known.values()))).any(axis=1)
         fields = {name: values[there, None] for name, values in known.items()}
@@ -343,4 +343,5 @@ def _blocks(
         columns = {name: getattr(estimate, name).reshape(len(estimate), -1) for name in ESTIMATE_SHAPES}
         columns = {name: values if values.shape[1] > 1 else values[:, 0] for name, values in columns.items()}
         add("joint_estimate", estimate.stamp_ns, {**_time("started", estimate.started_ns), **columns})
-    return blocks
+    marks = {} if recording.episode_ns is None else _time("stamp", recording.episode_ns)
+    return blocks | signals.blocks(recording, _header(stamp_ns, frame_id), marks, frame_id)

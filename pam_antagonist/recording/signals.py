@@ -1,0 +1,169 @@
+"""What was recorded beside a joint: further signals that may be causes, and where episodes begin.
+
+A further signal is another joint's pressure or angle, or a temperature. In a bag it is a topic below ``also/`` of the
+joint's namespace, or any other topic of a type in ``KINDS`` that is asked for by its name. An episode begins where the
+topic ``episode`` (std_msgs/Header) has a stamp: what happened since the sample before is not known, so that a model has
+to be started anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+from . import stamps
+from .cdr import CdrError, Decoded, decode, encode
+from .compression import CompressionError
+from .storage import RawBag, unpack_messages
+from .topics import Topic
+
+if TYPE_CHECKING:
+    from .recording import Recording
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+EPISODE = Topic("episode", "episode", "std_msgs/msg/Header", "an episode begins: the sample before tells nothing of it")
+"""Marks the first sample of each episode; written by ``import_csv``."""
+ALSO = "also/"
+"""Where further signals stand below a joint's namespace."""
+KINDS: Mapping[str, tuple[str, str]] = {
+    "sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa"),
+    "sensor_msgs/msg/JointState": ("position", "rad"),
+    "sensor_msgs/msg/Temperature": ("temperature", "degC"),
+}
+"""Type of a message -> its field that is the signal, and the unit of that."""
+_TYPE_OF = {unit: kind for kind, (_, unit) in KINDS.items()}
+
+
+class FurtherSignal(NamedTuple):
+    """A signal that was recorded beside the joint's own.
+
+    Attributes:
+        values: at the samples (N,), NaN where there is none.
+        unit: Pa, rad or degC.
+    """
+
+    values: Floats
+    unit: str
+
+
+def blocks(
+    recording: Recording, header: Mapping[str, Any], stamp: Mapping[str, Any], frame_id: str
+) -> dict[Topic, tuple[Stamps, NDArray[np.uint8]]]:
+    """Messages of the further signals and of the episodes' beginnings.
+
+    Args:
+        recording: what to write.
+        header: fields of a message's header for the samples.
+        stamp: fields of a std_msgs/Header for the episodes.
+        frame_id: of all messages.
+
+    Returns:
+        Topic -> stamps (K,) and messages (K, L).
+    """
+    out: dict[Topic, tuple[Stamps, NDArray[np.uint8]]] = {}
+    size = len(recording)
+    for name, (values, unit) in recording.signals.items():
+        kind = _TYPE_OF[unit]
+        field = KINDS[kind][0]
+        fields: dict[str, Any] = {**header, field: values, "variance": 0.0}
+        if unit == "rad":
+            nothing = np.empty((size, 0))
+            fields = {**header, "name": [name], "position": values[:, None], "velocity": nothing, "effort": nothing}
+        there = np.isfinite(values)
+        matrix = encode(kind, size, fields)[there]
+        out[Topic(name, f"{ALSO}{name}", kind, "")] = recording.stamp_ns[there], matrix
+    if recording.episode_ns is not None:
+        columns = {**stamp, "frame_id": frame_id}
+        out[EPISODE] = recording.episode_ns, encode(EPISODE.type, len(recording.episode_ns), columns)
+    return out
+
+
+def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[str] = ()) -> dict[str, FurtherSignal]:
+    """Further signals of a bag at the samples.
+
+    Args:
+        bag: the bag.
+        namespace: of the joint.
+        samples: stamps (N,) [ns].
+        wanted: topics beside those below ``also/``, as they are called in the bag.
+
+    Returns:
+        Name -> signal; the name is what stands behind ``also/``, or the topic as it was wanted.
+
+    Raises:
+        BadInput: a wanted topic is not there, or is of a type that holds no signal.
+    """
+    prefix = f"{namespace}/{ALSO}"
+    topics = {topic[len(prefix) :]: topic for topic in sorted(bag.topics) if topic.startswith(prefix)}
+    topics = {name: topic for name, topic in topics.items() if bag.topics[topic].channel.msgtype in KINDS}
+    for name in wanted:
+        if name in topics:
+            continue
+        actual = name if name.startswith("/") else f"/{name}"
+        if actual not in bag.topics:
+            listed = ", ".join([*topics, *(t for t, raw in bag.topics.items() if raw.channel.msgtype in KINDS)])
+            raise BadInput(f"{bag.path}: no signal {name!r}; expected one of {listed or 'none, there is no other'}")
+        topics[name] = actual
+    return {name: _read(bag, topic, samples) for name, topic in topics.items()}
+
+
+def _read(bag: RawBag, topic: str, samples: Stamps) -> FurtherSignal:
+    kind = bag.topics[topic].channel.msgtype
+    if kind not in KINDS:
+        raise BadInput(f"{bag.path}: {topic} is a {kind}, expected one of {', '.join(KINDS)}")
+    field, unit = KINDS[kind]
+    decoded, order = _decoded(bag, topic, "header.stamp")
+    try:
+        values = np.asarray(decoded.fixed(field), np.float64)[order]
+    except KeyError:
+        raise BadInput(f"{bag.path}: {topic} holds no {field}") from None
+    if values.ndim > 1:
+        if values.shape[1] == 0:
+            raise BadInput(f"{bag.path}: {topic} holds no {field}")
+        values = values[:, 0]
+    stamp_ns = decoded.stamp_ns("header.stamp")[order]
+    own = np.isin(stamp_ns, samples, assume_unique=True)
+    if 2 * np.count_nonzero(own) >= len(own):
+        return FurtherSignal(stamps.spread(samples, stamp_ns, values), unit)
+    return FurtherSignal(stamps.interpolate(samples, stamp_ns, values), unit)
+
+
+def _decoded(bag: RawBag, topic: str, path: str) -> tuple[Decoded, NDArray[np.intp]]:
+    """Messages of a topic, and the order of their stamps, each once."""
+    try:
+        raw = unpack_messages(bag.topics[topic])
+        assert raw.payloads is not None
+        decoded = decode(raw.payloads, raw.channel.msgtype)
+        stamp_ns = decoded.stamp_ns(path)
+    except (CdrError, CompressionError) as exc:
+        raise BadInput(f"{bag.path}: {topic} cannot be read, {exc}") from exc
+    return decoded, np.unique(stamp_ns, return_index=True)[1]
+
+
+def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None:
+    """Stamps at which episodes begin (E,) [ns], each that of a sample; None where the bag marks none.
+
+    Args:
+        bag: the bag.
+        namespace: of the joint.
+        samples: stamps (N,) [ns].
+
+    Raises:
+        BadInput: marks that cannot be read.
+    """
+    topic = EPISODE.resolve(namespace)
+    raw = bag.topics.get(topic)
+    if raw is None or raw.channel.msgtype != EPISODE.type or not len(raw.log_ns):
+        return None
+    decoded, order = _decoded(bag, topic, "stamp")
+    marks = decoded.stamp_ns("stamp")[order]
+    first = np.unique(np.searchsorted(samples, marks))
+    first = first[first < len(samples)]
+    # What stands before the first mark is an episode as well.
+    return samples[np.union1d([0], first)] if len(first) else None
