@@ -1,12 +1,15 @@
 """The paper's PI controller, the law that goes through the model, and the references that they follow."""
 
 from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status, VoltageLimits
+from pam_antagonist.control.laws import LAWS, Laws
 from pam_antagonist.control.model_law import ModelController, ModelGains, Reached, Seen
 from pam_antagonist.control.pi import FAST_GAINS, PUBLISHED_GAINS, Gains, PiController
-from pam_antagonist.control.reference import LOST, References, Rules, Trajectory, Wanted
+from pam_antagonist.control.reachable import Range, Reachable
+from pam_antagonist.control.reference import LOST, Nearest, References, Rules, Trajectory, Wanted
 from pam_antagonist.control.stiffness import Box
 
 __all__ = [
+    "LAWS",
     "LOST",
     "PI_MODES",
     "FAST_GAINS",
@@ -15,10 +18,14 @@ __all__ = [
     "Command",
     "Gains",
     "Law",
+    "Laws",
     "Mode",
     "ModelController",
     "ModelGains",
+    "Nearest",
     "PiController",
+    "Range",
+    "Reachable",
     "Reached",
     "References",
     "Rules",

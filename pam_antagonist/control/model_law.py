@@ -2,10 +2,11 @@
 
 For each estimate:
 
-1. **Torque.** To hold an angle ψ_r the muscles have to give, by (8),
-   τ = k_s ψ_r − load − torque from outside + friction's side + I. The torque from outside counts where it is estimated.
-   Friction has to be overcome on the way: its torque T_s + T_p counts on the side on which the joint is to move, and
-   fades to nothing over the last ``approach``. To give a torque τ_r at the present angle, it is τ = τ_r + I.
+1. **Torque.** To hold an angle ψ_r the muscles have to give, by (8), τ = k_s ψ_r − load − torque from outside +
+   friction's side + I. The torque from outside counts as far as it is known: an estimate d with variance σ² counts as
+   d³/(d² + σ²), and one that is not there as nothing. Friction has to be overcome on the way: its torque T_s + T_p
+   counts on the side on which the joint is to move, and fades to nothing over the last ``approach``. To give a torque
+   τ_r at the present angle, it is τ = τ_r + I.
 2. **Pressures** that have this torque and the wanted stiffness, or the nearest one
    (:func:`~pam_antagonist.control.stiffness.set_pressures`).
 3. **Rates.** Ṗ_i = ω (wanted − estimated pressure).
@@ -15,6 +16,12 @@ For each estimate:
 I is the integral of the estimate's error, as a torque. It moves only while both pressures are near what is wanted, and
 stands still where the torque is out of reach and it would go further (anti-windup). The first voltages equal those that
 the valves have; the difference fades away with ``blend_time`` (bumpless start).
+
+**Impedance.** The joint is to yield to the torque from outside d as a spring K and a damper D around ψ_0 would. The
+angle ψ_v with D dψ_v/dt + K (ψ_v − ψ_0) = d is worked out from d as far as it is known, and held with stiffness K as
+above, with I = 0: an integral would push back. The muscles are a spring of stiffness K by themselves, at any
+frequency. What the law adds is the damping, and what friction holds back. Where d is not estimated, that spring is
+all there is. The joint's inertia, which is left out of ψ_v, counts above 10 Hz or so.
 
 The model is the rig's own, effects included, through the same functions as the estimator's. States that effects add
 are taken as steady.
@@ -79,6 +86,12 @@ class Seen(NamedTuple):
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
         external_torque: torque from outside [N m]; NaN where it is not estimated.
+        external_variance: of it [(N m)²].
+        angle_variance: [rad²].
+        velocity_variance: [rad²/s²].
+        torque_variance: [(N m)²].
+        pressure_variance_1: of P_1 [Pa²], or a bound of it.
+        pressure_variance_2: of P_2 likewise.
     """
 
     angle: float
@@ -87,6 +100,12 @@ class Seen(NamedTuple):
     pressure_1: float
     pressure_2: float
     external_torque: float = math.nan
+    external_variance: float = 0.0
+    angle_variance: float = 0.0
+    velocity_variance: float = 0.0
+    torque_variance: float = 0.0
+    pressure_variance_1: float = 0.0
+    pressure_variance_2: float = 0.0
 
 
 class Reached(NamedTuple):
@@ -105,6 +124,20 @@ class Reached(NamedTuple):
     softest: float
     stiffest: float
     missing: float
+
+
+@inlined
+def known_torque(external, variance):
+    """What of a torque from outside counts [N m]: d³/(d² + σ²).
+
+    Args:
+        external: d [N m]; NaN where it is not estimated.
+        variance: σ² [(N m)²].
+    """
+    if not (math.isfinite(external) and math.isfinite(variance)) or external == 0.0:
+        return 0.0
+    square = external * external
+    return external * square / (square + variance)
 
 
 @in_place
@@ -133,8 +166,7 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
         side = min(max((value - seen.angle) / approach, -1.0), 1.0)
         # What the muscles give is no part of what they have to give: the difference is k_s ψ and the load.
         torque = _torque(x, p) - _pull(x, p) + _sliding_friction(x, side, p) + integral
-        if not math.isnan(seen.external_torque):
-            torque -= seen.external_torque
+        torque -= known_torque(seen.external_torque, seen.external_variance)
     return set_pressures(torque, stiffness, box, x, p)
 
 
@@ -196,6 +228,9 @@ class ModelController(Law):
         reached: what was asked for last; None: nothing yet.
     """
 
+    BLEND_TIME = 0.1
+    """[s] Shorter than the PI's: an offset of the voltage is an error of the pressure's rate, and is corrected."""
+
     def __init__(
         self,
         p: np.ndarray,
@@ -206,13 +241,13 @@ class ModelController(Law):
         limits: VoltageLimits | None = None,
         safe_voltage: tuple[float, float] = (5.5, 5.5),
         resume_time: float = 0.5,
-        blend_time: float = 0.1,
+        blend_time: float = BLEND_TIME,
     ) -> None:
         super().__init__(sample_period, limits, safe_voltage, resume_time, blend_time)
         self._p, self._box = p, box
         self._x = np.zeros(int(p[STATES]))
         self._held = np.array(self._safe)
-        self._integral = 0.0
+        self._integral = self._yielded = 0.0
         self.reached: Reached | None = None
         self.retune(gains or ModelGains())
         # Nothing is compiled in the loop.
@@ -229,7 +264,16 @@ class ModelController(Law):
         self._gains = astuple(gains)
         self._mode = None
 
-    def step(self, mode: Mode | None, value: float, stiffness: float, seen: Seen, *, late: bool = False) -> Command:
+    def step(
+        self,
+        mode: Mode | None,
+        value: float,
+        stiffness: float,
+        seen: Seen,
+        *,
+        damping: float = 0.0,
+        late: bool = False,
+    ) -> Command:
         """The command for one estimate.
 
         Args:
@@ -237,6 +281,7 @@ class ModelController(Law):
             value: angle [rad] or torque [N m] wanted.
             stiffness: −∂τ/∂ψ wanted [N m/rad]; NaN: free, the middle of what the torque leaves.
             seen: what is estimated.
+            damping: of ``Mode.IMPEDANCE`` [N m s/rad].
             late: whether the estimate is too old to act on.
 
         Returns:
@@ -253,10 +298,15 @@ class ModelController(Law):
         self._interrupted = 0
         if self._mode is None or self._mode.quantity is not mode.quantity:
             self._integral = 0.0
+        bandwidth, rate, approach = self._gains
+        if mode is Mode.IMPEDANCE:
+            value = self._yielding(value, stiffness, damping, seen)
+            self._integral = rate = 0.0
+            approach = approach if math.isfinite(seen.external_torque) else math.inf
         self._held[:] = self._valves
         u_1, u_2, first, second, softest, stiffest, missing, integral = _step(
-            mode.quantity is Mode.TORQUE, value, stiffness, seen, self._integral, self._gains, self._period, self._box,
-            self._held, self._x, self._p,
+            mode.quantity is Mode.TORQUE, value, stiffness, seen, self._integral, (bandwidth, rate, approach),
+            self._period, self._box, self._held, self._x, self._p,
         )  # fmt: skip
         if not (math.isfinite(u_1) and math.isfinite(u_2)):
             return self.safe(Status.NOT_FINITE)
@@ -271,3 +321,11 @@ class ModelController(Law):
         self._integral = integral
         self._valves = command.voltage
         return command
+
+    def _yielding(self, value: float, stiffness: float, damping: float, seen: Seen) -> float:
+        """ψ_v [rad], one sample on: an implicit step, which no ratio of damping to stiffness makes unstable."""
+        before = self._yielded if self._mode is Mode.IMPEDANCE else seen.angle
+        viscous = damping / self._period
+        external = float(known_torque(seen.external_torque, seen.external_variance))
+        self._yielded = (viscous * before + stiffness * value + external) / (viscous + stiffness)
+        return self._yielded

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -146,11 +146,17 @@ def _line(time: float, begin: float, end: float, a: float, b: float) -> tuple[fl
     return a + slope * (time - begin), slope
 
 
+Nearest = Callable[[Mode, float, float, float], tuple[float, float, str]]
+"""From mode, value, stiffness and the estimated angle to the value and stiffness that can be followed, and words about
+the difference. It raises ``BadInput`` where the mode cannot be followed."""
+
+
 class References:
     """Keeps the last reference, and says at each sample what it asks for.
 
     Args:
         rules: that it keeps to.
+        nearest: what of a reference can be followed; None: all of it.
 
     Attributes:
         mode: of the last reference; None: none has come.
@@ -160,10 +166,12 @@ class References:
         limited_count: references that were limited.
         lost_count: how often a reference was lost.
         value: what was asked for at the last sample [rad] or [N m]; NaN where nothing was.
+        stiffness: asked for [N m/rad]; NaN: it is free.
     """
 
-    def __init__(self, rules: Rules) -> None:
-        self._rules = rules
+    def __init__(self, rules: Rules, nearest: Nearest | None = None) -> None:
+        self._rules, self._nearest = rules, nearest
+        self._angle = 0.0
         self.limited_count = self.lost_count = 0
         self.forget()
 
@@ -175,7 +183,7 @@ class References:
         self.value = math.nan
         self._target = math.nan
         self._velocity = 0.0
-        self._stiffness = self._damping = math.nan
+        self.stiffness = self._damping = math.nan
         self._trajectory: Trajectory | None = None
         self._heard_ns = 0
         self._stamp_ns: int | None = None
@@ -217,15 +225,23 @@ class References:
         if mode is Mode.IMPEDANCE and not (math.isnan(damping) or 0.0 <= damping < math.inf):
             self.refuse(f"reference has damping {damping:g} N m s/rad, expected 0 or more, or NaN for none", mode)
             return
+        target, words = self._within(mode, value), self._limit_words(mode, value)
+        if self._nearest is not None:
+            try:
+                target, stiffness, out_of_reach = self._nearest(mode, target, stiffness, self._angle)
+            except BadInput as error:
+                self.refuse(str(error), mode)
+                return
+            words = words or out_of_reach
         self._take(mode, now_ns)
         if mode.has_stiffness:
-            self._stiffness = stiffness
+            self.stiffness = stiffness
         if mode is Mode.IMPEDANCE:
             self._damping = 0.0 if math.isnan(damping) else damping
-        self.limited = self._limit_words(mode, value)
-        self.limited_count += bool(self.limited)
-        self._target = self._within(mode, value)
-        self._velocity = velocity if math.isfinite(velocity) and not self.limited else 0.0
+        self.limited = words
+        self.limited_count += bool(words)
+        self._target = target
+        self._velocity = velocity if math.isfinite(velocity) and not words else 0.0
 
     def follow(self, trajectory: Trajectory, now_ns: int) -> None:
         """Take a trajectory.
@@ -259,7 +275,7 @@ class References:
         self.complaint = self.limited = ""
         self.lost = False
         self._trajectory = None
-        self._stiffness = self._damping = math.nan
+        self.stiffness = self._damping = math.nan
 
     def _within(self, mode: Mode, value: float) -> float:
         largest = self._rules.largest[mode.quantity]
@@ -281,6 +297,7 @@ class References:
             angle: estimated [rad].
             torque: estimated [N m].
         """
+        self._angle = angle if math.isfinite(angle) else self._angle
         if self.mode is None:
             return Wanted(None, math.nan)
         if self.complaint:
@@ -300,7 +317,7 @@ class References:
             self.lost_count += 1
             if self._rules.lost == "hold":
                 self.mode, begins, last = Mode.ANGLE, True, angle
-                self._stiffness = self._damping = math.nan
+                self.stiffness = self._damping = math.nan
                 self._target = target = self._within(Mode.ANGLE, angle)
                 self._velocity, self._trajectory = 0.0, None
         if self.lost and self._rules.lost == "safe":
@@ -311,7 +328,7 @@ class References:
         self.value = self._slewed(self.mode, last, target, stamp_ns)
         self._tracked, self._stamp_ns = self.mode.quantity, stamp_ns
         velocity = velocity if self.value == target else 0.0
-        return Wanted(self.mode, self.value, velocity, stiffness=self._stiffness, damping=self._damping)
+        return Wanted(self.mode, self.value, velocity, stiffness=self.stiffness, damping=self._damping)
 
     def _on_the_way(self, trajectory: Trajectory, stamp_ns: int, now_ns: int, last: float) -> tuple[float, float]:
         if not trajectory.over(stamp_ns):

@@ -15,9 +15,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import PRESSURE_1, PRESSURE_2
+from pam_antagonist.model.parameters import ATMOSPHERE, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _forces, _torque, _torque_slope = dynamics.forces, dynamics.torque, dynamics.torque_slope
@@ -28,6 +32,14 @@ _TORQUE_TOLERANCE, _FORCE_TOLERANCE, _STIFFNESS_TOLERANCE = 1e-6, 1e-4, 1e-5
 """[N m], [N], [N m/rad] What counts as equal: far below what any sensor shows."""
 _PRESSURE_STEP = 1e3
 """[Pa] Step of the difference quotients, of use with force maps only that are not linear in the pressure."""
+
+
+LOWEST_PRESSURE = 200e3
+"""[Pa] The least pressure of the paper's experiments; a muscle empties slowly below it."""
+SUPPLY_MARGIN = 20e3
+"""[Pa] Air still flows in at a fifth of the choked flow there."""
+LEAST_FORCE = 2.0
+"""[N] A muscle that pulls by this is not slack, whatever the force map is off by."""
 
 
 class Box(NamedTuple):
@@ -42,6 +54,29 @@ class Box(NamedTuple):
     lowest: float
     highest: float
     least_force: float
+
+    @classmethod
+    def of(
+        cls, p: np.ndarray, lowest: float = LOWEST_PRESSURE, margin: float = SUPPLY_MARGIN, force: float = LEAST_FORCE
+    ) -> Box:
+        """The box of a rig.
+
+        Args:
+            p: parameter vector (parameters.SIZE,); its supply is the upper bound.
+            lowest: pressure [Pa].
+            margin: of the supply's pressure that is left, so that air still flows [Pa].
+            force: least contraction force of either muscle [N].
+
+        Raises:
+            BadInput: nothing is left between the bounds.
+        """
+        highest = float(p[SUPPLY]) - margin
+        if not p[ATMOSPHERE] <= lowest < highest <= p[SUPPLY]:
+            raise BadInput(
+                f"pressures from {lowest:g} Pa to {margin:g} Pa below the supply's {p[SUPPLY]:g} Pa: expected the "
+                f"first above the atmosphere's {p[ATMOSPHERE]:g} Pa and below the second"
+            )
+        return cls(float(lowest), highest, float(force))
 
 
 @inlined

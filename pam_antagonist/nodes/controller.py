@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.control import LOST, PUBLISHED_GAINS, Mode
+from pam_antagonist.control import LAWS, LOST, PUBLISHED_GAINS, Mode, ModelGains
+from pam_antagonist.control.stiffness import LEAST_FORCE, LOWEST_PRESSURE, SUPPLY_MARGIN
 from pam_antagonist.nodes.parameters import JOINT_NAME, RIG, SAFETY, Parameter
 from pam_antagonist.nodes.spin import run_node
 
@@ -12,7 +13,8 @@ if TYPE_CHECKING:
     from pam_antagonist.nodes.controller_node import ControllerNode
 
 DESCRIPTION = """
-PI control of the joint's angle or torque on the estimate: one command for each estimate, with the estimate's stamp.
+Control of the joint's angle or torque on the estimate: one command for each estimate, with the estimate's stamp.
+Parameter law chooses the paper's PI, or the law through the model, which holds a stiffness as well.
 The valves get safe voltages as long as no reference has come, when it has timed out, while it is not finite or of an
 unknown mode, while estimates are late or not finite, when they stop coming, and once more at the end. It
 stops, until it is cleared, when the estimated angle is too large, when measured and expected pressures disagree, and
@@ -27,6 +29,7 @@ publishes:   valve_command (pam_antagonist_msgs/ValveCommand), rig; reference, w
 services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 
+_MODEL = ModelGains()
 _ANGLE, _TORQUE = PUBLISHED_GAINS[Mode.ANGLE], PUBLISHED_GAINS[Mode.TORQUE]
 
 PARAMETERS = (
@@ -46,6 +49,41 @@ PARAMETERS = (
     ),
     Parameter("torque_proportional", _TORQUE.proportional, "T_P for the torque [V/(N m)]", 0.0, 1e3, read_only=False),
     Parameter("torque_integral", _TORQUE.integral, "T_I for the torque [V/(N m s)]", 0.0, 1e9, read_only=False),
+    Parameter(
+        "law",
+        "pi",
+        "law of control: pi, the paper's, or model, which goes through the model's equations and has the modes "
+        "ANGLE_STIFFNESS, TORQUE_STIFFNESS and IMPEDANCE as well",
+        choices=LAWS,
+        read_only=False,
+    ),
+    Parameter(
+        "pressure_bandwidth",
+        _MODEL.bandwidth,
+        "law model: rate at which a pressure's error is corrected [1/s]",
+        0.1,
+        200.0,
+        read_only=False,
+    ),
+    Parameter(
+        "model_integral",
+        _MODEL.integral,
+        "law model: rate at which the torque follows an error of the angle times stiffness, or of the torque [1/s]",
+        0.0,
+        100.0,
+        read_only=False,
+    ),
+    Parameter(
+        "approach",
+        _MODEL.approach,
+        "law model: last part of the way over which the torque against friction fades [rad]",
+        1e-4,
+        1.0,
+        read_only=False,
+    ),
+    Parameter("lowest_pressure", LOWEST_PRESSURE, "law model: least pressure of a muscle, absolute [Pa]", 0.0, 1e7),
+    Parameter("supply_margin", SUPPLY_MARGIN, "law model: what is left of the supply's pressure [Pa]", 0.0, 1e7),
+    Parameter("least_force", LEAST_FORCE, "law model: least contraction force of a muscle [N]", 0.0, 1e4),
     Parameter("max_angle", 0.436333, "magnitude to which a reference of the angle is limited [rad]", 0.0, 1.6),
     Parameter("max_torque", 3.0, "magnitude to which a reference of the torque is limited [N m]", 0.0, 1e3),
     Parameter("max_angle_rate", 0.0, "fastest change of the angle's reference [rad/s]; 0: any", 0.0, 1e3),

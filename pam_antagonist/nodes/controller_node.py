@@ -1,4 +1,4 @@
-"""The PI controller behind its topics."""
+"""The controller behind its topics."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 
-from pam_antagonist.control import PI_MODES, Command, Gains, Mode, PiController, Status, VoltageLimits
+from pam_antagonist.control import Command, Seen, Status, VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.controller import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
+from pam_antagonist.nodes.laws import described, make_laws, retune
 from pam_antagonist.nodes.node import PamNode, take
 from pam_antagonist.nodes.references import ReferenceInput
 from pam_antagonist.nodes.rigs import RigWatch, announce
@@ -26,12 +27,6 @@ from pam_antagonist_msgs.msg import JointEstimate, ValveCommand
 
 _GAIN_NAMES = tuple(parameter.name for parameter in PARAMETERS if not parameter.read_only)
 _CHECKS = 4  # looks at the time-out, and at the valves, within it
-
-
-def _gains(values: Mapping[str, Any], mode: Mode) -> Gains:
-    name = mode.name.lower()
-    velocity = values["angle_velocity"] if mode is Mode.ANGLE else 0.0
-    return Gains(values[f"{name}_proportional"], values[f"{name}_integral"], values["bias"], velocity)
 
 
 class ControllerNode(PamNode):
@@ -62,14 +57,7 @@ class ControllerNode(PamNode):
         self._action = safe_action(
             values["safe_action"], self._limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
         )
-        self._pi = PiController(
-            {mode: _gains(values, mode) for mode in PI_MODES},
-            sample_period=rig.sample_period,
-            limits=self._limits,
-            safe_voltage=self._action.hold,
-            resume_time=values["resume_time"],
-            blend_time=values["blend_time"],
-        )
+        self._laws = make_laws(values, rig, self._limits, self._action.hold)
         self._supervision = EstimateSupervision(
             values["stop_angle"],
             values["stop_angle_time"],
@@ -78,7 +66,7 @@ class ControllerNode(PamNode):
             values["blind_time"],
             rig.sample_period,
         )
-        self.input = ReferenceInput(self)
+        self.input = ReferenceInput(self, self._laws.nearest)
         self._references = self.input.references
         self._max_age = round(values["max_age"] * 1e9)
         self._resume = round(values["resume_time"] * 1e9)
@@ -110,7 +98,7 @@ class ControllerNode(PamNode):
     def activate(self) -> None:
         """Listen, and watch over those who are listened to; a reference from before does not count any more."""
         self._heard_ns = None
-        self._pi.stop()
+        self._laws.stop()
         self._supervision.reset()
         if not self._linked:
             name = TOPICS["joint_estimate"].relative
@@ -122,7 +110,7 @@ class ControllerNode(PamNode):
     def deactivate(self) -> None:
         """Leave the valves at the safe voltages, and be silent."""
         if self._enabled:
-            self._send(self._pi.safe(Status.DISABLED), self._stamp + 1)
+            self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
 
     def close(self) -> None:
         """The same at the end."""
@@ -145,7 +133,7 @@ class ControllerNode(PamNode):
             self._enabled = True
             response.message = f"enabled, from {self._voltage[0]:.3f} and {self._voltage[1]:.3f} V"
         elif not wanted and self._enabled:
-            self._send(self._pi.safe(Status.DISABLED), self._stamp + 1)
+            self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
             self._enabled = False
             response.message = "disabled: safe voltages once, then silent"
         return response
@@ -188,48 +176,50 @@ class ControllerNode(PamNode):
         """Start anew from what is on the valves, or, where nobody tells, from what was commanded last."""
         self._look()
         self._voltage = self._following.on_valves(time.monotonic_ns()) or self._voltage
-        self._pi.stop(self._voltage)
+        self._laws.stop(self._voltage)
 
     # ---------------------------------------------------------------- samples
 
     def _on_estimate(self, data: bytes) -> None:
         self.estimate(*self._estimate(data))
 
-    def estimate(self, stamp: int, angle: float, torque: float, nis: float, flags: int) -> None:
+    def estimate(self, stamp: int, *values: float) -> None:
         """Answer an estimate with a command.
 
         Args:
             stamp: of the sample [ns].
-            angle: [rad].
-            torque: [N m].
-            nis: normalised innovation squared [-]; NaN where nothing was measured.
-            flags: of ``JointEstimate``.
+            values: those of ``wire.ESTIMATE_FOR_CONTROL``.
         """
         if not self.active:
             return
         now = self.now_ns()
         if stamp < self._estimate_ns - RESTART_AFTER_NS:  # the clock was set back, and the filter has started again
             self._jumps += 1
-            self._pi.stop(self._voltage)
+            self._laws.stop(self._voltage)
         self._estimate_ns = stamp
         self._heard_ns = now
         self._silent = False
         self._latency.add(now - stamp)
         if not self._enabled:
             return
-        reason = self._supervision.check(stamp, angle, nis, flags)
+        angle, velocity, torque, of_angle, of_velocity, of_torque, *rest = values
+        first, second, of_first, of_second, nis, flags, external, of_external = rest
+        reason = self._supervision.check(stamp, angle, nis, int(flags))
         if reason:
             self.stop(reason)
         if self.stopped:
-            self._send(self._pi.safe(Status.STOPPED), stamp)
+            self._send(self._laws.safe(Status.STOPPED), stamp)
             return
-        late = now - stamp > self._max_age or bool(flags & JointEstimate.LATE) or self._supervision.settling
+        late = now - stamp > self._max_age or bool(int(flags) & JointEstimate.LATE) or self._supervision.settling
         wanted = self._references.at(stamp, time.monotonic_ns(), angle, torque)
         if wanted.lost:
-            self._send(self._pi.safe(Status.LOST), stamp)
+            self._send(self._laws.safe(Status.LOST), stamp)
             return
-        value = torque if wanted.mode is Mode.TORQUE else angle
-        self._send(self._pi.step(wanted.mode, wanted.value, value, velocity=wanted.velocity, late=late), stamp)
+        seen = Seen(
+            angle, velocity, torque, first, second, external, of_external, of_angle, of_velocity, of_torque, of_first,
+            of_second,
+        )  # fmt: skip
+        self._send(self._laws.step(wanted, seen, late=late), stamp)
         self.input.repeat(stamp)
 
     def _watch(self) -> None:
@@ -247,9 +237,9 @@ class ControllerNode(PamNode):
             self._heard_ns = now
         elif silent > self._max_age:
             if silent > self._resume:
-                self._pi.stop()
+                self._laws.stop()
             self._silent = True
-            self._send(self._pi.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
+            self._send(self._laws.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
         elif self._following.astray(self._voltage, time.monotonic_ns()):
             # Stopped, or somebody else's: once it obeys again, it must not jump to what has been adding up here.
             self._from_the_valves()
@@ -264,8 +254,8 @@ class ControllerNode(PamNode):
             if self._safe_since_ns is None:
                 self._safe_since_ns = now
             voltage = self._action.voltage(now - self._safe_since_ns)
-            if voltage != command.voltage and not self._pi.running:
-                self._pi.stop(voltage)
+            if voltage != command.voltage and not self._laws.running:
+                self._laws.stop(voltage)
         self._output.send(stamp_ns, *voltage)
         if self.deliver is not None:
             self.deliver(stamp_ns, voltage)
@@ -283,10 +273,7 @@ class ControllerNode(PamNode):
                 if parameter.name in _GAIN_NAMES:
                     entry = next(item for item in PARAMETERS if item.name == parameter.name)
                     values[parameter.name] = entry.check(parameter.value)
-            gains = {mode: _gains(values, mode) for mode in PI_MODES}
-            for mode in PI_MODES:
-                if gains[mode] != _gains(self.values, mode):
-                    self._pi.retune(mode, gains[mode])
+            retune(self._laws, self.values, values, self._references.mode)
         except BadInput as error:
             return SetParametersResult(successful=False, reason=str(error))
         self.values = values
@@ -326,7 +313,7 @@ class ControllerNode(PamNode):
                 {
                     "rate [Hz]": f"{rate:.1f}",
                     "commands": self._commands,
-                    "integral term [V]": f"{self._pi.integral:.4f}",
+                    **described(self._laws),
                     "cause of a stop is there": self._supervision.present or self._rigs.present or "no",
                     "jumps backwards": self._jumps,
                     "times not obeyed": self._following.astray_count,

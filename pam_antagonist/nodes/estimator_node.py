@@ -38,11 +38,11 @@ class EstimatorNode(PamNode):
         options: as :class:`PamNode`.
 
     Attributes:
-        deliver: is called with each estimate: stamp [ns], angle [rad], torque [N m], normalised innovation squared,
-            flags. None: nobody is.
+        deliver: is called with each estimate: stamp [ns], and the values of ``wire.ESTIMATE_FOR_CONTROL``. None: nobody
+            is.
     """
 
-    deliver: Callable[[int, float, float, float, int], None] | None = None
+    deliver: Callable[..., None] | None = None
 
     def __init__(self, *, linked: bool = False, **options: Any) -> None:
         self._linked = linked
@@ -190,7 +190,7 @@ class EstimatorNode(PamNode):
             if not math.isnan(row["nis"]):
                 self._nis.add(row["nis"])
             if self.deliver is not None:
-                self.deliver(sample.stamp_ns, float(row["angle"]), float(row["torque"]), float(row["nis"]), flags)
+                self.deliver(sample.stamp_ns, *wire.for_control(data, flags))
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the estimate: rate, losses and pairing since the last report."""

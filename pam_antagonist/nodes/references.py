@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from pam_antagonist.control import Mode, References, Rules, Trajectory
+from pam_antagonist.control import Mode, Nearest, References, Rules, Trajectory
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import Health, Level
@@ -39,12 +39,13 @@ class ReferenceInput:
 
     Args:
         node: the controller.
+        nearest: what of a reference the law in force can follow.
 
     Attributes:
         references: what they ask for.
     """
 
-    def __init__(self, node: PamNode) -> None:
+    def __init__(self, node: PamNode, nearest: Nearest | None = None) -> None:
         values = node.values
         self._node = node
         self.references = References(
@@ -53,7 +54,8 @@ class ReferenceInput:
                 {Mode.ANGLE: values["max_angle_rate"], Mode.TORQUE: values["max_torque_rate"]},
                 {Mode.ANGLE: values["angle_reference_timeout"], Mode.TORQUE: values["torque_reference_timeout"]},
                 values["reference_lost"],
-            )
+            ),
+            nearest,
         )
         self._source: str = values["reference_source"]
         self._joint: str = values["joint_name"]
@@ -107,13 +109,15 @@ class ReferenceInput:
     # ---------------------------------------------------------------- kinds of messages
 
     def reference(self, message: JointReference) -> None:
-        """Hold an angle or a torque."""
+        """Hold an angle or a torque, with a stiffness where the mode has one."""
         try:
             mode = Mode(message.mode)
         except ValueError:
             self.references.refuse(f"reference has mode {message.mode}, expected {list(map(int, Mode))}")
         else:
-            self.references.set(mode, message.value, time.monotonic_ns())
+            self.references.set(
+                mode, message.value, time.monotonic_ns(), stiffness=message.stiffness, damping=message.damping
+            )
 
     def joint_command(self, message: JointState) -> None:
         """Hold the position or, where none is given, the effort of this joint; NaN is not asked."""
@@ -177,7 +181,9 @@ class ReferenceInput:
         if 0 <= stamp_ns - self._repeated_ns < _REPEAT_NS:
             return
         self._repeated_ns = stamp_ns
-        message = JointReference(mode=int(references.mode), value=references.value)
+        message = JointReference(
+            mode=int(references.mode), value=references.value, stiffness=math.nan, damping=math.nan
+        )
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         self._echo.publish(message)
 
@@ -211,6 +217,7 @@ class ReferenceInput:
             "source": f"{self._node.resolve_topic_name(self._topic)} ({self._kind.__name__})",
             MODE: references.mode.name.lower() if references.mode is not None else "none",
             ASKED: references.value,
+            "stiffness asked for [N m/rad]": references.stiffness,
             "age [s]": f"{age:.3f}",
             "limited": references.limited_count,
             "timed out": references.lost_count,

@@ -39,8 +39,10 @@ ESTIMATE: Body = (("iI", 4), (f"{8 * ESTIMATE_VALUES}s", 8), ("BB", 1), (f"{8 * 
 """``pam_antagonist_msgs/JointEstimate``: started (s, ns), its numbers as they lie in memory, subsystem, flags, and the
 torque from outside as it lies in memory."""
 
-ESTIMATE_FOR_CONTROL: Body = (("8x", 4), ("d8xd", 8), (f"{8 * (ESTIMATE_VALUES - 4)}xdxB", 1))
-"""The same; angle, torque, normalised innovation squared and flags of it."""
+_FOR_CONTROL, _EXTERNAL = "4d24xd24x3d40xd16x2d", "d24xd"
+ESTIMATE_FOR_CONTROL: Body = (("8x", 4), (_FOR_CONTROL, 8), ("xB", 1), (_EXTERNAL, 8))
+"""The same; what a controller goes by: angle, velocity, torque and their variances, pressures, variances of their
+innovations, normalised innovation squared, flags, torque from outside and its variance."""
 
 _HEADER = "4siII"  # encoding, stamp, length of the frame's name
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
@@ -124,6 +126,17 @@ class Incoming:
         frame_bytes = int.from_bytes(data[12:16], "little" if order == "<" else "big")
         unpacked = layout(self._body, frame_bytes, order).unpack_from(data)
         return (unpacked[1] * _SECOND + unpacked[2], *unpacked[5:])
+
+
+def for_control(numbers: bytes, flags: int) -> tuple[float, ...]:
+    """The values of :data:`ESTIMATE_FOR_CONTROL` without a message.
+
+    Args:
+        numbers: an ``ESTIMATE_DTYPE`` as it lies in memory.
+        flags: of the estimate.
+    """
+    first = struct.unpack_from(f"={_FOR_CONTROL}", numbers)
+    return (*first, flags, *struct.unpack_from(f"={_EXTERNAL}", numbers, len(numbers) - 8 * EXTERNAL_VALUES))
 
 
 def set_stamp(stamp: Time, time_ns: int) -> None:

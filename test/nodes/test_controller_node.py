@@ -37,21 +37,30 @@ def node(ros: None) -> Iterator[Any]:
     node.destroy_node()
 
 
-def estimate(node: Any, stamp_ns: int, angle: float = 0.0, torque: float = 0.0, flags: int = 0) -> None:
+def estimate(
+    node: Any, stamp_ns: int, angle: float = 0.0, torque: float = 0.0, flags: int = 0, pressure: float = 450e3
+) -> None:
     from rclpy.serialization import serialize_message
 
     from pam_antagonist_msgs.msg import JointEstimate
 
-    message = JointEstimate(angle=angle, torque=torque, flags=flags)
+    message = JointEstimate(angle=angle, torque=torque, flags=flags, pressure=[pressure, pressure])
     message.header.frame_id = "somewhere_else"
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
     node._on_estimate(serialize_message(message))
 
 
-def refer(node: Any, mode: int, value: float) -> None:
+def refer(node: Any, mode: int, value: float, stiffness: float = math.nan, damping: float = math.nan) -> None:
     from pam_antagonist_msgs.msg import JointReference
 
-    node.input.reference(JointReference(mode=mode, value=value))
+    node.input.reference(JointReference(mode=mode, value=value, stiffness=stiffness, damping=damping))
+
+
+def choose(node: Any, **values: Any) -> tuple[bool, str]:
+    from rclpy.parameter import Parameter
+
+    result = node.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
+    return result.successful, result.reason
 
 
 def test_one_command_for_each_estimate_with_its_stamp(node: Any) -> None:
@@ -252,3 +261,79 @@ def test_what_is_no_rig_is_passed_over(node: Any) -> None:
     tell_rig(node, "controller", "sealed_joint")  # its own name: an earlier life's
     assert node._rigs.present == "" and not node.stopped
     assert node.health(1)["rig"].message == "no other node has told its rig yet"
+
+
+def test_a_stiffness_takes_the_law_through_the_model_and_says_so(node: Any) -> None:
+    begin = node.now_ns() + 10**9
+    refer(node, 2, 0.1, 6.0)
+    estimate(node, begin)
+    assert node.published[-1][1] == SAFE
+    assert "law: pi does not have: set law to model" in node.health(1)["reference"].message
+    assert choose(node, law="model") == (True, "")
+    refer(node, 2, 0.1, 6.0)
+    for k in range(1, 400):
+        estimate(node, begin + k * MS)
+    assert node.published[1][1] == SAFE  # bumpless
+    assert node.published[-1][1][0] > 6.0 and node.published[-1][1][1] < 5.0
+    health = node.health(2)
+    assert health["commands"].level == 0 and health["commands"].values["law"] == "model"
+    assert health["reference"].values["mode"] == "angle_stiffness"
+    good, why = choose(node, law="pi")
+    assert not good and "law: pi has no mode ANGLE_STIFFNESS" in why
+    assert choose(node, law="none")[0] is False
+
+
+def test_a_change_of_the_law_makes_no_jump(node: Any) -> None:
+    begin = node.now_ns() + 10**9
+    refer(node, 0, 0.1)
+    for k in range(300):
+        estimate(node, begin + k * MS)
+    for number, law in enumerate(("model", "pi", "model")):
+        before = node.published[-1][1]
+        assert choose(node, law=law)[0]
+        for k in range(300):
+            estimate(node, begin + (300 * (number + 1) + k) * MS)
+            if k == 0:
+                assert node.published[-1][1] == pytest.approx(before, abs=1e-9)
+        assert node.published[-1][1] != pytest.approx(before, abs=0.05)
+
+
+@pytest.mark.parametrize(("mode", "stiffness"), [(2, math.nan), (2, -6.0), (3, 0.0), (4, math.inf), (9, 6.0)])
+def test_a_stiffness_that_cannot_be_used_gives_safe_voltages_until_a_better_one_comes(
+    node: Any, mode: int, stiffness: float
+) -> None:
+    begin = node.now_ns() + 10**9
+    choose(node, law="model")
+    refer(node, 2, 0.1, 6.0)
+    for k in range(50):
+        estimate(node, begin + k * MS)
+    assert node.published[-1][1] != SAFE
+    refer(node, mode, 0.1, stiffness)
+    estimate(node, begin + 50 * MS)
+    assert node.published[-1][1] == SAFE and node.health(1)["commands"].level == 2
+    refer(node, 2, 0.1, 6.0)
+    estimate(node, begin + 51 * MS)
+    estimate(node, begin + 52 * MS)
+    assert node.published[-1][1] != SAFE and node.health(2)["commands"].level < 2
+
+
+def test_a_reference_out_of_reach_becomes_the_nearest_one_and_that_is_said(node: Any) -> None:
+    choose(node, law="model")
+    refer(node, 2, 0.1, 60.0)
+    estimate(node, node.now_ns())
+    health = node.health(1)["reference"]
+    assert health.level == 1 and "with 60 N m/rad is out of reach" in health.message
+    assert 5.0 < float(health.values["stiffness asked for [N m/rad]"]) < 15.0
+
+
+@pytest.mark.parametrize("wrong", [{"pressure": math.nan}, {"angle": math.nan}, {"flags": 64}, {"age": 21 * MS}])
+def test_the_law_through_the_model_gives_safe_voltages_where_an_estimate_cannot_be_used(node: Any, wrong: dict) -> None:
+    choose(node, law="model")
+    refer(node, 3, 0.5, 6.0)
+    begin = node.now_ns()
+    for k in range(3):
+        estimate(node, begin + k * MS)
+    assert node.published[-1][1] != SAFE
+    age = wrong.pop("age", 0)
+    estimate(node, node.now_ns() - age, **wrong)
+    assert node.published[-1][1] == SAFE

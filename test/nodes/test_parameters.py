@@ -52,7 +52,7 @@ def test_gains_may_change_within_their_range_and_nothing_else_may(ros: None) -> 
             return bool(result.successful)
 
         assert set_to("angle_proportional", 3.0)
-        assert node._pi._gains[Mode.ANGLE].proportional == 3.0
+        assert node._laws.pi._gains[Mode.ANGLE].proportional == 3.0
         assert not set_to("angle_proportional", -1.0)
         assert not set_to("angle_proportional", math.nan)
         assert not set_to("angle_proportional", "fast")
@@ -60,7 +60,7 @@ def test_gains_may_change_within_their_range_and_nothing_else_may(ros: None) -> 
         assert not set_to("bias", 10.0)  # within its range, but not between the rig's limits
         assert not set_to("rig", "shin2022_as_printed")
         assert not set_to("max_age", 0.1)
-        assert node._pi._gains[Mode.ANGLE].proportional == 3.0
+        assert node._laws.pi._gains[Mode.ANGLE].proportional == 3.0
     finally:
         node.destroy_node()
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from pam_antagonist.control import Mode
+
 pytestmark = pytest.mark.ros
 
 MS = 1_000_000
@@ -146,7 +148,7 @@ def test_what_does_not_ask_this_joint_changes_nothing_and_refreshes_nothing(
     node = make(reference_source=source)
     node.input._accept(message())
     assert node._references.mode is None and estimate(node, angle=0.1) == SAFE
-    node._references.set(0, 0.2, 5)
+    node._references.set(Mode.ANGLE, 0.2, 5)
     node.input._accept(message())
     assert node._references._heard_ns == 5 and not node._references.complaint
 
@@ -211,7 +213,7 @@ def test_a_torque_that_nobody_repeats_ends_in_safe_voltages(make: Any, planner: 
 
 def test_or_in_the_angle_that_was_estimated_then(make: Any) -> None:
     node = make(torque_reference_timeout=0.1, reference_lost="hold")
-    node._references.set(1, 1.0, time.monotonic_ns() - 200 * MS)
+    node._references.set(Mode.TORQUE, 1.0, time.monotonic_ns() - 200 * MS)
     estimate(node, angle=0.2)
     assert node._references.value == 0.2
     assert estimate(node, angle=0.1)[0] > 5.6  # back to the angle

@@ -104,11 +104,15 @@ def test_unpacked_is_what_was_serialised(ros: None, frame: str) -> None:
     valves = serialize_message(header(ValveCommand(voltage=[1.25, 9.5]), frame))
     assert wire.Incoming(wire.VALVES)(valves) == (STAMP, 1.25, 9.5)
     message, row = estimate(frame)
-    taken = wire.Incoming(wire.ESTIMATE_FOR_CONTROL)(serialize_message(message))
-    assert taken[:3] == (STAMP, row["angle"], row["torque"]) and taken[4:] == (9,)
-    assert math.isnan(row["nis"]) and math.isnan(taken[3])
-    message.nis = 2.5
-    assert wire.Incoming(wire.ESTIMATE_FOR_CONTROL)(serialize_message(message))[3] == 2.5
+    stamp, *taken = wire.Incoming(wire.ESTIMATE_FOR_CONTROL)(serialize_message(message))
+    expected = [
+        *(row[name] for name in ("angle", "velocity", "torque")), *np.diag(row["covariance"]), *row["pressure"],
+        *np.diag(row["innovation_covariance"]), row["nis"], 9, row["external_torque"],
+        row["external_torque_covariance"][3],
+    ]  # fmt: skip
+    assert stamp == STAMP
+    np.testing.assert_array_equal(taken, expected)
+    np.testing.assert_array_equal(wire.for_control(row.tobytes(), 9), expected)
 
 
 def test_the_other_byte_order_is_understood() -> None:

@@ -1,0 +1,104 @@
+"""The controller's laws from its parameters, and what ``/diagnostics`` says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pam_antagonist.control import (
+    PI_MODES,
+    Box,
+    Gains,
+    Laws,
+    Mode,
+    ModelController,
+    ModelGains,
+    PiController,
+    Reachable,
+    VoltageLimits,
+)
+from pam_antagonist.errors import BadInput
+from pam_antagonist.rig import Rig
+
+
+def pi_gains(values: Mapping[str, Any], mode: Mode) -> Gains:
+    """Gains of the PI.
+
+    Args:
+        values: parameters by name.
+        mode: that they are for.
+    """
+    name = mode.name.lower()
+    velocity = values["angle_velocity"] if mode is Mode.ANGLE else 0.0
+    return Gains(values[f"{name}_proportional"], values[f"{name}_integral"], values["bias"], velocity)
+
+
+def model_gains(values: Mapping[str, Any]) -> ModelGains:
+    """Gains of the law through the model, from parameters by name."""
+    return ModelGains(values["pressure_bandwidth"], values["model_integral"], values["approach"])
+
+
+def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_voltage: tuple[float, float]) -> Laws:
+    """Both laws of a rig.
+
+    Args:
+        values: parameters by name.
+        rig: that is controlled.
+        limits: of both valves.
+        safe_voltage: (2,) [V].
+
+    Raises:
+        BadInput: the law in force cannot be had.
+    """
+    period, resume, blend = rig.sample_period, values["resume_time"], values["blend_time"]
+    pi = PiController(
+        {mode: pi_gains(values, mode) for mode in PI_MODES}, sample_period=period, limits=limits,
+        safe_voltage=safe_voltage, resume_time=resume, blend_time=blend,
+    )  # fmt: skip
+    p = rig.parameters()
+    try:
+        box = Box.of(p, values["lowest_pressure"], values["supply_margin"], values["least_force"])
+    except BadInput:
+        if values["law"] == "model":
+            raise
+        return Laws(pi, None, None)  # a rig whose supply leaves no such pressures has the PI as before
+    model = ModelController(
+        p, box, model_gains(values), sample_period=period, limits=limits, safe_voltage=safe_voltage,
+        resume_time=resume, blend_time=min(blend, ModelController.BLEND_TIME),
+    )  # fmt: skip
+    return Laws(pi, model, Reachable(p, box), values["law"])
+
+
+def retune(laws: Laws, before: Mapping[str, Any], after: Mapping[str, Any], mode: Mode | None) -> None:
+    """Take parameters that have changed, all or none of them, without a bump.
+
+    Args:
+        laws: to retune.
+        before: parameters by name.
+        after: the new ones.
+        mode: of the reference that is followed now; None: none is.
+
+    Raises:
+        BadInput: one that cannot be taken.
+    """
+    gains = {each: pi_gains(after, each) for each in PI_MODES}
+    of_model = model_gains(after)
+    laws.choose(after["law"], mode)
+    for each in PI_MODES:
+        if gains[each] != pi_gains(before, each):
+            laws.pi.retune(each, gains[each])
+    if laws.model is not None and of_model != model_gains(before):
+        laws.model.retune(of_model)
+
+
+def described(laws: Laws) -> dict[str, object]:
+    """What the law in force does, for ``/diagnostics``."""
+    if laws.name == "pi" or laws.model is None:
+        return {"law": "pi", "integral term [V]": f"{laws.pi.integral:.4f}"}
+    values: dict[str, object] = {"law": "model", "integral term [N m]": f"{laws.model.integral:.4f}"}
+    reached = laws.model.reached
+    if reached is not None:
+        values["pressures asked for [kPa]"] = f"{reached.pressure_1 * 1e-3:.1f}, {reached.pressure_2 * 1e-3:.1f}"
+        values["stiffness within reach [N m/rad]"] = f"{reached.softest:.2f} to {reached.stiffest:.2f}"
+        values["torque out of reach [N m]"] = f"{reached.missing:.3f}"
+    return values

@@ -1,0 +1,80 @@
+"""The set of angle and stiffness that a joint can have, against the model's angle of rest and stiffness."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pam_antagonist.control import Box, Mode
+from pam_antagonist.control.reachable import Reachable
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.rig import load_rig
+
+P = load_rig("shin2022").parameters()
+BOX = Box.of(P)
+
+
+@pytest.fixture(scope="module")
+def reach() -> Reachable:
+    return Reachable(P, BOX)
+
+
+def test_the_ends_are_where_the_joint_rests_at_the_extreme_pressures(reach):
+    low = equilibrium.rest_angle(BOX.lowest, BOX.highest, P)
+    high = equilibrium.rest_angle(BOX.highest, BOX.lowest, P)
+    assert reach.angles == pytest.approx((low, high), abs=1e-4)
+
+
+def test_no_pressures_in_the_box_rest_outside_of_the_set(reach):
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        pressures = rng.uniform(BOX.lowest, BOX.highest, 2)
+        angle = equilibrium.rest_angle(*pressures, P)
+        x = np.array([angle, 0.0, *pressures])
+        if min(dynamics.forces(x, P)) < BOX.least_force:
+            continue
+        found = reach.at_angle(angle)
+        assert reach.angles[0] - 1e-6 <= angle <= reach.angles[1] + 1e-6
+        assert found.softest - 1e-3 <= -dynamics.torque_slope(x, P) <= found.stiffest + 1e-3
+
+
+def test_every_corner_of_the_set_is_reached_by_its_pressures(reach):
+    for angle in np.linspace(*reach.angles, 7):
+        found = reach.at_angle(float(angle))
+        for stiffness in (found.softest, found.stiffest):
+            pressures = reach.pressures(float(angle), stiffness)
+            assert all(BOX.lowest - 1.0 <= pressure <= BOX.highest + 1.0 for pressure in pressures)
+            assert equilibrium.rest_angle(*pressures, P) == pytest.approx(float(angle), abs=1e-5)
+
+
+def test_a_reference_within_the_set_stays_as_it_is(reach):
+    assert reach.nearest(Mode.ANGLE_STIFFNESS, 0.1, 6.0) == (0.1, 6.0, "")
+    value, stiffness, words = reach.nearest(Mode.ANGLE, 0.1, math.nan)
+    assert value == 0.1 and math.isnan(stiffness) and not words
+
+
+@pytest.mark.parametrize(("value", "stiffness"), [(0.5, 6.0), (-0.5, 20.0), (0.0, 1.0), (0.2, 30.0)])
+def test_a_reference_outside_becomes_the_nearest_and_says_so(reach, value, stiffness):
+    angle, softness, words = reach.nearest(Mode.ANGLE_STIFFNESS, value, stiffness)
+    assert angle == pytest.approx(min(max(value, reach.angles[0]), reach.angles[1]))
+    found = reach.at_angle(angle)
+    assert found.reached and softness in (stiffness, found.softest, found.stiffest)
+    assert f"{value:.4g} rad with {stiffness:.4g} N m/rad is out of reach" in words
+    assert reach.nearest(Mode.ANGLE_STIFFNESS, angle, softness)[2] == ""
+
+
+def test_torques_are_those_of_the_extreme_pressures_at_the_angle(reach):
+    for angle in (0.0, 0.2):
+        low, high = reach.torques(angle)
+        assert high == pytest.approx(dynamics.torque(np.array([angle, 0.0, BOX.highest, BOX.lowest]), P), abs=1e-5)
+        assert low == pytest.approx(dynamics.torque(np.array([angle, 0.0, BOX.lowest, BOX.highest]), P), abs=1e-5)
+        assert reach.nearest(Mode.TORQUE_STIFFNESS, 99.0, 6.0, angle)[0] == pytest.approx(high)
+
+
+@pytest.mark.parametrize(("lowest", "margin"), [(50e3, 0.0), (700e3, 20e3), (200e3, -1.0), (math.nan, 0.0)])
+def test_bounds_that_leave_nothing_are_refused(lowest, margin):
+    with pytest.raises(BadInput, match="expected the first above"):
+        Box.of(P, lowest, margin)
