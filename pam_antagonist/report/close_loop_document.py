@@ -168,9 +168,9 @@ def _channel_rows(out: Comparison, errors: ModelErrors, names: Sequence[str], la
 def _pressure_rows(out: Comparison, errors: ModelErrors, mean: bool) -> None:
     means = [model.mean_rmse_pa for model in errors.all]
     if mean:
-        out.values("  mean pressure RMSE [kPa]", [None if value is None else value / 1e3 for value in means])
+        out.pressures("  mean pressure RMSE", means)
     for muscle in (0, 1):
-        out.values(f"  pressure {muscle + 1} RMSE [kPa]", [model.rmse_pa[muscle] / 1e3 for model in errors.all])
+        out.pressures(f"  pressure {muscle + 1} RMSE", [model.rmse_pa[muscle] for model in errors.all])
 
 
 def ranking_table(report: CloseLoopReport) -> Table:
@@ -251,7 +251,9 @@ def _tiles(report: CloseLoopReport) -> tuple[Tile, ...]:
         label, (was, now) = "Error of the mean pressure", means
     else:
         label, (was, now) = "Larger pressure error", [max(model.rmse_pa) for model in both]
-    out.append(Tile(label, f"{number(now / 1e3, 2)} kPa", f"was {number(was / 1e3, 2)} kPa"))
+    unit = readable("Pa", min(now, was))
+    now, was = now * unit.scale, was * unit.scale
+    out.append(Tile(label, f"{number(now, 2)} {unit.name}", f"was {number(was, 2)} {unit.name}"))
     return tuple(out)
 
 

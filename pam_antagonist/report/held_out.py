@@ -159,8 +159,8 @@ def held_out_table(entry: HeldOut) -> Table:
     for channel in CHANNELS:
         _rows(out, channel, entry.known(channel, "model_alone"))
     for muscle in (0, 1):
-        values = [item.model_alone.pressure.rmse_pa[muscle] * 1e-3 for item in figures]
-        out.values(f"  pressure {muscle + 1} RMSE 𝕀 [kPa]", values)
+        values = [item.model_alone.pressure.rmse_pa[muscle] for item in figures]
+        out.pressures(f"  pressure {muscle + 1} RMSE 𝕀", values)
     out.heading("UKF")
     for channel in CHANNELS:
         known = entry.known(channel)

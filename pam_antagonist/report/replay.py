@@ -257,8 +257,10 @@ def errors_table(report: ReplayReport, caption: str = "") -> Table:
         out.text("  RMSE 𝕀 [N m]", number(external.rmse), "given")
     out.heading("Pressure")
     for muscle in (0, 1):
-        values = [model.pressure.rmse_pa[muscle] * 1e-3 for model in (report.ukf, report.model_alone)]
-        out.values(f"  RMSE 𝕀, muscle {muscle + 1} [kPa]", values)
+        out.pressures(
+            f"  RMSE 𝕀, muscle {muscle + 1}",
+            [model.pressure.rmse_pa[muscle] for model in (report.ukf, report.model_alone)],
+        )
     return out.table(caption)
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from pam_antagonist.report.units import readable
+
 MISSING = "–"
 """What stands where nothing was recorded."""
 
@@ -105,6 +107,17 @@ class Comparison:
         equal = len({cell for cell in cells if cell != MISSING}) < 2
         self._rows.append((name, *cells))
         self._best.append(frozenset() if equal else frozenset(marked))
+
+    def pressures(self, name: str, values: Sequence[float | None]) -> None:
+        """A row of pressures, all in kPa or all in Pa; the unit stands behind the row's name.
+
+        Args:
+            name: of the row.
+            values: one a column [Pa].
+        """
+        unit = readable("Pa", min((abs(value) for value in values if value), default=math.inf))
+        shown = [None if value is None else value * unit.scale for value in values]
+        self.values(f"{name} [{unit.name}]", shown)
 
     def table(self, caption: str = "") -> Table:
         """The finished table."""

@@ -40,6 +40,8 @@ _READABLE = {
 }
 _SMALL = 1e-9
 """Areas below this [m²] are hardly readable in mm²."""
+_LOW = 10.0
+"""Pressures below this [Pa] are hardly readable in kPa."""
 _EFFECTS = {parameter_path(effect.name, item.name): item.unit for effect in CATALOGUE.values()
             for item in effect.parameters}  # fmt: skip
 
@@ -49,11 +51,13 @@ def readable(unit: str, value: float = math.inf) -> Unit:
 
     Args:
         unit: SI unit of the quantity, as a rig file's description or an effect names it.
-        value: of the quantity, in that unit: a very small area is in µm².
+        value: of the quantity, in that unit, or the smallest of several: a very small area is in µm², a few Pa in Pa.
     """
     written = re.sub(r"(?<=m)[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
     if written == "m²" and abs(value) < _SMALL:
         return Unit("µm²", 1e12)
+    if written == "Pa" and 0.0 < abs(value) < _LOW:
+        return Unit("Pa", 1.0)
     return _READABLE.get(written, Unit(written, 1.0))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from pam_antagonist.report.table import Comparison
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import load_rig
 
@@ -29,3 +30,10 @@ def test_effects_have_units_too() -> None:
     assert unit_of(load_rig("shin2022"), "effects.leak.area_1") == "m2"
     assert readable("m2") == readable("m2", 1.2e-9) == ("mm²", 1e6)
     assert readable("m2", 3.7e-12) == ("µm²", 1e12)
+
+
+def test_a_row_of_pressures_has_one_unit_in_which_its_smallest_can_be_read() -> None:
+    table = Comparison("", "UKF", "model alone")
+    table.pressures("RMSE", (0.0662, 412.0))
+    table.pressures("RMSE", (1520.0, None))
+    assert table.table().rows == (("RMSE [Pa]", "0.0662", "412"), ("RMSE [kPa]", "1.52", "–"))
