@@ -136,14 +136,14 @@ def result(context: Context) -> Result:
         "times the shaft's friction in the same paper (about 0.1 N m). The filtered joint sticks where the rig moves. "
         f"Fitted to data, the constant comes out {constants['simple'].text()} times as large, and the median ℚ with "
         f"tuning default falls from {_ratio(context, 'simple')} to {_ratio(context, 'simple_fitted')} (proposed: "
-        f"{_ratio(context, 'proposed')}). In which unit the paper takes its constant cannot be told from it.",
+        f"{_ratio(context, 'proposed')}). The paper does not give the unit of its constant.",
         f"Tondu's law: fitted constants are {constants['tondu'].text()} times the paper's, and the median ℚ with "
         f"tuning default goes from {_ratio(context, 'tondu')} to {_ratio(context, 'tondu_fitted')}.",
         "Two choices favour one side. The plant follows the proposed law of friction (with a hysteresis beside it): "
         "this favours the proposed model. The linear model and the fitted constants come from 60 s of data of the rig "
         "that they are tried on, and the proposed model's parameters do not: this favours the others.",
-        "The 95 % intervals of the other laws of friction do not know of their error: the declared uncertainties are "
-        "those of the proposed model's parameters.",
+        "The 95 % intervals of the other laws of friction do not include the error of the law: the declared "
+        "uncertainties are those of the proposed model's parameters.",
     )
     return Result(
         name="compare_angle",
@@ -167,10 +167,10 @@ def _ratio(context: Context, name: str) -> str:
 
 _WHY: Mapping[str, str] = {
     "proposed": "The paper's value is that of its online run; here the error that the tuning itself brings dominates.",
-    "linear": "Linear about the middle of its data; how far the paper's was from its own is not told, nor its order.",
+    "linear": "Linear about the middle of its data. The paper gives neither the data of its own nor its order.",
     "simple": "The constant as printed is too large for this joint, whichever unit is taken.",
     "tondu": "The paper's constants, taken in N m and rad/s; the print leaves the units out.",
-    "none": "Without friction the filtered joint has nothing that keeps it where it stuck.",
+    "none": "Without friction nothing holds the filter's joint where the real one sticks.",
 }
 
 

@@ -143,7 +143,7 @@ def _beside(context: Context, runs: dict[Mode, tuple[Recording, Tracking]]) -> t
                 Spread.of([runs[mode][1].performance]),
                 _PAPER[mode],
                 "%",
-                "One rig, one run, as in the paper. Its reading of a steady state is by eye from a figure; ours is "
+                "One rig, one run, as in the paper. It reads the steady state from a figure by eye; ours is "
                 f"the last {100.0 * STEADY_PART:g} % of each step.",
             )
         )
@@ -165,7 +165,9 @@ def _why(mode: Mode, tuning: str) -> str:
         return "Not in the paper."
     if mode is Mode.ANGLE:
         return "The loop holds the estimate at its reference, so what is left is the error of the estimated angle."
-    return "What is left is the error of the estimated torque: the force maps', which the loop cannot see."
+    return (
+        "What is left is the error of the estimated torque. It comes from the force maps, and the loop cannot see it."
+    )
 
 
 def _table(context: Context, runs: dict[Mode, tuple[Recording, Tracking]]) -> Table:
@@ -220,7 +222,7 @@ def _findings(context: Context) -> tuple[str, ...]:
         )
     out.append(
         "Two things are added to the paper's PI. The integral stops while a valve is at its limit (anti-windup), and a "
-        "loop that takes over starts from the valves' present voltages (bumpless start). The paper tells of neither."
+        "loop that takes over starts from the valves' present voltages (bumpless start). The paper mentions neither."
     )
     return tuple(out)
 

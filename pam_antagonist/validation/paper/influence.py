@@ -184,8 +184,8 @@ def _guideline(label: str, other: Response, base: Response) -> Beside:
     )
     if not holds and label == "k_2":
         verdict += (
-            " The term −k_2 V̇ P/V works against every change of pressure that moves the joint, so more of it makes "
-            "the way longer; by how much depends on the step."
+            " The term −k_2 V̇ P/V works against every change of pressure that moves the joint. A larger k_2 slows "
+            "the response; by how much depends on the step."
         )
     return Beside(what, Spread.of([change]), None, unit, verdict)
 

@@ -58,7 +58,7 @@ def profile_result(context: Context) -> Result:
                 context.spread("lowest_kpa"),
                 200.0,
                 "kPa",
-                "Reached by voltage, so the rig's valves decide.",
+                "Set by voltage, so it depends on the rig's valves.",
             ),
             Beside(
                 "Highest pressure",

@@ -35,10 +35,10 @@ PAPER: Mapping[tuple[str, str], tuple[float, float, float]] = {
 
 _NARROW = {
     "angle": (
-        "These rigs' force maps are off by 2 % and their muscles have a hysteresis that the model lacks: a bias for "
-        "as long as the joint stands, which no declared uncertainty covers."
+        "These rigs' force maps are off by 2 % and their muscles have a hysteresis that the model lacks: this is a "
+        "bias while the joint stands, and no declared uncertainty covers it."
     ),
-    "torque": "These rigs' force maps are off by 2 %: a bias that lasts, where 1 % is claimed.",
+    "torque": "These rigs' force maps are off by 2 %: a lasting bias; the rig file declares 1 %.",
 }
 
 
@@ -126,7 +126,7 @@ def _beside(context: Context) -> tuple[Beside, ...]:
 
 def _why(context: Context, quantity: str, method: str) -> str:
     if method == "model":
-        return "The mismatches were sized so that ℚ is about the paper's; the range is what one rig or another brings."
+        return "The mismatches were chosen so that ℚ is near the paper's. The range is over the virtual rigs."
     if method == "default":
         return "The paper has no such tuning: small process noise, parameters considered uncertain."
     if method == "told":
@@ -142,9 +142,9 @@ def _why(context: Context, quantity: str, method: str) -> str:
         )
     cost = "more than" if gain > 1.0 else "part of"
     return (
-        f"The filter brings {gain:.2f} × the model's ℚ (the paper: 0.69 ×). This Q makes the filtered joint creep "
-        f"where the other one sticks (docs/explanation/model.md, correction 11), which costs {cost} what the "
-        "pressures gain."
+        f"The filter brings {gain:.2f} × the model's ℚ (the paper: 0.69 ×). With this Q the filter's joint creeps "
+        f"where the real one sticks (docs/explanation/model.md, correction 11). That costs {cost} what the pressures "
+        "gain."
     )
 
 
@@ -208,8 +208,8 @@ def _findings(context: Context) -> tuple[str, ...]:
         out.append(
             f"{quantity.capitalize()} within the 95 % interval: "
             + ", ".join(f"{covered[name].text(100.0)} % with {name} (mean NIS {number(nis[name])})" for name in TUNINGS)
-            + ". Default's intervals hold what the rig file says of its parameters (force maps to 1 %, some others to "
-            "2 %). " + _NARROW[quantity]
+            + ". The intervals of default rest on the uncertainties in the rig file (force maps 1 %, some others 2 %). "
+            + _NARROW[quantity]
         )
         ours = context.spread(quantity, "told", "coverage").text(100.0)
         out.append(

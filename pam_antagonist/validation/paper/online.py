@@ -69,9 +69,9 @@ def result(context: Context) -> Result:
         title="Online estimation",
         question=(
             f"Plant (the virtual rig of seed {context.work.seed}), estimator and recorder as processes at 1 kHz; a "
-            f"fourth one puts the profile on the valves: {seconds['angle']:g} s with the joint free, "
-            f"{seconds['torque']:g} s with it locked. The live filter has tuning {LIVE_TUNING}; the other tuning comes "
-            "from a replay of what was recorded, which gives the bits that a live filter would."
+            f"fourth process commands the profile: {seconds['angle']:g} s with the joint free, "
+            f"{seconds['torque']:g} s with it locked. The live filter has tuning {LIVE_TUNING}. The other tuning is "
+            "run by a replay of the recording, which gives the same bits as a live filter."
         ),
         beside=_beside(runs, step),
         tables=(*(_table(run, quantity) for quantity, run in runs.items()), _timing(runs)),
@@ -178,9 +178,9 @@ def _beside(runs: dict[str, Run], step: Floats) -> tuple[Beside, ...]:
             ("ℚ", errors.ratio, paper[2], "%"),
         ):
             why = (
-                "One virtual rig against one real one: the seed decides (the offline table has the range over seeds). "
-                "The live bits are those of a replay, so online differs from offline in when the steps came and in "
-                "the noise."
+                "One virtual rig against one real one: the result depends on the seed (the offline table has the range "
+                "over seeds). Live and replayed estimates have the same bits, so online differs from offline only in "
+                "the times of the steps and in the noise."
             )
             label = f"{quantity}, UKF, tuning {LIVE_TUNING}, live, {sign}"
             rows.append(Beside(label, Spread.of([ours]), theirs, unit, why))
