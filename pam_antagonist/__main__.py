@@ -38,6 +38,9 @@ COMMANDS: dict[str, Command] = {
     "import_csv": Command(
         "pam_antagonist.cli.import_csv:main", "make a recording of a CSV, MATLAB, numpy or Parquet file"
     ),
+    "reachable": Command(
+        "pam_antagonist.cli.reachable:main", "which angles and torques a joint can have with which stiffness"
+    ),
     "static": Command("pam_antagonist.cli.static:main", "volume and force map of a muscle from tables of measurements"),
     "paper": Command(
         "pam_antagonist.validation.paper.command:main", "every experiment of the paper on a simulated joint"

@@ -1,0 +1,79 @@
+"""``reachable``: which angles and torques a joint can have together with which stiffness."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pam_antagonist.cli import common
+from pam_antagonist.control import Box
+from pam_antagonist.control.stiffness import LEAST_FORCE, LOWEST_PRESSURE, SUPPLY_MARGIN
+from pam_antagonist.report import terminal
+from pam_antagonist.report.reachable import ReachableReport, summary, write_report
+from pam_antagonist.rig import load_rig
+
+_DESCRIPTION = """\
+Work out which angles of rest, and which torques, a joint can have together with which stiffness.
+
+The rig's model tells it, at the supply that the rig declares and within the bounds below. They are those of the
+controller's parameters of the same names. With --out, a page with figures is written as well.
+"""
+_EXAMPLES = """\
+examples:
+  {run} reachable --rig shin2022
+  {run} reachable --rig my_rig.yaml --lowest-pressure 150e3 --out reach
+"""
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("reachable", _DESCRIPTION, _EXAMPLES)
+    common.add_rig(out)
+    out.add_argument("--out", type=Path, metavar="DIR", help="folder of report.html and report.json; a new one")
+    for name, default, unit, text in (
+        ("--lowest-pressure", LOWEST_PRESSURE, "PA", "least pressure of a muscle, absolute [Pa]"),
+        ("--supply-margin", SUPPLY_MARGIN, "PA", "what is left of the supply's pressure [Pa]"),
+        ("--least-force", LEAST_FORCE, "N", "least contraction force of a muscle [N]"),
+    ):
+        out.add_argument(name, type=_number, default=default, metavar=unit, help=f"{text} (default: {default:g})")
+    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
+    common.add_open(out)
+    return out
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1e8:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number, 0 or more")
+    return value
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    if arguments.out is not None:
+        common.check_output(arguments.out)
+        common.only_available_figures(arguments)
+    rig = load_rig(arguments.rig)
+    box = Box.of(rig.parameters(), arguments.lowest_pressure, arguments.supply_margin, arguments.least_force)
+    report = ReachableReport.of(rig, box)
+    if arguments.out is not None:
+        with common.output_folder(arguments.out) as folder:
+            write_report(folder, rig, report, with_figures=not arguments.no_figures)
+    print(terminal.render(summary(rig, report)))
+    if arguments.out is not None:
+        common.announce_report(arguments, arguments.out)
+    return common.DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

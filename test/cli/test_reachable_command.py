@@ -1,0 +1,42 @@
+"""``reachable``: what a joint can reach, as a table and as a page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.cli.reachable import main
+
+
+def test_the_table_and_the_page_hold_the_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "reach"
+    assert main(["--rig", "shin2022", "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "it rests at -2" in text and "softest" in text
+    report = json.loads((out / "report.json").read_text())
+    assert report["angles"][0] < -0.34 and report["angles"][1] > 0.34
+    assert all(a <= b + 1e-9 for a, b in zip(report["softest"], report["stiffest"], strict=True))
+    assert report["softest"][60] < 4.0 and report["stiffest"][60] > 10.0
+    assert "Angle and stiffness" in (out / "report.html").read_text()
+
+
+def test_narrower_bounds_reach_less(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--rig", "shin2022", "--lowest-pressure", "300e3", "--supply-margin", "100e3"]) == 0
+    assert "300 to 610 kPa" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--lowest-pressure", "700e3"], "expected the first above the atmosphere's"),
+        (["--least-force", "much"], "expected a number, 0 or more"),
+    ],
+)
+def test_bounds_that_leave_nothing_are_refused_in_one_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--rig", "shin2022", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
