@@ -24,6 +24,7 @@ from pam_antagonist.inference.gauss_newton import (
     relinearised,
 )
 from pam_antagonist.inference.likelihood import solve
+from pam_antagonist.inference.standard_errors import well_known
 from pam_antagonist.recording.corrections import Corrections
 
 _IMITATED = ("torque_scale",)
@@ -39,7 +40,7 @@ class FoundCalibration:
     Attributes:
         name: in :data:`~pam_antagonist.inference.calibration.CALIBRATIONS`.
         value: in SI units.
-        std: its standard deviation.
+        std: its standard deviation, with that of the rig's parameters.
         unit: of both.
         delta_bic: evidence for it.
         by_recording: value and standard deviation in each recording that shows it, by its name.
@@ -311,19 +312,23 @@ def found(
     """
     out = []
     for name in calibrations_of(models[-1]):
-        seen = next(values for model in models if (values := _seen(model, name)))
+        model, seen = next((one, values) for one in models if (values := _seen(one, name)))
         gain = next(item.delta_bic or 0.0 for item in weighed if item.effect == name and item.taken)
-        by_recording = {experiments[r].trial.name: value for r, value in seen.items()}
-        if name.startswith("delay_"):
-            by_recording = {
-                experiments[r].trial.name: (value, float(np.hypot(std, experiments[r].trial.dt * _STAMP_STD)))
-                for r, (value, std) in seen.items()
-            }
-        value, std = _mean(list(by_recording.values()))
+        # A stamp is off by a part of a sample, whatever a fit says.
+        stamped = {r: experiments[r].trial.dt * _STAMP_STD if name.startswith("delay_") else 0.0 for r in seen}
+        value, std = _mean([(own, float(np.hypot(error, stamped[r]))) for r, (own, error) in seen.items()])
         # One that was taken before an effect was found that begins late may turn out to have been a part of that.
-        if abs(value) >= thresholds.CERTAIN_SIZE * std:
-            unit = calibration.CALIBRATIONS[name].unit
-            out.append(FoundCalibration(name, value, std, unit, gain, by_recording, rivals.get(name, ())))
+        if abs(value) < thresholds.CERTAIN_SIZE * std:
+            continue
+        errors = {
+            r: float(np.hypot(_value(well_known(experiments[r], model.fits[r]), calibration.path(name))[1], stamped[r]))
+            for r in seen
+        }
+        by_recording = {experiments[r].trial.name: (own, errors[r]) for r, (own, _) in seen.items()}
+        # What is not known of the rig is the same in all recordings: they are not better together than one of them.
+        std = max(_mean(list(by_recording.values()))[1], min(errors.values()))
+        unit = calibration.CALIBRATIONS[name].unit
+        out.append(FoundCalibration(name, value, std, unit, gain, by_recording, rivals.get(name, ())))
     return tuple(out)
 
 

@@ -26,6 +26,15 @@ RELATIVE_PRIOR = 0.05
 """Standard deviation before identification of a parameter for which the rig file gives none."""
 _GAUGE_PRIOR = {"supply.pressure": 0.01}
 """What a gauge shows is known better than what is not measured; a regulator holds it to about a per cent."""
+_MEASURED = (
+    ("geometry.radius",), ("joint.mass",), ("joint.shaft_radius",), ("joint.stiffness",),
+    ("atmosphere.pressure",), ("gas.polytropic_flow",),
+    *(tuple(f"muscle_{i}.volume.{name}" for name in ("d1", "d2", "d3")) for i in (1, 2)),
+)  # fmt: skip
+"""What no fit moves; the coefficients of a volume nearly cancel, so that they are off together. The length at angle 0
+is not among them: the force map is that of the declared lengths."""
+_MEASURED_STD = 0.01
+"""A ruler, a scale or a gauge shows a value to a per cent."""
 _FLOW = (
     "valve_1.inflow_area", "valve_1.outflow_area", "valve_2.inflow_area", "valve_2.outflow_area",
     "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure",
@@ -178,6 +187,22 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
     found.append(_single(rig, "supply.pressure"))
     for path in (*_MOTION, *_FRICTION[rig.model.friction]):
         found.append(_single(rig, path, free_only=True))
+    return tuple(direction for direction in found if any(direction.changes.values()))
+
+
+def measured_directions(rig: Rig) -> tuple[Direction, ...]:
+    """What no fit of one recording moves, because it is measured directly: the change of one standard deviation each.
+
+    Args:
+        rig: the values; its ``priors`` and ``uncertainty`` replace the 1 % of a direction that is a single parameter.
+    """
+    found = []
+    for names in _MEASURED:
+        share = _MEASURED_STD
+        if len(names) == 1 and (value := abs(rig.value(names[0]))):
+            known = rig.uncertainty.get(names[0], rig.priors.get(names[0]))
+            share = share if known is None else known / value
+        found.append(Direction(names[0], {name: share * rig.value(name) for name in names}))
     return tuple(direction for direction in found if any(direction.changes.values()))
 
 

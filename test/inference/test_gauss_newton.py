@@ -10,6 +10,7 @@ from pam_antagonist.diagnosis.selection import refitted_without, shared
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.standard_errors import well_known
 
 DROOP = Candidate("supply_droop")
 LEAK = Candidate("leak")
@@ -67,3 +68,18 @@ def test_what_a_recording_rules_out_it_does_not_get(leaking) -> None:
     (locked, shown), _, (tight, without) = leaking
     model = shared((locked, tight), Model(("leak",), (shown, without)), 1)
     assert model.fits[1] is without
+
+
+def test_what_base_parameters_imitate_is_known_no_better_than_they_are(experiment_of, recorded) -> None:
+    # Forces, inertia and friction that are all larger move a free joint alike: their priors tell the meter's scale.
+    experiment = experiment_of(recorded("none", joint="free", seconds=30.0, seed=103), "free")
+    (free,) = next(one.free for one in experiment.calibrations({}) if one.effect == "torque_scale")
+    fitted = refit(experiment, Point(experiment.origin.theta, {free.path: 0.0}), (free,), blocks_per_error=1.0)
+    error = abs(fitted.point.effects[free.path])
+    said, well = (
+        float(np.sqrt(each.effect_covariance[0, 0])) * free.item.scale
+        for each in (fitted, well_known(experiment, fitted))
+    )
+    assert error < 3.0 * well < 0.06
+    # One-sided differences see information where there is none.
+    assert error > 3.0 * said

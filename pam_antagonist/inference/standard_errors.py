@@ -1,0 +1,99 @@
+"""How well a fit of one recording knows its numbers.
+
+A step of a fit takes one-sided differences in long steps. Where base parameters nearly imitate each other, the errors
+of such differences do not cancel, and look like information that the recording does not have. So here they are central
+and short. What no fit moves is uncertain as well, by what a ruler tells. What the recording does not determine is as
+uncertain as the rest of the rig file has turned out to be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.free_parameters import Direction, measured_directions, moved, values_along
+from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.inference.likelihood import solve
+
+Floats = NDArray[np.float64]
+
+_CLOSE = 1e-4, 0.1
+"""Steps of derivatives that standard deviations rest on: of a base parameter, and of a start value."""
+_SHARE = 0.01
+"""Likewise, of what no fit moves: a share of its standard deviation."""
+_DETERMINED = 4.0
+"""Information of a recording about a direction, over that of the prior, from which on it determines the direction."""
+_LEAST_DISTANCE = 0.2
+"""No rig file is taken to be nearer to its rig than this share of the priors, one per cent."""
+
+
+def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
+    """A fit whose covariance is what the recording tells, and no more.
+
+    Args:
+        experiment: the recording.
+        fitted: its model.
+    """
+    theta, effects = fitted.point.theta, fitted.point.effects
+    free = [k for k in range(experiment.size) if experiment.depends_on(k)]
+    steps = [_CLOSE[k >= len(experiment.directions)] for k in free]
+    pairs = [
+        (Point(theta + step * unit, effects), Point(theta - step * unit, effects))
+        for step, unit in zip(steps, np.eye(experiment.size)[free], strict=True)
+    ]
+    for parameter in fitted.free:
+        at = parameter.coordinate(effects.get(parameter.path, parameter.item.neutral))
+        steps.append(parameter.step(parameter.value(at)))
+        up, down = (
+            Point(theta, {**effects, **dict.fromkeys(parameter.paths, parameter.value(at + sign * steps[-1]))})
+            for sign in (1.0, -1.0)
+        )
+        pairs.append((up, down))
+    left = experiment.side_by_side(experiment.residual, [point for pair in pairs for point in pair])
+    slopes = [(one - other) / (2.0 * step) for one, other, step in zip(left[::2], left[1::2], steps, strict=True)]
+    base = np.zeros_like(fitted.base)
+    base[:, :, free] = np.stack(slopes[: len(free)], axis=2)
+    effect = np.stack(slopes[len(free) :], axis=2) if fitted.free else fitted.effect
+    near = replace(fitted, base=base, effect=effect)
+    measured = [_slope(experiment, fitted.point, direction) for direction in measured_directions(experiment.rig)]
+    both = np.concatenate([base, np.stack(measured, axis=2)], axis=2)
+    known = experiment.prior.copy()
+    known[: len(experiment.directions)] /= _distance(experiment, near) ** 2
+    prior, at_rest = np.append(known, np.ones(len(measured))), np.append(theta, np.zeros(len(measured)))
+    scale = fitted.scale
+    last = solve(fitted.residual, both, effect, scale, prior, at_rest, rounds=1, length=scale.length)
+    own = np.r_[0 : experiment.size, both.shape[2] : len(last.covariance)]
+    return replace(near, covariance=last.covariance[np.ix_(own, own)])
+
+
+def _slope(experiment: Experiment, point: Point, direction: Direction) -> Floats:
+    """Derivative of the residual (B, C) by what no fit moves, for one standard deviation."""
+
+    def left(share: float) -> Floats:
+        values = values_along(experiment.rig, (direction,), (share,))
+        return replace(experiment, rig=moved(experiment.rig, values)).residual(point)
+
+    return (left(_SHARE) - left(-_SHARE)) / (2.0 * _SHARE)
+
+
+def _distance(experiment: Experiment, fitted: Fitted) -> float:
+    """How far the rig file is off, in standard deviations of the priors (RMS).
+
+    It is judged by what the recording determines: those directions of the base parameters in which the recording says
+    more than the prior. What it does not determine is taken to be as far off.
+    """
+    count = len(experiment.directions)
+    columns = np.concatenate([fitted.base, fitted.effect], axis=2)
+    weights = 1.0 / (fitted.scale.variances(fitted.residual) * fitted.scale.length)
+    information = np.einsum("bci,bcj,c->ij", columns, columns, weights, optimize=True)
+    prior = experiment.prior
+    rest = information[count:, count:] + np.diag([*prior[count:], *np.zeros(len(fitted.free))])
+    across = information[:count, count:]
+    alone = information[:count, :count] - across @ np.linalg.pinv(rest, hermitian=True) @ across.T
+    units = np.sqrt(prior[:count])
+    certain, ways = np.linalg.eigh(alone / np.outer(units, units))
+    moves = (ways.T @ (units * fitted.point.theta[:count]))[certain > _DETERMINED]
+    return max(_LEAST_DISTANCE, float(np.sqrt(np.mean(moves**2)))) if len(moves) else 1.0
