@@ -1,6 +1,7 @@
 """The paper's PI controller, the law that goes through the model, and the references that they follow."""
 
 from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status, VoltageLimits
+from pam_antagonist.control.governor import Governor, Limits
 from pam_antagonist.control.laws import LAWS, Laws
 from pam_antagonist.control.model_law import ModelController, ModelGains, Reached, Seen
 from pam_antagonist.control.pi import FAST_GAINS, PUBLISHED_GAINS, Gains, PiController
@@ -9,8 +10,10 @@ from pam_antagonist.control.reference import LOST, Nearest, References, Rules, T
 from pam_antagonist.control.stiffness import Box
 
 __all__ = [
+    "Governor",
     "LAWS",
     "LOST",
+    "Limits",
     "PI_MODES",
     "FAST_GAINS",
     "PUBLISHED_GAINS",

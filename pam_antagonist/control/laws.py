@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status
+from pam_antagonist.control.governor import Governor
 from pam_antagonist.control.model_law import ModelController, Seen
 from pam_antagonist.control.pi import PiController
 from pam_antagonist.control.reachable import Reachable
@@ -23,6 +24,7 @@ class Laws:
         model: through the model; None: this rig has none.
         reachable: what the model's law can reach; None as well.
         name: the one in force, of ``LAWS``.
+        governor: between reference and the model's law; None: none is.
 
     Raises:
         BadInput: a law that there is not.
@@ -32,9 +34,14 @@ class Laws:
     """
 
     def __init__(
-        self, pi: PiController, model: ModelController | None, reachable: Reachable | None, name: str = "pi"
+        self,
+        pi: PiController,
+        model: ModelController | None,
+        reachable: Reachable | None,
+        name: str = "pi",
+        governor: Governor | None = None,
     ) -> None:
-        self.pi, self.model, self._reachable = pi, model, reachable
+        self.pi, self.model, self._reachable, self.governor = pi, model, reachable, governor
         self._law: Law = pi
         self.name = "pi"
         self.choose(name, None)
@@ -107,5 +114,11 @@ class Laws:
             value = seen.torque if wanted.mode is Mode.TORQUE else seen.angle
             return self.pi.step(wanted.mode, wanted.value, value, velocity=wanted.velocity, late=late)
         assert self.model is not None  # it is in force
+        mode, value, stiffness = wanted.mode, wanted.value, wanted.stiffness
+        if self.governor is not None and mode is not None:
+            if late or not self.model.running or not all(map(math.isfinite, (value, *seen[:5]))):
+                self.governor.reset()
+            else:
+                value, stiffness = self.governor.step(mode, value, stiffness, seen, self.model)
         damping = 0.0 if math.isnan(wanted.damping) else wanted.damping
-        return self.model.step(wanted.mode, wanted.value, wanted.stiffness, seen, damping=damping, late=late)
+        return self.model.step(mode, value, stiffness, seen, damping=damping, late=late)

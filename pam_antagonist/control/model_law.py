@@ -30,7 +30,7 @@ are taken as steady.
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -259,9 +259,14 @@ class ModelController(Law):
         """I [N m]."""
         return self._integral
 
+    @property
+    def gains(self) -> tuple[float, float, float]:
+        """Bandwidth [1/s], integral [1/s] and approach [rad]."""
+        return self._gains
+
     def retune(self, gains: ModelGains) -> None:
         """Change the gains; the command goes on without a bump."""
-        self._gains = astuple(gains)
+        self._gains = (gains.bandwidth, gains.integral, gains.approach)
         self._mode = None
 
     def step(

@@ -84,6 +84,16 @@ PARAMETERS = (
     Parameter("lowest_pressure", LOWEST_PRESSURE, "law model: least pressure of a muscle, absolute [Pa]", 0.0, 1e7),
     Parameter("supply_margin", SUPPLY_MARGIN, "law model: what is left of the supply's pressure [Pa]", 0.0, 1e7),
     Parameter("least_force", LEAST_FORCE, "law model: least contraction force of a muscle [N]", 0.0, 1e4),
+    Parameter(
+        "governor", True, "law model: whether references are held back so that limits are kept (docs/interaction.md)"
+    ),
+    Parameter("governor_level", 0.999, "probability with which the governor keeps a limit [-]", 0.5, 0.999999),
+    Parameter("governor_push", 0.0, "torque from outside that the governor counts on [N m]", 0.0, 1e3),
+    Parameter("max_velocity", 0.0, "largest velocity that the governor allows [rad/s]; 0: any", 0.0, 1e3),
+    Parameter(
+        "max_contraction", 0.0, "largest contraction (L_0 − l)/L_0 that the governor allows [-]; 0: any", 0.0, 1.0
+    ),
+    Parameter("max_extension", 0.0, "largest extension (l − L_0)/L_0 that the governor allows [-]; 0: any", 0.0, 1.0),
     Parameter("max_angle", 0.436333, "magnitude to which a reference of the angle is limited [rad]", 0.0, 1.6),
     Parameter("max_torque", 3.0, "magnitude to which a reference of the torque is limited [N m]", 0.0, 1e3),
     Parameter("max_angle_rate", 0.0, "fastest change of the angle's reference [rad/s]; 0: any", 0.0, 1e3),

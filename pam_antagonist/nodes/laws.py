@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from pam_antagonist.control import (
     PI_MODES,
     Box,
     Gains,
+    Governor,
     Laws,
+    Limits,
     Mode,
     ModelController,
     ModelGains,
@@ -66,7 +71,21 @@ def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_v
         p, box, model_gains(values), sample_period=period, limits=limits, safe_voltage=safe_voltage,
         resume_time=resume, blend_time=min(blend, ModelController.BLEND_TIME),
     )  # fmt: skip
-    return Laws(pi, model, Reachable(p, box), values["law"])
+    governor = _governor(values, p, box) if values["governor"] else None
+    return Laws(pi, model, Reachable(p, box), values["law"], governor)
+
+
+def _governor(values: Mapping[str, Any], p: np.ndarray, box: Box) -> Governor:
+    """The governor whose limits lie by ``supply_margin`` around the pressures that the law asks for."""
+
+    def limit(name: str) -> float:
+        return float(values[name]) or math.inf
+
+    limits = Limits(
+        box.lowest - values["supply_margin"], box.highest + values["supply_margin"], limit("max_angle"),
+        limit("max_velocity"), limit("max_extension"), limit("max_contraction"),
+    )  # fmt: skip
+    return Governor(p, box, limits, values["governor_level"], values["governor_push"])
 
 
 def retune(laws: Laws, before: Mapping[str, Any], after: Mapping[str, Any], mode: Mode | None) -> None:
@@ -101,4 +120,8 @@ def described(laws: Laws) -> dict[str, object]:
         values["pressures asked for [kPa]"] = f"{reached.pressure_1 * 1e-3:.1f}, {reached.pressure_2 * 1e-3:.1f}"
         values["stiffness within reach [N m/rad]"] = f"{reached.softest:.2f} to {reached.stiffest:.2f}"
         values["torque out of reach [N m]"] = f"{reached.missing:.3f}"
+    if laws.governor is not None:
+        active = laws.governor.active
+        values["governor"] = f"holds the reference back: {active}" if active else "lets the reference through"
+        values["held back by the governor"] = laws.governor.held_back
     return values

@@ -38,13 +38,20 @@ def node(ros: None) -> Iterator[Any]:
 
 
 def estimate(
-    node: Any, stamp_ns: int, angle: float = 0.0, torque: float = 0.0, flags: int = 0, pressure: float = 450e3
+    node: Any,
+    stamp_ns: int,
+    angle: float = 0.0,
+    torque: float = 0.0,
+    flags: int = 0,
+    pressure: float = 450e3,
+    variance: float = 0.0,
 ) -> None:
     from rclpy.serialization import serialize_message
 
     from pam_antagonist_msgs.msg import JointEstimate
 
     message = JointEstimate(angle=angle, torque=torque, flags=flags, pressure=[pressure, pressure])
+    message.covariance[0] = variance
     message.header.frame_id = "somewhere_else"
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
     node._on_estimate(serialize_message(message))
@@ -337,3 +344,17 @@ def test_the_law_through_the_model_gives_safe_voltages_where_an_estimate_cannot_
     age = wrong.pop("age", 0)
     estimate(node, node.now_ns() - age, **wrong)
     assert node.published[-1][1] == SAFE
+
+
+def test_the_governor_holds_a_reference_back_and_says_by_which_limit(node: Any) -> None:
+    begin = node.now_ns() + 10**9
+    choose(node, law="model")
+    refer(node, 2, 0.43, 6.0)  # the set ends at 0.36 rad, and the limit is 0.436: the estimate's variance counts
+    for k in range(40):
+        estimate(node, begin + k * MS, angle=0.1, variance=4e-3)
+    values = node.health(1)["commands"].values
+    assert values["governor"] == "holds the reference back: angle" and values["held back by the governor"] > 0
+    refer(node, 2, 0.1, 6.0)
+    for k in range(40, 80):
+        estimate(node, begin + k * MS, angle=0.1, variance=4e-3)
+    assert node.health(2)["commands"].values["governor"] == "lets the reference through"

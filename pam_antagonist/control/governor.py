@@ -1,0 +1,276 @@
+"""A reference governor: between reference and law, so that the joint keeps to its limits.
+
+At each sample it predicts what the law would do with a reference: the model, in coarse steps over a short time, from
+the estimate on, and then the state in which it would end. All of it has to keep every limit. Where the wanted
+reference does not, the applied one moves as far along the line towards it as it may (a scalar reference governor:
+Gilbert, Kolmanovsky and Tan 1995). The reference that is applied already may always stay.
+
+What is predicted is not quite what happens. So a limit is kept with a distance:
+
+* **Uncertainty.** The angle counts with z of its standard deviations to either side, pressure and force with z of
+  theirs within the limit. z belongs to the declared level: a limit is kept with that probability (chance constraint),
+  as far as the estimate's covariance is right. Velocity counts with z of its standard deviations as well.
+* **Pushes.** A torque from outside of the declared size moves the joint by its size over the stiffness, before any
+  valve can do something about it. The pressures change by that as those of closed chambers do, P V^k_2 constant. A
+  push may be larger, and the velocity at its begin is not limited by this: no valve is quick enough.
+
+With a torque as the reference, the joint's angle is whatever holds it: it is predicted to stay where it is, and angle
+and velocity are not kept. The stops of ``safety/`` stand behind all this and know nothing of it.
+"""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.model_law import ModelController, Seen, known_torque, voltage_towards, wanted_pressures
+from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import dynamics, equilibrium, muscle
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
+from pam_antagonist.model.parameters import LENGTH, POLYTROPIC_VOLUME, RADIUS
+
+# numba compiles calls of plain names, not of attributes that it would have to look up again.
+_leverage, _length, _volume = muscle.leverage, muscle.length, muscle.volume
+_forces, _torque_slope, _rk4_step = dynamics.forces, dynamics.torque_slope, dynamics.rk4_step
+_make_steady = equilibrium.make_steady
+
+LIMITS = ("", "pressure 1", "pressure 2", "angle", "velocity", "contraction 1", "contraction 2", "force 1", "force 2")
+"""Names of the limits, by the number that the prediction gives; the first one: none."""
+_PRESSURE, _ANGLE, _VELOCITY, _CONTRACTION, _FORCE = 1, 3, 4, 5, 7
+_PRESSURE_SCALE, _ANGLE_SCALE, _VELOCITY_SCALE, _CONTRACTION_SCALE, _FORCE_SCALE = 1e5, 0.1, 1.0, 0.05, 10.0
+"""[Pa], [rad], [rad/s], [-], [N] By which excesses of different kinds are compared."""
+_STEP = 0.012
+"""[s] Step of the prediction: the paper's joint swings at 20 to 25 Hz, and RK4 is stable up to 2.8 rad a step."""
+_STEPS = 14
+_LEAST_SHARE = 1.0 / 1024.0
+_WAYS = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
+"""Where the applied reference is moved to: value and stiffness together, then one of them where both cannot."""
+_LEAST_STIFFNESS = 1e-3
+"""[N m/rad] So that a joint without stiffness does not divide by zero."""
+
+
+class Limits(NamedTuple):
+    """What a joint is to keep to; infinite: no limit.
+
+    Attributes:
+        lowest_pressure: of either muscle, absolute [Pa].
+        highest_pressure: likewise [Pa].
+        angle: magnitude [rad].
+        velocity: magnitude [rad/s].
+        extension: largest (l − L_0)/L_0 of either muscle [-].
+        contraction: largest (L_0 − l)/L_0 [-].
+        force: least contraction force of either muscle [N].
+    """
+
+    lowest_pressure: float
+    highest_pressure: float
+    angle: float = math.inf
+    velocity: float = math.inf
+    extension: float = math.inf
+    contraction: float = math.inf
+    force: float = 0.0
+
+    def inner(self, margin: float = SUPPLY_MARGIN, force: float = LEAST_FORCE) -> Box:
+        """The box of the law whose governor keeps these limits: what the law asks for keeps a distance of them.
+
+        Integral and friction's side move the pressures of a reference that was admissible. The box holds them in
+        every case.
+
+        Args:
+            margin: of the pressures [Pa].
+            force: of the forces [N].
+        """
+        return Box(self.lowest_pressure + margin, self.highest_pressure - margin, self.force + force)
+
+
+@inlined
+def _worse(excess, which, new, number):
+    return (new, number) if new > excess else (excess, which)
+
+
+@inlined
+def _excess(x, with_motion, spread, of_pressures, of_velocity, of_force, limits, p):
+    """Largest excess over a limit of one state, and which limit; negative: within all of them."""
+    excess, which = -math.inf, 0
+    if with_motion:
+        new = (abs(x[ANGLE]) + spread - limits.angle) / _ANGLE_SCALE
+        excess, which = _worse(excess, which, new, _ANGLE)
+        new = (abs(x[VELOCITY]) + of_velocity - limits.velocity) / _VELOCITY_SCALE
+        excess, which = _worse(excess, which, new, _VELOCITY)
+    at = x[ANGLE]
+    sine, cosine, _ = _leverage(at, p)
+    force_margin = of_force / (p[RADIUS] * max(abs(cosine), 0.1))
+    volumes = _volume(0, _length(0, sine, p), p)[0], _volume(1, _length(1, sine, p), p)[0]
+    for side in (-1.0, 1.0):
+        x[ANGLE] = at + side * spread
+        sine, _, _ = _leverage(x[ANGLE], p)
+        forces = _forces(x, p)
+        for i in range(2):
+            pulled = _length(i, sine, p)
+            # Muscle i is compressed by a push as a closed chamber is; small changes, so that no power is needed.
+            share = p[POLYTROPIC_VOLUME] * (volumes[i] / _volume(i, pulled, p)[0] - 1.0)
+            pressure = x[PRESSURE_1 + i] * (1.0 + share)
+            new = max(
+                pressure + of_pressures[i] - limits.highest_pressure,
+                limits.lowest_pressure - pressure + of_pressures[i],
+            )
+            excess, which = _worse(excess, which, new / _PRESSURE_SCALE, _PRESSURE + i)
+            ratio = pulled / p[LENGTH] - 1.0
+            new = max(ratio - limits.extension, -ratio - limits.contraction) / _CONTRACTION_SCALE
+            excess, which = _worse(excess, which, new, _CONTRACTION + i)
+            new = (limits.force + force_margin - forces[i]) / _FORCE_SCALE
+            excess, which = _worse(excess, which, new, _FORCE + i)
+    x[ANGLE] = at
+    return excess, which
+
+
+@in_place
+def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z, push, held, x, u, p, coarse):
+    """Largest excess over a limit on the way to a reference and at its end, and which limit.
+
+    Args:
+        of_torque: whether the value is a torque [N m]; else it is an angle [rad].
+        value: of the reference.
+        stiffness: [N m/rad]; NaN: free.
+        seen: what is estimated.
+        integral: of the law [N m].
+        gains: of the law (3,).
+        box: of the law.
+        limits: to keep.
+        z: standard deviations that count.
+        push: torque from outside that counts [N m].
+        held: voltages (2,) on the valves [V].
+        x: state (n,), written over.
+        u: input (3,), written over.
+        p: parameter vector.
+        coarse: the same with the prediction's step as its friction's, and locked where the value is a torque.
+    """
+    bandwidth, _, approach = gains
+    wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box, held, x, p)
+    first, second = x[PRESSURE_1], x[PRESSURE_2]
+    spread = z * math.sqrt(seen.angle_variance) + push / max(-_torque_slope(x, p), _LEAST_STIFFNESS)
+    of_pressures = z * math.sqrt(seen.pressure_variance_1), z * math.sqrt(seen.pressure_variance_2)
+    # The torque's is that of both forces' difference; each is taken to have half of the variance.
+    of_velocity, of_force = z * math.sqrt(seen.velocity_variance), z * math.sqrt(0.5 * seen.torque_variance)
+    x[VELOCITY] = 0.0
+    excess, which = _excess(x, not of_torque, spread, of_pressures, of_velocity, of_force, limits, p)
+    _make_steady(x, seen.angle, seen.pressure_1, seen.pressure_2, held, p, 0.0)
+    x[VELOCITY] = 0.0 if of_torque else seen.velocity
+    u[2] = known_torque(seen.external_torque, seen.external_variance)
+    for _ in range(_STEPS):
+        u[0] = voltage_towards(0, x[PRESSURE_1], first, x[ANGLE], x[VELOCITY], bandwidth, p)
+        u[1] = voltage_towards(1, x[PRESSURE_2], second, x[ANGLE], x[VELOCITY], bandwidth, p)
+        _rk4_step(x, u, coarse, _STEP, x)
+        new, number = _excess(x, not of_torque, spread, of_pressures, of_velocity, of_force, limits, p)
+        excess, which = _worse(excess, which, new, number)
+    return excess, which
+
+
+class Governor:
+    """Moves the applied reference towards the wanted one as far as the limits allow.
+
+    Args:
+        p: parameter vector (parameters.SIZE,).
+        box: of the law.
+        limits: to keep.
+        level: probability with which a limit is to be kept, 0.5 to 1.
+        push: torque from outside that counts [N m].
+
+    Raises:
+        BadInput: a level or push out of range, or limits that leave nothing.
+
+    Attributes:
+        active: name of the limit that held the reference back at the last sample; empty: none did.
+        held_back: samples at which one did.
+    """
+
+    def __init__(self, p: np.ndarray, box: Box, limits: Limits, level: float = 0.999, push: float = 0.3) -> None:
+        if not 0.5 <= level < 1.0:
+            raise BadInput(f"governor's level {level!r}: expected a probability from 0.5 to below 1")
+        if not (math.isfinite(push) and push >= 0.0):
+            raise BadInput(f"push {push!r} N m: expected a finite torque, 0 or more")
+        if not (limits.lowest_pressure < limits.highest_pressure and limits.angle > 0.0 and limits.velocity > 0.0):
+            raise BadInput(f"limits {limits}: expected a lowest below the highest pressure, and motion above 0")
+        self._p, self._box, self._limits, self._push = p, box, limits, push
+        self._z = NormalDist().inv_cdf(level)
+        free, locked = p.copy(), p.copy()
+        free[par.FRICTION_STEP] = locked[par.FRICTION_STEP] = _STEP
+        locked[par.LOCKED] = 1.0
+        self._coarse = {Mode.ANGLE: free, Mode.TORQUE: locked}
+        self._x, self._u, self._held = np.zeros(int(p[par.STATES])), np.zeros(3), np.zeros(2)
+        self._quantity: Mode | None = None
+        self._applied = self._wanted = (math.nan, math.nan)
+        self._way, self._shares = 0, [1.0] * len(_WAYS)
+        self.active, self.held_back = "", 0
+        # Nothing is compiled in the loop.
+        self._excess(Mode.ANGLE, 0.0, math.nan, Seen(0.0, 0.0, 0.0, box.lowest, box.lowest), 0.0, (1.0, 1.0, 1.0))
+
+    def reset(self) -> None:
+        """Begin at the estimate with the next reference."""
+        self._quantity, self.active = None, ""
+
+    def _excess(
+        self, quantity: Mode, value: float, stiffness: float, seen: Seen, integral: float, gains: tuple[float, ...]
+    ) -> tuple[float, int]:
+        excess, which = _predict(
+            quantity is Mode.TORQUE, value, stiffness, seen, integral, gains, self._box, self._limits, self._z,
+            self._push, self._held, self._x, self._u, self._p, self._coarse[quantity],
+        )  # fmt: skip
+        return excess, which
+
+    def step(self, mode: Mode, value: float, stiffness: float, seen: Seen, law: ModelController) -> tuple[float, float]:
+        """The reference to apply at one sample.
+
+        Args:
+            mode: what the reference is.
+            value: wanted [rad] or [N m].
+            stiffness: wanted [N m/rad]; NaN: free.
+            seen: what is estimated.
+            law: that will get it.
+
+        Returns:
+            Value and stiffness.
+        """
+        quantity = mode.quantity
+        if self._quantity is not quantity:
+            now = seen.torque if quantity is Mode.TORQUE else seen.angle
+            self._quantity, self._wanted = quantity, (math.nan, math.nan)
+            self._applied = (now, self._present_stiffness(seen))
+        if (value, stiffness) != self._wanted:
+            self._wanted, self._way, self._shares = (value, stiffness), 0, [1.0] * len(_WAYS)
+        before, before_stiffness = self._applied
+        if math.isnan(stiffness) or math.isnan(before_stiffness):
+            before_stiffness = stiffness
+        if value == before and (stiffness == before_stiffness or math.isnan(stiffness)):
+            self._applied, self.active = (value, stiffness), ""
+            return self._applied
+        if not all(map(math.isfinite, seen[7:])):  # an estimate without a pressure: stay
+            return before, before_stiffness
+        self._held[:] = law.valves
+        way, share = self._way, self._shares[self._way]
+        of_value, of_stiffness = _WAYS[way]
+        new = value if of_value * share == 1.0 else before + of_value * share * (value - before)
+        softness = before_stiffness + of_stiffness * share * (stiffness - before_stiffness)
+        softness = stiffness if of_stiffness * share == 1.0 else softness
+        excess, which = self._excess(quantity, new, softness, seen, law.integral, law.gains)
+        # Where to stay violates a limit as well, by a push for instance, whatever is no worse is allowed.
+        if excess > 0.0 and excess > self._excess(quantity, before, before_stiffness, seen, law.integral, law.gains)[0]:
+            self.active, self._shares[way] = LIMITS[which], max(0.5 * share, _LEAST_SHARE)
+            self.held_back += 1
+        else:
+            self._shares[way] = min(2.0 * share, 1.0)
+            self._applied = (new, softness)
+        if way or excess > 0.0:
+            self._way = (way + 1) % len(_WAYS) if not math.isnan(stiffness) else 0
+        return self._applied
+
+    def _present_stiffness(self, seen: Seen) -> float:
+        _make_steady(self._x, seen.angle, seen.pressure_1, seen.pressure_2, self._held, self._p, 0.0)
+        return -float(_torque_slope(self._x, self._p))
