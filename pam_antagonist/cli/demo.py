@@ -181,19 +181,18 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
     shared: dict[str, object] = {"rig": name}
     joint: dict[str, object] = {"joint": "free"} if mode is Mode.ANGLE else {"joint": "locked", "lock_angle": 0.0}
     with Processes(out / "logs") as processes:
-        processes.start("record", ["--out", str(out / "bag")])
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
         processes.start("controller", ros_arguments({**shared, **_gains(arguments.gains, mode)}, {}))
         simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
         processes.start("plant", ros_arguments({**shared, **joint, **simulated}, {}))
         try:
             steps = references(mode, arguments.duration, rig.joint.stop or math.inf)
-            _steps(processes, mode, steps, arguments.duration)
+            _steps(processes, mode, steps, arguments.duration, out / "bag")
         finally:
             # From the source to the sink, so that every sample that was sent is estimated, commanded and recorded.
             processes.stop("plant")
             time.sleep(_DRAIN)
-            processes.stop("controller", "estimator", "record")
+            processes.stop(*(name for name in ("controller", "estimator", "record") if name in processes.running))
 
 
 def _gains(name: str, mode: Mode) -> dict[str, object]:
@@ -202,7 +201,7 @@ def _gains(name: str, mode: Mode) -> dict[str, object]:
     return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
 
 
-def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], duration: float) -> None:
+def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], duration: float, bag: Path) -> None:
     from tqdm import tqdm
 
     # ROS is imported while the nodes are starting.
@@ -210,7 +209,16 @@ def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], d
 
     with ReferenceClient() as watch:
         begin = time.monotonic()
-        processes.wait(_patient(watch.missing))
+
+        def missing() -> str:
+            if "record" not in processes.running:
+                if not watch.listeners:
+                    return "the controller does not listen"
+                # The plant waits for the recorder. So the recording does not begin while a node compiles.
+                processes.start("record", ["--out", str(bag)])
+            return watch.missing()
+
+        processes.wait(_patient(missing))
         took = f"plant, estimator and controller are running after {time.monotonic() - begin:.1f} s"
         print(f"{took}; recording {duration:g} s", flush=True)
         look = "{percentage:3.0f} %|{bar:20}| {n:.1f}/{total:g} s{postfix}"

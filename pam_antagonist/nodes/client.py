@@ -91,10 +91,16 @@ class PipelineClient:
             self._latest[topic] = taken[0]
         return self._latest.get(topic)
 
+    @property
+    def listeners(self) -> int:
+        """How many nodes listen to what this one publishes."""
+        self._check()
+        return int(self._publisher.get_subscription_count())
+
     def missing(self) -> str:
         """What does not deliver or listen yet, in words; empty when everything does."""
         parts = [f"nothing on {TOPICS[topic].relative}" for topic in self._topics if self.latest(topic) is None]
-        if self._publisher.get_subscription_count() < _SUBSCRIBERS:
+        if self.listeners < _SUBSCRIBERS:
             parts.append(f"nobody listens to {TOPICS[self._published].relative}")
         return ", ".join(parts)
 

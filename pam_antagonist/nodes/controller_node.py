@@ -10,6 +10,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 
+from pam_antagonist._jit import COMPILING
 from pam_antagonist.control import Command, Seen, Status, VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
@@ -52,6 +53,7 @@ class ControllerNode(PamNode):
     def configure(self) -> None:
         """A controller at rest."""
         values = self.values
+        COMPILING.tell = self.get_logger().info
         rig = load_rig(values["rig"])
         self._limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
         self._action = safe_action(

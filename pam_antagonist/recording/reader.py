@@ -302,6 +302,10 @@ def _joint_names(decoded: Decoded) -> list[str]:
     return [name.decode(errors="replace") for name in sorted(names, key=lambda name: names[name])]
 
 
+_SHOWN = {"position": "angle (field position)", "effort": "torque (field effort)"}
+"""What a user calls the fields of a JointState."""
+
+
 def _external(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Values) -> Floats | None:
     """Torque from outside at the sample stamps (N,) [N m]."""
     torque = np.asarray(topic.values("wrench.torque.z"), np.float64)
@@ -317,7 +321,7 @@ def _validation(
     driver, another rate) is interpolated, and that is said.
     """
     if not np.any(np.isfinite(values)):
-        bag.issues.append(f"{topic.actual} holds no {what}")
+        bag.issues.append(f"{topic.actual} holds no {_SHOWN.get(what, what)}")
         return None
     values = convert.of(topic.actual, what, values)
     stamp_ns = topic.arrival.stamp_ns

@@ -210,7 +210,7 @@ def test_joint_states_without_effort_or_names(rig: FakeRig, tmp_path: Path) -> N
     recording = read_bag(rig.write(tmp_path / "bag", streams))
     np.testing.assert_array_equal(recording.angle, rig.angle)
     assert recording.torque is None
-    assert recording.issues == ("/pam/measured/joint_states holds no effort",)
+    assert recording.issues == ("/pam/measured/joint_states holds no torque (field effort)",)
 
 
 def test_encoder_with_stamps_of_its_own_is_interpolated(rig: FakeRig, tmp_path: Path) -> None:
