@@ -46,7 +46,7 @@ LIMITS = ("", "pressure 1", "pressure 2", "angle", "velocity", "contraction 1", 
 _PRESSURE, _ANGLE, _VELOCITY, _CONTRACTION, _FORCE = 1, 3, 4, 5, 7
 _PRESSURE_SCALE, _ANGLE_SCALE, _VELOCITY_SCALE, _CONTRACTION_SCALE, _FORCE_SCALE = 1e5, 0.1, 1.0, 0.05, 10.0
 """[Pa], [rad], [rad/s], [-], [N] By which excesses of different kinds are compared."""
-_STEP = 0.012
+_STEP = 0.010
 """[s] Step of the prediction: the paper's joint swings at 20 to 25 Hz, and RK4 is stable up to 2.8 rad a step."""
 _STEPS = 14
 _LEAST_SHARE = 1.0 / 1024.0
