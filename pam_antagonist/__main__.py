@@ -24,6 +24,9 @@ class Command(NamedTuple):
 COMMANDS: dict[str, Command] = {
     "demo": Command("pam_antagonist.cli.demo:main", "control a simulated joint live, record, replay and report it"),
     "watch": Command("pam_antagonist.cli.watch:main", "show a running joint in the browser, 30 times a second"),
+    "new_rig": Command(
+        "pam_antagonist.cli.new_rig:main", "the rig file of a new joint, by ruler, scale and data sheet"
+    ),
     "check": Command("pam_antagonist.cli.check:main", "is this a recording of this rig, in the right units?"),
     "replay": Command(
         "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"

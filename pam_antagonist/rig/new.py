@@ -1,0 +1,270 @@
+"""A rig file from what a ruler, a scale and data sheets tell: the start of an identification.
+
+What nobody can measure with a ruler is filled in, with a wide prior, so that ``identify`` moves it.
+
+**Force.** A data sheet gives the force F_n without contraction at a gauge pressure p_n, and the contraction ε_n at
+which no force is left. The linear map in between, with ε = 1 − l/L_n,
+
+    F = F_n (p/p_n) (1 − k ε) − F_n (h + c ε),
+
+has two parts: of the pressure, and of the rubber, which takes force away. Shares h = 0.06 and c = 0.59 k are those of a
+measured map (Martens and Boblan 2017, DMSP-20, contractions up to 26 %; k = 2.5 there). F(ε_n, p_n) = 0 then gives
+k = (1 − h)/(1.59 ε_n). With absolute pressure P this is equation (6), (7).
+
+**Volume.** Inextensible threads of length b that go round n times enclose V = l (b² − l²)/(4 π n²) (Chou and Hannaford
+1996). D_1, D_2, D_3 of equation (3) are its best fit over the joint's range.
+
+**Valve.** The inflow area lets the data sheet's flow through, by equation (5).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model import orifice
+from pam_antagonist.rig.parts import MusclePart, ValvePart
+from pam_antagonist.rig.physical import unphysical
+from pam_antagonist.rig.schema import Rig
+from pam_antagonist.strict_yaml import validated
+
+ATMOSPHERE = 101.3e3
+"""Pressure of the surroundings [Pa]."""
+_RUBBER, _RUBBER_SLOPE = 0.06, 0.59
+_THREAD_ANGLE = math.radians(25.0)
+"""Between threads and axis without pressure: with it the braid's force at ε = 0 is that of the data sheets."""
+_MOST_STRETCH = 0.05
+"""[-] Data sheets allow no muscle to be stretched further."""
+_RANGE_WITHOUT_STOP = math.radians(25.0)
+_LITRES_A_MINUTE = 1.189e-3 / 60.0
+"""[kg/s] One of air at 20 °C and 1 bar, the reference of ISO 6358."""
+_NOMINAL = 7e5, 6e5
+"""Absolute pressures before and behind the valve at its nominal flow [Pa]."""
+
+_PRIORS = {
+    "valve_1.inflow_area": 0.25, "valve_1.outflow_area": 0.25,
+    "valve_2.inflow_area": 0.25, "valve_2.outflow_area": 0.25,
+    "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.2, "joint.inertia": 0.3, "joint.viscous_friction": 0.8,
+    "friction.shaft": 0.5, "friction.muscle": 0.8,
+}  # fmt: skip
+"""Standard deviations before identification, as shares of the value."""
+_FORCE_PRIOR = 0.15
+"""Of a muscle's force: so far may two muscles of one kind, or a muscle and its data sheet, differ [-]."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a person knows of a rig.
+
+    Attributes:
+        name: of the rig.
+        kind: ``lever`` or ``pulley``.
+        radius: lever arm r [m].
+        length: of a muscle at angle 0 [m].
+        nominal_length: of a muscle without pressure and load [m].
+        muscle: of both sides.
+        muscle_name: its name.
+        supply: gauge pressure of the supply [Pa].
+        valve: of both sides.
+        valve_name: its name.
+        voltage: least and largest voltage that a valve may get [V].
+        shaft_radius: [m].
+        mass: of what the shaft carries [kg].
+        inertia: of what turns [kg m²].
+        stop: magnitude of the angle at which the joint stops [rad], None for none.
+        pressure_range: of a pressure sensor [Pa].
+        pressure_bits: of its converter.
+        period: from sample to sample [s].
+    """
+
+    name: str
+    kind: str
+    radius: float
+    length: float
+    nominal_length: float
+    muscle: MusclePart
+    muscle_name: str
+    supply: float
+    valve: ValvePart
+    valve_name: str
+    voltage: tuple[float, float]
+    shaft_radius: float
+    mass: float
+    inertia: float
+    stop: float | None
+    pressure_range: float
+    pressure_bits: int
+    period: float
+
+    def travel(self) -> tuple[float, float]:
+        """Shortest and longest length of a muscle within the joint's range [m]."""
+        bound = _RANGE_WITHOUT_STOP if self.stop is None else self.stop
+        reach = self.radius * (math.sin(bound) if self.kind == "lever" else bound)
+        return self.length - reach, self.length + reach
+
+    def contractions(self) -> tuple[float, float]:
+        """Least and largest contraction of a muscle within the joint's range [-]."""
+        shortest, longest = self.travel()
+        return 1.0 - longest / self.nominal_length, 1.0 - shortest / self.nominal_length
+
+
+def starting_point(facts: Facts) -> Rig:
+    """The rig that the facts describe, with wide priors where they tell nothing.
+
+    Args:
+        facts: what is known.
+
+    Raises:
+        BadInput: facts that do not go together, or that no rig has.
+    """
+    least, largest = facts.contractions()
+    if least < -_MOST_STRETCH:
+        raise BadInput(
+            f"muscle length {facts.length * 1e3:g} mm at angle 0, nominal length {facts.nominal_length * 1e3:g} mm: at "
+            f"the end of its travel a muscle would be stretched by {-least:.0%}; expected {_MOST_STRETCH:.0%} at most"
+        )
+    if (left := _force(facts, facts.travel()[0], facts.supply)) <= 0.0:
+        raise BadInput(
+            f"muscle length {facts.length * 1e3:g} mm at angle 0, nominal length {facts.nominal_length * 1e3:g} mm: at "
+            f"the end of its travel a muscle would be contracted by {largest:.0%}, where {facts.muscle_name} pulls with "
+            f"{left:.0f} N at the supply's pressure; expected more than 0: less radius or stop, or more length"
+        )
+    content = _rounded(_content(facts))
+    rig = validated(Rig, content, facts.name, ("consider", "sealed"))
+    # The area follows from the law that the rig's own constants give.
+    flow = orifice.orifice_flow(*_NOMINAL, rig.parameters())
+    area = facts.valve.flow * _LITRES_A_MINUTE / flow
+    valve = _rounded({**content["valve_1"], "inflow_area": area, "outflow_area": area})
+    rig = validated(Rig, {**content, "valve_1": valve, "valve_2": valve}, facts.name, ("consider", "sealed"))
+    priors = {**{name: share * rig.value(name) for name, share in _PRIORS.items()}, **_force_priors(facts)}
+    rig = rig.replaced(priors=_rounded(priors))
+    complaint = unphysical(rig)
+    if complaint:
+        raise BadInput(f"these values make no rig: {complaint}")
+    return rig
+
+
+def _rounded(value: Any) -> Any:
+    """A content whose numbers have five digits: nobody knows more of them, and a person reads the file."""
+    if isinstance(value, Mapping):
+        return {name: _rounded(item) for name, item in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_rounded(item) for item in value)
+    return float(f"{value:.5g}") if isinstance(value, float) else value
+
+
+def force_map(facts: Facts) -> dict[str, float]:
+    """Coefficients v1, v2, w1, w2 of equations (6) and (7), from the data sheet."""
+    part, nominal = facts.muscle, facts.nominal_length
+    k = (1.0 - _RUBBER) / ((1.0 + _RUBBER_SLOPE) * part.contraction)
+    gain, rubber = part.force / part.pressure, _RUBBER_SLOPE * k * part.force
+    v1, v2 = gain * k / nominal, gain * (1.0 - k)
+    return {
+        "v1": v1,
+        "v2": v2,
+        "w1": rubber / nominal - v1 * ATMOSPHERE,
+        "w2": -_RUBBER * part.force - rubber - v2 * ATMOSPHERE,
+    }
+
+
+def _force(facts: Facts, length: float, gauge: float) -> float:
+    """Contraction force [N] at a length [m] and a gauge pressure [Pa], equations (6) and (7)."""
+    force = force_map(facts)
+    pressure = gauge + ATMOSPHERE
+    return (force["v1"] * length + force["v2"]) * pressure + force["w1"] * length + force["w2"]
+
+
+def volume_map(facts: Facts) -> dict[str, float]:
+    """D_1, D_2, D_3 of equation (3): the best fit to the braid's volume over the joint's range."""
+    thread = facts.nominal_length / math.cos(_THREAD_ANGLE)
+    turns = facts.nominal_length * math.tan(_THREAD_ANGLE) / (math.pi * facts.muscle.diameter)
+    lengths = np.linspace(*facts.travel(), 21)
+    volume = lengths * (thread**2 - lengths**2) / (4.0 * math.pi * turns**2)
+    d1, d2, d3 = np.polyfit(lengths, volume, 2)
+    return {"d1": float(d1), "d2": float(d2), "d3": float(d3)}
+
+
+def _force_priors(facts: Facts) -> dict[str, float]:
+    """Standard deviations of the force map's coefficients: each alone moves the force by about the same share."""
+    part, force = facts.muscle, force_map(facts)
+    stds = {
+        "v1": 0.5 * _FORCE_PRIOR * abs(force["v1"]),
+        "v2": _FORCE_PRIOR * part.force / part.pressure,
+        "w1": 0.5 * _FORCE_PRIOR * part.force / facts.nominal_length,
+        "w2": 0.5 * _FORCE_PRIOR * part.force,
+    }
+    return {f"muscle_{i}.force.{name}": std for i in (1, 2) for name, std in stds.items()}
+
+
+def _content(facts: Facts) -> dict[str, Any]:
+    """A rig file's content, but for the valves' areas and the priors."""
+    muscle: Mapping[str, Any] = {"volume": volume_map(facts), "force": force_map(facts)}
+    valve = {
+        "inflow_area": 1e-8,
+        "outflow_area": 1e-8,
+        "curve": {"voltage": facts.valve.curve.voltage, "open_rate": facts.valve.curve.open_rate},
+    }
+    half, middle = 0.5 * facts.supply, 0.5 * _force(facts, facts.length, facts.supply)
+    noise, step = 5e-4 * facts.pressure_range, facts.pressure_range / 2**facts.pressure_bits
+    variance = noise**2 + step**2 / 12.0
+    return {
+        "name": facts.name,
+        "source": (
+            f"new_rig: what was measured with a ruler and a scale; {facts.muscle_name}: {facts.muscle.source}; "
+            f"{facts.valve_name}: {facts.valve.source}; the rest is assumed"
+        ),
+        "sample_period": facts.period,
+        "geometry": {"kind": facts.kind, "radius": facts.radius, "length": facts.length},
+        "muscle_1": muscle,
+        "muscle_2": muscle,
+        "valve_1": valve,
+        "valve_2": valve,
+        "valves": {"voltage_min": facts.voltage[0], "voltage_max": facts.voltage[1]},
+        "supply": {"pressure": facts.supply + ATMOSPHERE},
+        "atmosphere": {"pressure": ATMOSPHERE},
+        "gas": {
+            "heat_ratio": 1.4, "constant": 287.0, "temperature": 293.0,
+            "polytropic_flow": 1.1, "polytropic_volume": 0.5,
+        },
+        "joint": {
+            "inertia": facts.inertia,
+            "stiffness": 0.0,
+            # A damping ratio of 5 % against the muscles' own stiffness.
+            "viscous_friction": 0.1 * math.sqrt(facts.inertia * _joint_stiffness(facts)),
+            "shaft_radius": facts.shaft_radius,
+            "mass": facts.mass,
+            "gravity": 9.81,
+            "stop": facts.stop,
+        },
+        # A hundredth of a muscle's force on its lever arm is lost in its own tube and mesh.
+        "friction": {
+            "shaft": 0.2, "muscle": 0.005 * middle * facts.radius * half**2, "pressure_floor": 20e3,
+        },
+        "sensors": {
+            "pressure_std": noise, "pressure_step": step, "angle_std": 5e-4, "angle_step": 0.0, "torque_std": 0.01,
+            "torque_step": 0.0,
+        },
+        "uncertainty": {
+            "muscle_1.force.w2": _FORCE_PRIOR * middle, "muscle_2.force.w2": _FORCE_PRIOR * middle,
+            "friction.shaft": 0.03, "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.08,
+        },
+        "tunings": {
+            "default": {
+                "initial": (1e-4, 1e-4, 1e6, 1e6), "process": (1e-9, 1e-6, 1e4, 1e4),
+                "measurement": (variance, variance),
+                "kappa": 0.5, "consider": True, "gate": 6.0,
+            }
+        },
+    }  # fmt: skip
+
+
+def _joint_stiffness(facts: Facts) -> float:
+    """−∂τ/∂ψ of both muscles at half the supply and angle 0 [N m/rad], from (7) and (9)."""
+    force = force_map(facts)
+    slope = force["v1"] * (0.5 * facts.supply + ATMOSPHERE) + force["w1"]
+    return 2.0 * facts.radius**2 * max(slope, 1.0)

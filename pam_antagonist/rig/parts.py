@@ -1,0 +1,79 @@
+"""Muscles and valves that can be bought, as their data sheets describe them: where a new rig file starts from."""
+
+from __future__ import annotations
+
+import difflib
+from functools import cache
+from typing import Dict, TypeVar  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+
+from pydantic import Field
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.paths import config_dir
+from pam_antagonist.rig.schema import Curve
+from pam_antagonist.strict_yaml import Strict, read_mapping, validated
+
+
+class MusclePart(Strict):
+    """A muscle of a data sheet."""
+
+    diameter: float = Field(gt=1e-3, lt=0.2, description="inner diameter without pressure [m]")
+    force: float = Field(gt=0.1, lt=1e5, description="contraction force without contraction [N]")
+    pressure: float = Field(gt=1e4, lt=2e6, description="gauge pressure of it [Pa]")
+    contraction: float = Field(gt=0.02, lt=0.5, description="largest contraction without load, at that pressure [-]")
+    source: str = Field(description="where the numbers come from")
+
+
+class ValvePart(Strict):
+    """A proportional valve of a data sheet."""
+
+    flow: float = Field(gt=1e-3, lt=1e5, description="standard nominal flow, from 7 to 6 bar absolute [l/min]")
+    curve: Curve
+    closed_centre: bool = Field(False, description="no air passes at the middle voltage")
+    source: str = Field(description="where the numbers come from")
+
+
+class _Muscles(Strict):
+    parts: Dict[str, MusclePart]  # noqa: UP006
+
+
+class _Valves(Strict):
+    parts: Dict[str, ValvePart]  # noqa: UP006
+
+
+Part = TypeVar("Part")
+
+
+@cache
+def muscle_parts() -> dict[str, MusclePart]:
+    """Muscles by name, from ``config/parts/muscles.yaml``."""
+    path = config_dir() / "parts" / "muscles.yaml"
+    content = read_mapping(path, "parts", str(path))
+    return dict(validated(_Muscles, {"parts": content}, str(path), ()).parts)
+
+
+@cache
+def valve_parts() -> dict[str, ValvePart]:
+    """Valves by name, from ``config/parts/valves.yaml``."""
+    path = config_dir() / "parts" / "valves.yaml"
+    content = read_mapping(path, "parts", str(path))
+    return dict(validated(_Valves, {"parts": content}, str(path), ("closed_centre",)).parts)
+
+
+def named(what: str, name: str, parts: dict[str, Part]) -> Part:
+    """The part of a name; upper and lower case do not matter.
+
+    Args:
+        what: ``muscle`` or ``valve``, for the message.
+        name: as it was typed.
+        parts: by name.
+
+    Raises:
+        BadInput: no such part.
+    """
+    bare = {known.lower(): part for known, part in parts.items()}
+    if name.lower() in bare:
+        return bare[name.lower()]
+    close = difflib.get_close_matches(name.lower(), bare, 1)
+    hint = f"; did you mean {next(known for known in parts if known.lower() == close[0])}?" if close else ""
+    raise BadInput(f"{what} {name!r}: unknown, expected one of {', '.join(parts)}, or own{hint}")

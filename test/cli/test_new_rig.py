@@ -1,0 +1,112 @@
+"""A rig file from what a ruler, a scale and data sheets tell."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist import check, load_rig, simulate
+from pam_antagonist.cli import new_rig
+from pam_antagonist.model import muscle, orifice
+from pam_antagonist.rig.parts import muscle_parts, valve_parts
+
+# The joint of the paper, as somebody would measure it who knows neither its force map nor its valves' areas.
+MEASURED = {
+    "radius": "36.5mm", "muscle": "own", "muscle-diameter": "14mm", "muscle-force": "85N", "muscle-pressure": "5bar",
+    "muscle-contraction": "22", "nominal-length": "175mm", "length": "165mm", "supply": "6.1bar", "valve": "shin2022",
+    "inertia": "4e-4", "mass": "256g", "shaft-radius": "6mm", "stop": "25deg",
+}  # fmt: skip
+BOUGHT = {
+    "radius": "20mm", "muscle": "dmsp-20", "nominal-length": "0.3m", "length": "285mm", "supply": "6bar",
+    "valve": "MPYE-5-M5", "inertia": "0.002", "mass": "0.5kg", "stop": "none",
+}  # fmt: skip
+
+
+def typed(answers: dict[str, str], path: Path) -> list[str]:
+    return ["--out", str(path), *(word for name, value in answers.items() for word in (f"--{name}", value))]
+
+
+def written(answers: dict[str, str], path: Path):
+    assert new_rig.main(typed(answers, path)) == 0
+    return load_rig(path)
+
+
+def test_a_recording_of_the_joint_passes_the_check_with_the_new_file(tmp_path, capsys) -> None:
+    rig = written(MEASURED, tmp_path / "rig.yaml")
+    shown = capsys.readouterr().out
+    assert "identify free_bag locked_bag --rig" in shown
+    findings = check(simulate("shin2022", duration=20.0, seed=5, mismatch=0.01), rig).findings
+    assert {item.status for item in findings} <= {"good", "untested"}
+    # So far off its own joint is the declared one.
+    p, true = rig.parameters(), load_rig("shin2022").parameters()
+    for angle in (-0.3, 0.0, 0.3):
+        at = [muscle.length(0, muscle.leverage(angle, vector)[0], vector) for vector in (p, true)]
+        force, real = (muscle.force(0, at[k], 450e3, vector) for k, vector in enumerate((p, true)))
+        assert force == pytest.approx(real, rel=0.35)
+
+
+def test_a_muscle_has_the_force_of_its_data_sheet(tmp_path) -> None:
+    rig, part = written(BOUGHT, tmp_path / "rig.yaml"), muscle_parts()["DMSP-20"]
+    p, pressure = rig.parameters(), part.pressure + rig.atmosphere.pressure
+    # The rubber takes 6 % of it, as in the measured map of this muscle.
+    assert muscle.force(0, 0.3, pressure, p) == pytest.approx(0.94 * part.force, rel=1e-3)
+    assert abs(muscle.force(0, 0.3 * (1.0 - part.contraction), pressure, p)) < 1e-3 * part.force
+    # A cylinder of the hose's diameter has about this volume, and a contracted muscle is thicker.
+    volumes = [muscle.volume(0, length, p)[0] for length in (0.26, 0.28, 0.3)]
+    assert volumes[2] == pytest.approx(np.pi / 4.0 * 0.02**2 * 0.3, rel=0.05)
+    assert volumes[0] > volumes[1] > volumes[2]
+
+
+def test_a_valve_lets_the_nominal_flow_of_its_data_sheet_through(tmp_path) -> None:
+    rig = written(BOUGHT, tmp_path / "rig.yaml")
+    flow = rig.value("valve_1.inflow_area") * orifice.orifice_flow(7e5, 6e5, rig.parameters())
+    litres = flow / 1.189 * 60e3  # air of 20 °C and 1 bar
+    assert litres == pytest.approx(valve_parts()["MPYE-5-M5"].flow, rel=1e-3)
+    assert "no air pass at its middle voltage" in (tmp_path / "rig.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"radius": "36.5"}, "--radius '36.5': expected a number and its unit, such as 36.5mm"),
+        ({"radius": "36.5m"}, "expected 0.002 to 0.4 m"),
+        ({"supply": "6atm"}, "unknown unit"),
+        ({"muscle": "DMSP-21"}, "did you mean DMSP-20?"),
+        ({"muscle-force": "100N"}, "only with --muscle own"),
+        ({"length": "312mm"}, "would be stretched by 7"),
+        ({"length": "230mm"}, "expected more than 0"),
+        ({"voltage": "10:0"}, "expected the least and the largest voltage"),
+        ({"stop": "95deg"}, "expected 1 to 89 deg"),
+    ],
+)
+def test_what_makes_no_rig_is_refused_in_one_line(tmp_path, capsys, changes, message) -> None:
+    assert new_rig.main(typed({**BOUGHT, **changes}, tmp_path / "rig.yaml")) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1
+    assert not (tmp_path / "rig.yaml").exists()
+
+
+def test_what_is_missing_is_asked_for_until_the_answer_makes_sense(tmp_path, capsys, monkeypatch) -> None:
+    answers = {name: value for name, value in BOUGHT.items() if name not in ("radius", "stop")}
+    told = iter(["", "", "20", "20mm", "", "", "none", "", "", ""])
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda prompt: next(told))
+    rig = written(answers, tmp_path / "rig.yaml")
+    assert (rig.name, rig.geometry.radius, rig.joint.stop) == ("my_rig", 0.02, None)
+    assert "expected a number and its unit" in capsys.readouterr().out
+
+
+def test_without_anybody_to_ask_what_is_missing_is_named(tmp_path, capsys) -> None:
+    assert new_rig.main(["--out", str(tmp_path / "rig.yaml"), "--radius", "20mm"]) == 2
+    said = capsys.readouterr().err
+    assert "--muscle" in said and "--inertia" in said and "--radius" not in said
+
+
+def test_nothing_is_overwritten(tmp_path, capsys) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("mine")
+    assert new_rig.main(typed(BOUGHT, path)) == 2
+    assert "exists" in capsys.readouterr().err and path.read_text() == "mine"
