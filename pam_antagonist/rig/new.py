@@ -131,7 +131,7 @@ def starting_point(facts: Facts) -> Rig:
     if (left := _force(facts, facts.travel()[0], facts.supply)) <= 0.0:
         raise BadInput(
             f"muscle length {facts.length * 1e3:g} mm at angle 0, nominal length {facts.nominal_length * 1e3:g} mm: at "
-            f"the end of its travel a muscle would be contracted by {largest:.0%}, where {facts.muscle_name} pulls with "
+            f"the end of travel a muscle would be contracted by {largest:.0%}: there {facts.muscle_name} pulls with "
             f"{left:.0f} N at the supply's pressure; expected more than 0: less radius or stop, or more length"
         )
     content = _rounded(_content(facts))
