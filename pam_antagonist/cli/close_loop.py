@@ -14,7 +14,7 @@ from typing import Any
 
 from pam_antagonist import __version__
 from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
-from pam_antagonist.cli import cluster, common
+from pam_antagonist.cli import close_loop_episodes, cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, planned
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
@@ -30,7 +30,8 @@ Give recordings of a joint that moves (free) and of one that is held (locked), w
 base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
 catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a recording of
 its own (--holdout), is kept to judge by. A rig whose valves are sealed needs a recording of its joint driven to and
-fro by a known torque (docs/evidence/sealed_joint.md).
+fro by a known torque (docs/evidence/sealed_joint.md). A rig with pressure regulators (drive: regulator) needs many
+short episodes in one recording (import_csv); whole episodes are held out.
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
 recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. DIR/rig_extended.yaml is left out
@@ -55,6 +56,11 @@ def parser() -> common.Parser:
         "--holdout", type=_held_out, action="append", default=[], metavar="SHARE|BAG",
         help="what no fit sees: a share at the end of each recording (default: a third), or a whole recording; may be "
         "given several times with recordings",
+    )  # fmt: skip
+    out.add_argument(
+        "--also", action="append", default=[], metavar="SIGNAL",
+        help="a further signal of the recording that may be a cause: a name below also/, or a topic; several times for "
+        "several; for rigs with drive: regulator",
     )  # fmt: skip
     out.add_argument("--jobs", type=given.count, default=2, metavar="N", help="threads (default: 2)")
     cluster.add_dask(out)
@@ -89,10 +95,14 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     common.only_available_figures(arguments)
     rig = load_rig(arguments.rig)
     common.lock_angle(arguments)
+    share, bags = _split(arguments.holdout)
+    if rig.drive == "regulator":
+        return close_loop_episodes.run(arguments, rig, share, bags)
+    if arguments.also:
+        raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
     kept = arguments.out.parent / f"{arguments.out.name}.part"
     if kept.exists() and not arguments.resume:
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
-    share, bags = _split(arguments.holdout)
     recordings = given.read(arguments, rig, bags)
     fitted, held_out = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
     hashes = [bag_hash(recording.path) for recording in recordings]

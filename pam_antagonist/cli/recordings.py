@@ -109,6 +109,9 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
     Raises:
         BadInput: a bag that cannot be read, or the same one twice, or a recording that is certainly wrong.
     """
+    regulated = rig.drive == "regulator"
+    if regulated and not hasattr(arguments, "also"):
+        raise BadInput(f"rig {rig.name} has pressure regulators (drive: regulator): expected close_loop")
     names = common.topics(arguments)
     bags = [*arguments.bags, *further]
     recordings = [
@@ -119,6 +122,7 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
             joint_name=arguments.joint_name,
             recover=arguments.recover,
             corrections=corrections.from_options(arguments, dict(rig.calibration)),
+            also=getattr(arguments, "also", ()),
         )
         for bag in bags
     ]
@@ -126,7 +130,7 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
     for k, value in enumerate(hashes):
         if value in hashes[:k]:
             raise BadInput(f"{bags[k]}: the same recording as {bags[hashes.index(value)]}")
-    for recording in recordings:
+    for recording in recordings if not regulated else ():
         refuse_wrong(recording, rig, arguments)
     return recordings
 

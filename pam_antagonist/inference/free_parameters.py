@@ -391,4 +391,8 @@ def candidates(taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         taken: values of the effects' parameters of the model, by dotted path.
     """
     present = {path.split(".")[1] for path in taken}
-    return tuple(Candidate(name) for name, effect in CATALOGUE.items() if effect.deterministic and name not in present)
+    return tuple(
+        Candidate(name)
+        for name, effect in CATALOGUE.items()
+        if effect.deterministic and "valve" in effect.tested_with and name not in present
+    )

@@ -33,6 +33,7 @@ from pam_antagonist._jit import cache_dir
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, AddedState, Effect, EffectParameter, parameter_path
+from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.hooks import (
     EVERYWHERE,
     HOOKS,
@@ -49,6 +50,7 @@ _EXPRESSIONS = {
     "quickest_lag": "quickest_lag(p)",
     "orifice_flow": "orifice_flow(chamber_pressure, p[ATMOSPHERE], p)",
     "passive_force": "static_map(i, muscle_length, p[ATMOSPHERE], p)",
+    **{f"signal{k + 1}": f"p[SIGNAL + {k}]" for k in range(SIGNALS)},
 }
 """Quantities that are worked out where a function asks for them."""
 _HEADER = '''"""Effects put together; written by pam_antagonist.model.composition, which explains it."""
@@ -59,7 +61,7 @@ from pam_antagonist._jit import inlined
 from pam_antagonist.model.joint import quickest_lag
 from pam_antagonist.model.muscle import force as static_map
 from pam_antagonist.model.orifice import orifice_flow
-from pam_antagonist.model.parameters import ATMOSPHERE, STATELESS_EFFECTS, SUPPLY
+from pam_antagonist.model.parameters import ATMOSPHERE, SIGNAL, STATELESS_EFFECTS, SUPPLY
 '''
 
 

@@ -134,7 +134,7 @@ def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_
     coulomb = _coulomb_torque(force_1, force_2, chamber_1, chamber_2, p)
     balance = _muscle_torque(cosine, force_1, force_2, p) + external
     if not plain:
-        coulomb = _with_coulomb(coulomb, angle, velocity, sine, x, p)
+        coulomb = _with_coulomb(coulomb, angle, velocity, sine, chamber_1, chamber_2, x, p)
         balance = _joint_torque(balance, angle, velocity, sine, x, p)
     return _acceleration(angle, velocity, balance, coulomb, p, plain)
 
@@ -151,7 +151,7 @@ def sliding_friction(x, direction, p):
     sine, _, _ = _leverage(x[ANGLE], p)
     force_1, force_2 = forces(x, p)
     coulomb = _coulomb_torque(force_1, force_2, x[PRESSURE_1], x[PRESSURE_2], p)
-    coulomb = _with_coulomb(coulomb, x[ANGLE], x[VELOCITY], sine, x, p)
+    coulomb = _with_coulomb(coulomb, x[ANGLE], x[VELOCITY], sine, x[PRESSURE_1], x[PRESSURE_2], x, p)
     return coulomb * direction + p[VISCOUS] * x[VELOCITY]
 
 

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
+from pam_antagonist.model.effects.base import SIGNALS
 
 MAX_KNOTS = 24
 """The most points that a valve curve may have."""
@@ -113,7 +114,9 @@ STATES = LOCKED + 9
 """How many states there are."""
 PLAIN = LOCKED + 10
 """1 for the paper's own model and no effect: what most rigs run, and the quickest."""
-SLOT = LOCKED + 11
+SIGNAL = LOCKED + 11
+"""Where the further signals begin, by which effects may go; 0 where a signal is not measured."""
+SLOT = SIGNAL + SIGNALS
 """Index in the state of each of ``effects.ADDED_STATES``, 0 for one that is not there."""
 CURVE = SLOT + len(ADDED_STATES)
 CURVE_SIZE = 1 + 2 * MAX_KNOTS

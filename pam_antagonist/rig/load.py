@@ -75,4 +75,7 @@ def _overlaid(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     for key, value in changes.items():
         known = result.get(key)
         result[key] = _overlaid(known, value) if isinstance(known, dict) and isinstance(value, dict) else value
+        if value is None and "." in key:
+            # A dotted path, as in uncertainty: null takes out what the base has.
+            del result[key]
     return result

@@ -11,6 +11,7 @@ import numpy as np
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.rig.schema import Rig
 
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
@@ -35,6 +36,8 @@ def unphysical(rig: Rig) -> str:
             f"supply.pressure {rig.supply.pressure:g} Pa: expected an absolute pressure well above "
             f"atmosphere.pressure, {rig.atmosphere.pressure:g} Pa"
         )
+    if len(rig.signals) > SIGNALS:
+        return f"signals: {len(rig.signals)} of them, expected at most {SIGNALS}"
     if rig.valves.voltage_min >= rig.valves.voltage_max:
         return (
             f"valves.voltage_min {rig.valves.voltage_min:g} V: expected below voltage_max, {rig.valves.voltage_max:g} V"

@@ -232,6 +232,17 @@ class Tuning(Strict):
     )
 
 
+class Units(Strict):
+    """Which units of a recording are what they are called."""
+
+    pressure: Literal["pascal", "unknown"] = Field(
+        "pascal", description="unknown: gain and offset of the pressures are stand-ins"
+    )
+    force: Literal["newton", "per_inertia"] = Field(
+        "newton", description="per_inertia: joint.inertia is a stand-in, with which all torques scale"
+    )
+
+
 class Rig(Strict):
     """A rig: the numbers of its model, sensors and filter tunings.
 
@@ -243,6 +254,14 @@ class Rig(Strict):
     identified: str = Field("", description="recordings that the values were identified from; empty: from none")
     sample_period: float = Field(ge=1e-4, le=0.02, description="T_stp [s]")
     model: Form = Field(default_factory=lambda: Form(force="linear", friction="kikuuwe"))
+    drive: Literal["valve", "regulator"] = Field(
+        "valve", description="what drives the joint: voltages of valves, or pressures that regulators hold"
+    )
+    units: Units = Field(default_factory=lambda: Units(pressure="pascal", force="newton"))
+    signals: Dict[str, float] = Field(  # noqa: UP006
+        {},
+        description="further signals that effects go by, each with the value from which it counts [SI]",
+    )
     geometry: Geometry
     muscle_1: Muscle
     muscle_2: Muscle
@@ -312,7 +331,7 @@ class Rig(Strict):
         p[par.PULLEY] = float(self.geometry.kind == "pulley")
         p[par.FORCE_FORM] = float(par.FORCE_FORMS.index(self.model.force))
         p[par.FRICTION_LAW] = float(par.FRICTION_LAWS.index(self.model.friction))
-        if self.valves.sealed:
+        if self.valves.sealed or self.drive == "regulator":
             p[par.VALVE : par.VALVE + 2 * par.VALVE_SIZE] = 0.0
         for number, valve in enumerate((self.valve_1, self.valve_2)):
             par.set_curve(p, number, np.array(valve.curve.voltage), np.array(valve.curve.open_rate))

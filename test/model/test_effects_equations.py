@@ -32,6 +32,8 @@ SINGLE = {
     "valve_play": {"play_1": 0.12, "play_2": 0.05},
     "warm_up": {"share_1": 0.2, "share_2": -0.1, "time": 5.0},
     "slack": {"width": 6.0},
+    "friction_by_pressure": {"slope_1": 4e-8, "slope_2": 1e-7},
+    "friction_by_signal": {"slope1": 0.02, "slope2": -0.01},
 }
 """Sizes that are seen, different for the two muscles, so that a mix-up shows."""
 ONE_MUSCLE = {
@@ -45,6 +47,7 @@ ONE_MUSCLE = {
     "thermal": {"share_2": 0.1, "time": 0.5},
     "valve_play": {"play_2": 0.2},
     "warm_up": {"share_2": 0.15, "time": 5.0},
+    "friction_by_pressure": {"slope_2": 6e-8},
 }
 CASES = {
     **{name: {name: values} for name, values in SINGLE.items()},
@@ -167,6 +170,8 @@ def test_trajectory(rig, case, locked, base, u, duration):
     assert np.all(np.abs(x - expected) < bound * scale), (x - expected) / scale
     without = integrated({}, start[:4], u, duration, locked, 0.05)
     moved = np.abs(expected[:4] - without) / np.array([0.1, 10.0, 1e5, 1e5])
-    acts = not (locked and case.split()[0] in ("hysteresis", "creep", "load_torque", "friction", "warm_up", "slack"))
-    acts &= not case.startswith(("pressure_sensor", "external_torque", "drifting"))  # without noise, no drift
+    still = ("hysteresis", "creep", "load_torque", "friction", "warm_up", "slack", "friction_by_pressure")
+    acts = not (locked and case.split()[0] in still)
+    # Without noise, no drift; and without a signal, nothing goes by it.
+    acts &= not case.startswith(("pressure_sensor", "external_torque", "drifting", "friction_by_signal"))
     assert (moved.max() > 1e-5) == acts, f"{case} moves the states by {moved}"

@@ -18,6 +18,7 @@ VOLTAGE = excitation.profile("steps", 8.0, 1e-3, seed=6)
 NAMES = (
     "hysteresis", "leak", "supply_droop", "valve_lag", "valve_offset", "line_resistance", "pressure_sensor",
     "load_torque", "friction", "creep", "thermal", "external_torque", "valve_play", "warm_up", "slack",
+    "friction_by_pressure", "friction_by_signal",
 )  # fmt: skip
 """As reports call them."""
 

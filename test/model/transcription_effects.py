@@ -1,4 +1,4 @@
-"""The fifteen effects once more, in plain Python, written from the words and laws of docs/effects.md.
+"""The effects once more, in plain Python, written from the words and laws of docs/effects.md.
 
 Like :mod:`transcription` it imports nothing of the package. ``e`` holds the effects' numbers under
 ``"effect.parameter"``; what is not in it is not there. Added states follow P_2 in the order of ``ORDER``.
@@ -95,6 +95,10 @@ def moves(t, e, x, outside=0.0):
     coulomb = paper.shaft_friction(t, f_1, f_2) + paper.muscle_friction(t, c_1, c_2)
     coulomb += e.get("friction.coulomb", 0.0)
     coulomb += e.get("friction.stribeck", 0.0) * math.exp(-abs(psi_dot) / e.get("friction.velocity", 0.3))
+    coulomb += sum(
+        e.get(f"friction_by_pressure.slope_{i + 1}", 0.0) * (c - t["P_out"]) for i, c in ((0, c_1), (1, c_2))
+    )
+    coulomb += sum(e.get(f"friction_by_signal.slope{k}", 0.0) * s for k, s in enumerate(t.get("signals", ()), 1))
     coulomb = max(coulomb, 0.0)
     return t_0, coulomb, paper.friction(t, psi_dot, t_0, coulomb)
 

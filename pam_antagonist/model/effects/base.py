@@ -23,8 +23,12 @@ __all__ = [
     "inlined",
     "kernel",
     "per_muscle",
+    "per_signal",
     "state_per_muscle",
 ]
+
+SIGNALS = 4
+"""The most further signals that a model may depend on."""
 
 Kernel = Any
 """A function that :func:`~pam_antagonist._jit.inlined` or :func:`~pam_antagonist._jit.kernel` compiles."""
@@ -202,6 +206,7 @@ class Effect:
         needs_angle: whether it hardly shows without a measured angle.
         deterministic: False for a disturbance that no law gives. A filter estimates it, and a diagnosis judges it by
             its course.
+        tested_with: ways of driving a joint (``drive`` of a rig file) with which it is a candidate.
         module: where it is written; the registry fills it in.
         notes: what its documentation says beside the tables, in Markdown: the module's docstring without its first
             line; the registry fills it in.
@@ -223,6 +228,7 @@ class Effect:
     needs_motion: bool = False
     needs_angle: bool = False
     deterministic: bool = True
+    tested_with: tuple[str, ...] = ("valve",)
     module: str = ""
     notes: str = ""
 
@@ -267,6 +273,26 @@ def per_muscle(
     return tuple(
         EffectParameter(f"{name}_{i}", unit, 0.0, low, high, scale, f"{meaning} of muscle {i}", _numbered(symbol, i))
         for i in (1, 2)
+    )
+
+
+def per_signal(
+    name: str, unit: str, low: float, high: float, scale: float, meaning: str, symbol: str = ""
+) -> tuple[EffectParameter, ...]:
+    """A size that each further signal has.
+
+    Args:
+        name: without the signal's number.
+        unit: SI.
+        low: smallest value, in that unit.
+        high: largest value, in that unit.
+        scale: a size that matters, in that unit.
+        meaning: without the signal.
+        symbol: without the signal's number, which becomes an index.
+    """
+    return tuple(
+        EffectParameter(f"{name}{k}", unit, 0.0, low, high, scale, f"{meaning} {k}", f"{symbol}_{k}")
+        for k in range(1, SIGNALS + 1)
     )
 
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from pam_antagonist.model.effects.base import SIGNALS
+
 QUANTITIES: dict[str, tuple[str, str]] = {
     "atmosphere": ("Pa", "pressure of the atmosphere, P_out"),
     "supply_pressure": ("Pa", "pressure that the supply is set to, P_tank"),
@@ -35,10 +37,15 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     "muscle_torque": ("N m", "τ of equation (9), and the torque from outside where it is known"),
     "pressure": ("Pa", "pressure at a sensor"),
     "reading": ("Pa", "what a sensor shows"),
+    "first_pressure": ("Pa", "pressure in muscle 1"),
+    "second_pressure": ("Pa", "pressure in muscle 2"),
+    **{
+        f"signal{k}": ("SI", f"further signal {k} of the rig file, less its value there") for k in range(1, SIGNALS + 1)
+    },
 }
 """Unit and meaning of each quantity that a function of an effect may ask for."""
 
-EVERYWHERE = ("atmosphere", "supply_pressure", "quickest_lag")
+EVERYWHERE = ("atmosphere", "supply_pressure", "quickest_lag", *(f"signal{k}" for k in range(1, SIGNALS + 1)))
 """Quantities that every function may ask for."""
 
 
@@ -70,6 +77,7 @@ class Hook:
 
 
 _JOINT = ("joint_angle", "joint_velocity", "travel")
+_FRICTION = (*_JOINT, "first_pressure", "second_pressure")
 _LOSS = ("chamber_pressure", "orifice_flow")
 _LINE = ("valve_pressure", "chamber_pressure", "valve_flow")
 _FORCE = ("muscle_length", "length_rate", "chamber_pressure", "passive_force")
@@ -88,7 +96,7 @@ HOOKS: dict[str, Hook] = {
         Hook("valve_pressure_rate", "dP/dt at the valve", "Pa/s", "replaces", "chamber_rate", _LINE, states="needed"),
         Hook("contraction_force", "further contraction force", "N", "adds", "static_force", _FORCE),
         Hook("muscle_force", "force that the muscle passes on", "N", "replaces", "muscle_force", states="none"),
-        Hook("coulomb_torque", "further Coulomb torque", "N m", "adds", "coulomb_torque", _JOINT, False, floor=True),
+        Hook("coulomb_torque", "further Coulomb torque", "N m", "adds", "coulomb_torque", _FRICTION, False, floor=True),
         Hook("disturbance_torque", "torque from outside", "N m", "adds", "muscle_torque", (), False, states="needed"),
         Hook("joint_torque", "torque on the joint", "N m", "adds", "muscle_torque", _JOINT, False),
         Hook("sensor_reading", "what the pressure sensor shows", "Pa", "replaces", "pressure", states="none"),

@@ -34,6 +34,8 @@ BUILT_IN = (
     "valve_play",
     "warm_up",
     "slack",
+    "friction_by_pressure",
+    "friction_by_signal",
 )
 """Files of this folder, in the catalogue's order."""
 

@@ -1,0 +1,461 @@
+"""What the model of a regulator-driven joint lacks, traced to effects and to signals of other joints, by episodes.
+
+Episodes are held out whole, in two ways: the last part of the recording (*later*), and every fifth episode of what
+comes before (*interleaved*). No fit and no choice sees either. Of the rest one half is fitted, the other half decides
+which effect is taken. An episode is one independent value, and neighbouring ones may err alike, so that all intervals
+come from a bootstrap of blocks of episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.inference.free_parameters import Candidate
+from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+FIFTH = 5
+BLOCK = 10
+"""Episodes that are drawn together: neighbouring ones err alike where a rig drifts."""
+DRAWS = 1000
+MOST = 6
+"""Effects at most; each signal that friction goes with counts as one."""
+CHANCE = 0.05
+"""Chance that any of the effects that were offered is taken although it is not there."""
+LEAST_OF_ALL = 0.01
+"""Share of the squared error without effects that an effect removes at least. What is left at the end may be due to the
+form of the others: on a simulated joint, creep that was not there removed 5 % of what was nearly nothing."""
+WINDOWS = (1.0, 0.5, 0.25, 0.125, 0.0625)
+"""Shares of the fitted episodes, the last ones, from which a model for later episodes may be fitted."""
+_FITTED, _SCORED, _USED = 300, 400, 600
+"""Episodes in a fit of the search, in its judgement, and in a final fit: more tell hardly more and take longer."""
+_REFITTED = 3
+"""Candidates of a round that are fitted: those with the best scores."""
+
+
+class Interval(NamedTuple):
+    """A value and its 95 % interval.
+
+    Attributes:
+        value: the value.
+        low: lower end.
+        high: upper end.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Tried:
+    """An effect in one round of the search.
+
+    Attributes:
+        name: the effect, with the signal by which it goes.
+        round: how many effects the model had before, plus one.
+        score: share of the squared error that it would remove of what was fitted, to first order.
+        removed: share that it removed of episodes that its fit has not seen, with an interval that is corrected for how
+            many effects were offered; None where the score was too low for a fit.
+        taken: whether it is in the model.
+    """
+
+    name: str
+    round: int
+    score: float
+    removed: Interval | None = None
+    taken: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of one model [deg], as intervals by episode.
+
+    Attributes:
+        model: its name.
+        later: on later episodes, fitted to all before.
+        recent: on later episodes, fitted to the last ones before.
+        interleaved: on every fifth episode, fitted to the others.
+    """
+
+    model: str
+    later: Interval
+    recent: Interval | None
+    interleaved: Interval | None
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeDiagnosis:
+    """What was found.
+
+    Attributes:
+        effects: names of the effects that were taken, in order.
+        tried: all that were tried, by rounds.
+        rows: errors of the models on episodes that no fit and no choice has seen.
+        model: the extended one, fitted to the last ``window`` of the fitted episodes.
+        values: its parameters that differ from the rig file, with 95 % intervals by episode, by dotted path.
+        window: share of the fitted episodes from which a model for later ones is fitted.
+        forecasts: error [deg] of each window of ``WINDOWS`` on fitted episodes that follow it.
+        course: parameters of the extended model over the recording, fitted to each part of it anew.
+        course_errors: error [deg] in each part, of the extended model fitted to all, and of that fitted to the part.
+        counts: episodes fitted, later and interleaved.
+        ratio: squared error of the extended model on interleaved episodes by that of the model with Coulomb friction
+            alone; None where that is not known.
+    """
+
+    effects: tuple[str, ...]
+    tried: tuple[Tried, ...]
+    rows: tuple[Row, ...]
+    model: PressureModel
+    values: Mapping[str, Interval]
+    window: float
+    forecasts: tuple[float, ...]
+    course: Mapping[str, tuple[float, ...]]
+    course_errors: tuple[tuple[float, float], ...]
+    counts: tuple[int, int, int]
+    ratio: Interval | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Which episodes are what.
+
+    Attributes:
+        pool: that may be fitted (E,).
+        interleaved: every fifth one among them, held out.
+        later: the last ones, held out.
+    """
+
+    pool: Indices
+    interleaved: Indices
+    later: Indices
+
+
+def held_out(episodes: int, share: float) -> Held:
+    """Hold out the last share of the episodes, and every fifth of the others.
+
+    Args:
+        episodes: how many there are.
+        share: that is held out at the end.
+    """
+    before = np.arange(round(episodes * (1.0 - share)))
+    fifth = before % FIFTH == FIFTH - 1
+    return Held(before[~fifth], before[fifth], np.arange(len(before), episodes))
+
+
+def thinned(episodes: Indices, most: int) -> Indices:
+    """At most so many of them, evenly spread."""
+    if len(episodes) <= most:
+        return episodes
+    return episodes[np.linspace(0, len(episodes) - 1, most).round().astype(int)]
+
+
+def drawn(episodes: int, seed: int = 0) -> Indices:
+    """Episodes of each draw of a bootstrap of blocks (DRAWS, about E).
+
+    Args:
+        episodes: how many there are.
+        seed: of the draws.
+    """
+    blocks = max(1, round(episodes / BLOCK))
+    edges = np.linspace(0, episodes, blocks + 1).round().astype(int)
+    size = int(np.min(np.diff(edges)))
+    which = np.random.default_rng(seed).integers(0, blocks, (DRAWS, blocks))
+    return np.asarray((edges[which][:, :, None] + np.arange(size)).reshape(DRAWS, -1))
+
+
+def rmse(sums: Floats, counts: Floats) -> Interval:
+    """Root mean square error [deg] with its 95 % interval by episode.
+
+    Args:
+        sums: squared errors of each episode (E,) [rad²].
+        counts: values in each (E,).
+    """
+    draws = drawn(len(sums))
+    spread = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
+    low, high = np.quantile(spread, [0.025, 0.975])
+    return Interval(*(float(np.degrees(value)) for value in (np.sqrt(sums.sum() / counts.sum()), low, high)))
+
+
+def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
+    """Ratio of two sums over the same episodes, with an interval by episode.
+
+    Args:
+        first: of each episode (E,).
+        second: likewise.
+        offered: ratios among which this one was chosen: the interval is wider for it.
+    """
+    draws = drawn(len(first))
+    spread = first[draws].sum(axis=1) / second[draws].sum(axis=1)
+    low, high = np.quantile(spread, [0.5 * CHANCE / offered, 1.0 - 0.5 * CHANCE / offered])
+    return Interval(float(first.sum() / second.sum()), float(low), float(high))
+
+
+def diagnose(
+    joint: PressureDriven, share: float, later: PressureDriven | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> EpisodeDiagnosis:  # fmt: skip
+    """Trace what the model lacks.
+
+    Args:
+        joint: the episodes.
+        share: of them that is held out at the end, where no other recording is.
+        later: a recording that is held out as a whole, of the same rig with the same further signals; then all of the
+            other one may be fitted.
+        progress: is called with what is being done.
+    """
+    held = held_out(len(joint), 0.0 if later is not None else share)
+    unseen = joint.take(held.later) if later is None else replace(later, usual=joint.usual)
+    progress("base parameters")
+    base, model, tried = search(joint, held.pool, progress)
+    coulomb = _with(base, joint.candidates({}).get("friction", ()), {})
+    models = {"mechanics with viscous friction": base}
+    if coulomb is not None:
+        models["with Coulomb friction alone"] = coulomb
+    models["extended"] = model
+    progress("from how many episodes a model for later ones is fitted")
+    forecasts = tuple(_forecast(joint, held.pool, model, window) for window in WINDOWS)
+    window = WINDOWS[int(np.argmin(forecasts))]
+    rows, squares = [_configured(joint, unseen, held)], {}
+    for name, start in models.items():
+        progress(f"errors: {name}")
+        row, squares[name], fitted = _row(joint, unseen, held, name, start, window)
+        rows.append(row)
+        models[name] = fitted
+    extended = models["extended"]
+    recent = joint.take(thinned(_last(held.pool, window), _USED))
+    progress("drift")
+    course, course_errors = _course(joint, held, extended)
+    compared = None
+    if coulomb is not None:
+        compared = ratio(squares["extended"], squares["with Coulomb friction alone"])
+    return EpisodeDiagnosis(
+        tuple(item.name for item in tried if item.taken), tried, tuple(rows), extended, intervals(recent, extended),
+        window, forecasts, course, course_errors, (len(held.pool), len(unseen), len(held.interleaved)), compared,
+    )  # fmt: skip
+
+
+def search(
+    joint: PressureDriven, pool: Indices, progress: Callable[[str], None]
+) -> tuple[PressureModel, PressureModel, tuple[Tried, ...]]:
+    """The base model, the extended one, and all that was tried.
+
+    Args:
+        joint: the episodes.
+        pool: that may be used.
+        progress: is called with what is being done.
+    """
+    fitted, judged = joint.take(thinned(pool[::2], _FITTED)), joint.take(thinned(pool[1::2], _SCORED))
+    base = model = fitted.fit(fitted.as_configured)
+    whole = float(judged.squares(judged.residual(base)).sums.sum())
+    tried: list[Tried] = []
+    for number in range(1, MOST + 1):
+        offered = fitted.candidates(model.effects)
+        progress(f"round {number}: {len(offered)} candidates")
+        scored = sorted(_scores(fitted, model, offered), key=lambda item: -item[1])
+        before = judged.squares(judged.residual(model)).sums
+        found: list[tuple[Tried, PressureModel | None]] = []
+        for place, (name, score, start) in enumerate(scored):
+            if place >= _REFITTED or start is None:
+                found.append((Tried(name, number, score), None))
+                continue
+            refitted = fitted.fit(start)
+            after = judged.squares(judged.residual(refitted)).sums
+            removed = ratio(before - after, before, len(offered))
+            found.append((Tried(name, number, score, removed), refitted))
+        best = _best(judged, found, float(before.sum()), whole)
+        for item, _ in found:
+            taken = best is not None and item is best[0]
+            tried.append(Tried(item.name, item.round, item.score, item.removed, taken))
+        if best is None:
+            break
+        model = best[1]
+    return base, model, tuple(tried)
+
+
+def _best(
+    judged: PressureDriven, found: Sequence[tuple[Tried, PressureModel | None]], left: float, whole: float
+) -> tuple[Tried, PressureModel] | None:
+    """The effect that removes most; of those that may remove as much, the one with the fewest numbers.
+
+    Args:
+        judged: episodes that decide.
+        found: effects, those that were fitted with their models.
+        left: squared error before them.
+        whole: squared error without any effect.
+    """
+    worth = [
+        (item, refitted, judged.squares(judged.residual(refitted)).sums)
+        for item, refitted in found
+        if item.removed is not None and refitted is not None
+        and item.removed.low > 0.0 and item.removed.value >= thresholds.FIRST_SHARE
+        and item.removed.value * left >= LEAST_OF_ALL * whole
+    ]  # fmt: skip
+    if not worth:
+        return None
+    first = min(worth, key=lambda entry: entry[2].sum())
+    near = [entry for entry in worth if entry is first or ratio(entry[2], first[2], len(found)).low <= 1.0]
+    item, refitted, _ = min(near, key=lambda entry: (len(entry[1].free), entry[2].sum()))
+    return item, refitted
+
+
+def _with(
+    model: PressureModel,
+    forms: Sequence[Candidate],
+    shape: Mapping[str, float],
+    sizes: Mapping[str, float] | None = None,
+) -> PressureModel | None:
+    """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes."""
+    if not forms:
+        return None
+    candidate = forms[0]
+    values = {path: (sizes or {}).get(free.path, free.item.scale) for free in candidate.sizes for path in free.paths}
+    values |= {path: shape.get(free.path, free.item.neutral) for free in candidate.shapes for path in free.paths}
+    return PressureModel(model.amounts, (*model.free, *candidate.free), {**model.effects, **values})
+
+
+def _scores(
+    joint: PressureDriven, model: PressureModel, offered: Mapping[str, Sequence[Candidate]]
+) -> list[tuple[str, float, PressureModel | None]]:
+    """Share of the squared error that each candidate would remove, to first order, and where its fit starts."""
+    left = joint.residual(model)
+    basis = np.linalg.qr(joint.jacobian(model, left))[0]
+    rest = left - basis @ (basis.T @ left)
+    total = float(left @ left)
+    out = []
+    for name, forms in offered.items():
+        best, start = 0.0, None
+        for candidate in forms:
+            for shape in candidate.grid():
+                columns = []
+                for size in candidate.sizes:
+                    only = {other.path: size.item.scale * (other == size) for other in candidate.sizes}
+                    point = _with(model, (candidate,), shape, only)
+                    assert point is not None
+                    column = joint.residual(point) - left
+                    columns.append(column - basis @ (basis.T @ column))
+                matrix = np.column_stack(columns)
+                step = np.linalg.lstsq(matrix, -rest, rcond=None)[0]
+                gain = float(rest @ rest - np.sum((rest + matrix @ step) ** 2)) / total
+                if gain > best * 1.05:
+                    # To first order a large size promises more than it holds.
+                    sizes = {
+                        size.path: size.bounded(size.item.scale * float(np.clip(part, -3.0, 3.0)))
+                        for size, part in zip(candidate.sizes, step, strict=True)
+                    }
+                    best, start = gain, _with(model, (candidate,), shape, sizes)
+        out.append((name, best, start))
+    return out
+
+
+def _last(pool: Indices, window: float) -> Indices:
+    return pool[round(len(pool) * (1.0 - window)) :]
+
+
+def _forecast(joint: PressureDriven, pool: Indices, model: PressureModel, window: float) -> float:
+    """Error [deg] on the fitted episodes that follow a window, at three places of the pool; each eighth is one."""
+    eighths = np.array_split(pool, 8)
+    sums, counts = 0.0, 0.0
+    for number in (5, 6, 7):
+        before = pool[: sum(len(part) for part in eighths[:number])]
+        length = max(1, round(len(pool) * window))
+        fitted = joint.take(thinned(before[-length:], _FITTED // 2))
+        test = joint.take(thinned(eighths[number], _SCORED // 4))
+        found = test.squares(test.residual(fitted.fit(model, 8)))
+        sums, counts = sums + found.sums.sum(), counts + found.counts.sum()
+    return float(np.degrees(np.sqrt(sums / counts)))
+
+
+def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Row:
+    between = joint.take(held.interleaved)
+    model = joint.as_configured
+    return Row(
+        "rig as configured", rmse(*unseen.squares(unseen.residual(model))), None,
+        rmse(*between.squares(between.residual(model))),
+    )  # fmt: skip
+
+
+def _row(
+    joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, start: PressureModel, window: float
+) -> tuple[Row, Floats, PressureModel]:
+    """Errors of a model that is fitted for each way of holding out; squares of the interleaved; that for later ones."""
+    pool = joint.take(thinned(held.pool, _USED))
+    everything = pool.fit(start)
+    later = rmse(*unseen.squares(unseen.residual(everything)))
+    recent, fitted = later, everything
+    if window < 1.0:
+        fitted = joint.take(thinned(_last(held.pool, window), _USED)).fit(everything)
+        recent = rmse(*unseen.squares(unseen.residual(fitted)))
+    between = joint.take(held.interleaved)
+    squares = between.squares(between.residual(everything))
+    return Row(name, later, recent, rmse(*squares)), squares.sums, fitted
+
+
+def _course(
+    joint: PressureDriven, held: Held, model: PressureModel
+) -> tuple[dict[str, tuple[float, ...]], tuple[tuple[float, float], ...]]:
+    """Parameters and errors over the recording, each part fitted by itself."""
+    parts = np.array_split(np.union1d(held.pool, held.later), 8)
+    courses: dict[str, list[float]] = {}
+    errors = []
+    everything = joint.take(thinned(held.pool, _USED)).fit(model)
+    for part in parts:
+        here = joint.take(thinned(part, _FITTED // 2))
+        found = here.fit(everything, 8)
+        for name, value in shown(here, found).items():
+            courses.setdefault(name, []).append(value)
+        pair = (np.degrees(here.squares(here.residual(m)).rmse) for m in (everything, found))
+        errors.append((float(next(pair)), float(next(pair))))
+    return {name: tuple(values) for name, values in courses.items()}, tuple(errors)
+
+
+def shown(joint: PressureDriven, model: PressureModel) -> dict[str, float]:
+    """What a report shows of a model, by dotted path: no coefficients that only move together.
+
+    Args:
+        joint: the episodes.
+        model: of them.
+    """
+    values = joint.values(model)
+    out = {name: values[name] for name in ("joint.stiffness", "joint.viscous_friction")}
+    middle = joint.rig.geometry.length
+    for i in (1, 2):
+        path = f"muscle_{i}.force."
+        out[f"{path}v, at the middle length"] = values[f"{path}v1"] * middle + values[f"{path}v2"]
+    return out | dict(model.effects)
+
+
+def intervals(joint: PressureDriven, model: PressureModel) -> dict[str, Interval]:
+    """What :func:`shown` shows, with 95 % intervals by episode: a Gauss-Newton step for each draw of a bootstrap.
+
+    Args:
+        joint: the episodes that were fitted.
+        model: fitted to them.
+    """
+    left = joint.residual(model)
+    slopes = joint.jacobian(model, left)
+    spans = list(zip(joint.first[:-1], joint.first[1:], strict=True))
+    squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
+    pulls = np.stack([slopes[a:b].T @ left[a:b] for a, b in spans])
+    at = joint.coordinates(model)
+    draws = drawn(len(joint))[:300]
+    found = [
+        shown(
+            joint, joint.moved(model, at - np.linalg.lstsq(squares[d].sum(axis=0), pulls[d].sum(axis=0), rcond=None)[0])
+        )
+        for d in draws
+    ]
+    best = shown(joint, model)
+    out = {}
+    for name, value in best.items():
+        low, high = np.quantile([one[name] for one in found], [0.025, 0.975])
+        out[name] = Interval(value, float(low), float(high))
+    return out

@@ -1,0 +1,157 @@
+"""A regulator-driven joint: friction that goes with another joint's pressures is found, and nothing where nothing is.
+
+The joint of these tests is simulated by a few lines of its own (semi-implicit Euler, Coulomb friction as a bound on the
+velocity), not by the package's model.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pam_antagonist import load_rig
+from pam_antagonist.cli.close_loop import main
+from pam_antagonist.diagnosis.episodes import diagnose, drawn, held_out, ratio
+from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.model.pressure_driven import angles
+from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.recording.signals import FurtherSignal
+
+EPISODES, ROWS, PERIOD = 120, 60, 0.0125
+GAIN, STIFFNESS, VISCOUS = 2.4e-4, 60.0, 6.0  # [rad/s² by Pa], [1/s²], [1/s]
+SUBSTEPS = 25
+
+
+def joint(by_signal: float, coulomb: float = 8.0, seed: int = 1) -> Recording:
+    """Episodes of a joint whose friction grows with one of two signals by so many rad/s² a Pa."""
+    rng = np.random.default_rng(seed)
+    time = PERIOD * np.arange(ROWS)
+    parts: dict[str, list[np.ndarray]] = {"pressure": [], "angle": [], "other": [], "decoy": []}
+    for _ in range(EPISODES):
+        waves = [
+            350e3 + 150e3 * rng.uniform() * np.sin(rng.uniform(4.0, 16.0) * time + rng.uniform(0.0, 6.3)) for _ in "12"
+        ]
+        other, decoy = (rng.uniform(250e3, 550e3) + 40e3 * np.sin(rng.uniform(5.0, 12.0) * time) for _ in "12")
+        parts["pressure"].append(np.column_stack(waves))
+        parts["other"].append(other)
+        parts["decoy"].append(decoy)
+        friction = coulomb + by_signal * (other - 400e3)
+        parts["angle"].append(_moved(waves[0] - waves[1], friction) + 2e-4 * rng.standard_normal(ROWS))
+    whole = {name: np.concatenate(values) for name, values in parts.items()}
+    stamps = 10**18 + np.concatenate([e * 3 * 10**9 + np.rint(time * 1e9).astype(np.int64) for e in range(EPISODES)])
+    return Recording(
+        Path("arm"), stamps, whole["pressure"], np.zeros((len(stamps), 2)), whole["angle"],
+        signals={name: FurtherSignal(whole[name], "Pa") for name in ("other", "decoy")}, episode_ns=stamps[::ROWS],
+    )  # fmt: skip
+
+
+def _moved(difference: np.ndarray, friction: np.ndarray) -> np.ndarray:
+    angle, velocity, out = 0.0, 0.0, [0.0]
+    h = PERIOD / SUBSTEPS
+    for k in range(1, ROWS):
+        for s in range(SUBSTEPS):
+            late = (s + 0.5) / SUBSTEPS
+            pull, bound = ((1.0 - late) * a[k - 1] + late * a[k] for a in (difference, friction))
+            free = (velocity + h * (GAIN * pull - STIFFNESS * angle)) / (1.0 + h * VISCOUS)
+            velocity = math.copysign(max(abs(free) - h * max(bound, 0.0), 0.0), free)
+            angle += h * velocity
+        out.append(angle)
+    return np.array(out)
+
+
+@pytest.fixture(scope="module")
+def tied() -> Recording:
+    return joint(by_signal=6e-5)
+
+
+def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording) -> None:
+    episodes = PressureDriven.of(tied, load_rig("regulator_joint"), ["decoy", "other"])
+    found = diagnose(episodes, 1.0 / 3.0)
+    assert set(found.effects) == {"friction", "friction_by_signal: other"}
+    base, coulomb, extended = found.rows[1:]
+    assert extended.later.high < 0.5 * coulomb.later.low < base.later.low
+    assert extended.interleaved is not None and coulomb.interleaved is not None
+    assert extended.interleaved.value < 0.25 * coulomb.interleaved.value
+    inertia = episodes.rig.joint.inertia
+    slope = found.values["effects.friction_by_signal.slope2"]
+    assert slope.value / inertia == pytest.approx(6e-5, rel=0.1)
+    assert found.values["joint.stiffness"].value / inertia == pytest.approx(STIFFNESS, rel=0.05)
+    assert found.values["joint.viscous_friction"].value / inertia == pytest.approx(VISCOUS, rel=0.15)
+
+
+def test_nothing_is_found_where_friction_is_constant_but_that() -> None:
+    episodes = PressureDriven.of(joint(by_signal=0.0, seed=2), load_rig("regulator_joint"), ["decoy", "other"])
+    found = diagnose(episodes, 1.0 / 3.0)
+    assert found.effects == ("friction",)
+    assert found.rows[-1].later.value < 0.2
+
+
+def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: Path, capsys: Any) -> None:
+    write_bag(tmp_path / "bag", tied)
+    run = ["--rig", "regulator_joint", "--also", "other", "--no-figures"]
+    assert main([str(tmp_path / "bag"), *run, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "friction that grows with other" in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    rig = load_rig(tmp_path / "out" / "rig_extended.yaml")
+    assert rig.drive == "regulator" and list(rig.signals) == ["other"]
+    again = PressureDriven.of(tied, rig)
+    later = again.take(held_out(len(again), 1.0 / 3.0).later)
+    error = np.degrees(later.squares(later.residual(later.as_configured)).rmse)
+    row = report["errors_deg"][-1]
+    assert error == pytest.approx((row["recent"] or row["later"])[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("also", "rig", "says"),
+    [
+        (["elbow"], "regulator_joint", "no signal 'elbow'; expected one of decoy, other"),
+        (["other"], "shin2022", "--also: rig shin2022 has valves"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    tied: Recording, tmp_path: Path, capsys: Any, also: list[str], rig: str, says: str
+) -> None:
+    write_bag(tmp_path / "bag", tied)
+    options = [part for name in also for part in ("--also", name)]
+    assert main([str(tmp_path / "bag"), "--rig", rig, *options, "--out", str(tmp_path / "out")]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_a_recording_in_one_piece_is_refused(tied: Recording) -> None:
+    with pytest.raises(BadInput, match="1 whole episodes of 1; expected at least 20"):
+        PressureDriven.of(tied.slice(0.0, 0.5), load_rig("regulator_joint"))
+
+
+def test_rows_of_any_period_give_the_same_course() -> None:
+    """Inner steps: a row in the place of four changes little where the pressures are linear between them."""
+    rig = load_rig("regulator_joint")
+    time = np.linspace(0.0, 1.0, 201)
+    pressure = np.column_stack([300e3 + 200e3 * time, 400e3 - 100e3 * time])
+    p, start, none = rig.parameters(), np.array([[0.1, 0.0]]), np.empty((201, 0))
+    fine = angles(np.array([0, 201]), start, time, pressure, none, p, 1e-3)
+    coarse = angles(np.array([0, 51]), start, time[::4], pressure[::4], none[::4], p, 1e-3)
+    assert coarse == pytest.approx(fine[::4], abs=1e-4)
+    assert np.ptp(fine) > 0.05
+
+
+def test_episodes_are_held_out_whole_and_once() -> None:
+    held = held_out(100, 0.3)
+    assert sorted([*held.pool, *held.interleaved, *held.later]) == list(range(100))
+    assert held.later.min() == 70 and len(held.interleaved) == 14
+
+
+def test_neighbouring_episodes_are_drawn_together() -> None:
+    """Episodes that err alike in tens tell as little as a tenth of them: the interval is as wide."""
+    rng = np.random.default_rng(3)
+    tens = np.repeat(rng.uniform(0.5, 1.5, 40), 10)
+    alone = ratio(rng.uniform(0.5, 1.5, 400), np.ones(400))
+    together = ratio(tens, np.ones(400))
+    assert together.high - together.low > 2.0 * (alone.high - alone.low)
+    assert drawn(400).shape == (1000, 400)
