@@ -45,7 +45,9 @@ def commands() -> str:
     """A section a command, with its help."""
     parts = []
     for name, command in COMMANDS.items():
-        summary = f"{command.summary[0].upper()}{command.summary[1:]}."
+        summary = f"{command.summary[0].upper()}{command.summary[1:]}".removesuffix("?") + (
+            "?" if command.summary.endswith("?") else "."
+        )
         parts.append(f"## {name}\n\n{summary}\n\n```text\n{help_text(name)}\n```\n")
     return "\n".join(parts)
 

@@ -59,7 +59,7 @@ COMMANDS: dict[str, Command] = {
         "make every fault in a running pipeline, tell what the valves did",
     ),
     "device_emulator": Command(
-        "pam_antagonist.cli.device_emulator:main", "a microcontroller that is not there, with a simulated joint"
+        "pam_antagonist.cli.device_emulator:main", "emulate a rig's microcontroller, with a simulated joint"
     ),
     "plant": Command("pam_antagonist.nodes.plant:main", "a simulated joint that publishes what its sensors show"),
     "bridge": Command("pam_antagonist.nodes.bridge:main", "from a microcontroller on a serial port to topics and back"),

@@ -12,7 +12,7 @@ from pathlib import Path
 from pam_antagonist.errors import BadInput
 
 KINDS = {
-    "flip": "share of the bytes, both ways, of which one bit is turned",
+    "flip": "share of the bytes, in both directions, with one bit flipped",
     "drop": "share of the frames from the device that are left out",
     "silent": "the device sends nothing, and goes on with everything else",
     "deaf": "the device hears nothing",
@@ -22,7 +22,7 @@ KINDS = {
     "broken": "pressure sensor 1 or 2 shows 0",
     "stall": "the device stands still, as while its program is debugged",
     "stop": "the emergency stop at the device is pressed",
-    "restart": "the device begins anew, once, as after its voltage broke down",
+    "restart": "the device restarts once, as after a loss of power",
 }
 """Name -> what happens."""
 

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 DESCRIPTION = """
 Bridge to real hardware: a microcontroller on a serial port that reads two pressures and drives two valves, by the
 protocol of docs/reference/protocol.md. Samples are stamped by the device's clock, mapped to ROS time. The bridge obeys
-one commander; commands are clamped and slew-limited, and the valves become safe when commands stay away or a pressure
-is not what it may be (docs/how-to/safety.md). The device does that by itself, 20 ms after the bridge has fallen silent.
-A device that is unplugged is opened again when it is back.
+one commander. Commands are clamped and slew-limited. The valves get safe voltages when commands stop or a pressure is
+missing, frozen or too high (docs/how-to/safety.md). The device does that by itself 20 ms after the bridge's last
+command. A device that is unplugged is opened again when it is back.
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter where there are some, for
@@ -33,9 +33,15 @@ PARAMETERS = (
     FRAME,
     *VALVE_OWNER,
     Parameter("port", "/dev/ttyACM0", "serial port of the device; better a link in /dev/serial/by-id"),
-    Parameter("baud", 921_600, "of a port that has a rate; USB devices ignore it [1/s]", 9600, 20_000_000),
+    Parameter("baud", 921_600, "bit rate of the port; USB devices ignore it [1/s]", 9600, 20_000_000),
     Parameter("hardware", "example", "calibration: a name in config/hardware, or path of a YAML file"),
-    Parameter("pressure_rest", [0.0, 0.0], "added to the pressures; what ~/measure_rest has found [Pa]", -50e3, 50e3),
+    Parameter(
+        "pressure_rest",
+        [0.0, 0.0],
+        "correction that is added to the pressures, as ~/measure_rest finds it [Pa]",
+        -50e3,
+        50e3,
+    ),
     Parameter("device_timeout", 3.0, "time that the device may take to answer the greeting [s]", 0.1, 30.0),
 )
 

@@ -116,7 +116,7 @@ PARAMETERS = (
     Parameter(
         "reference_lost",
         "safe",
-        "what follows then: safe voltages, or hold: the angle that was estimated at that moment",
+        "what follows a lost reference: safe voltages, or hold, the angle estimated at that moment",
         choices=LOST,
     ),
     Parameter(
@@ -126,18 +126,18 @@ PARAMETERS = (
         "effort of joint_name, NaN: not asked), commands (Float64MultiArray), joint_trajectory (JointTrajectory)",
         choices=("reference", "joint_command", "commands", "joint_trajectory"),
     ),
-    Parameter("commands_mode", "angle", "what the numbers of commands are", choices=("angle", "torque")),
+    Parameter("commands_mode", "angle", "quantity of the numbers in commands", choices=("angle", "torque")),
     Parameter("commands_index", 0, "which of the numbers of commands is this joint's [-]", 0, 1000),
     Parameter("max_age", 0.02, "age beyond which an estimate is not acted on [s]", 0.002, 10.0),
     Parameter("resume_time", 0.5, "longest interruption after which the integral goes on as it was [s]", 0.001, 60.0),
     Parameter("start_enabled", True, "whether it commands as soon as it is active, without a call of enable"),
     # A degree beyond the stop of the paper's joint: no estimate of a sound joint is there.
     Parameter("stop_angle", 0.4538, "magnitude of the estimated angle that stops it [rad]", 0.01, 1.6),
-    Parameter("stop_angle_time", 0.01, "how long the angle has to be beyond that [s]", 0.001, 1.0),
+    Parameter("stop_angle_time", 0.01, "time beyond stop_angle after which it stops [s]", 0.001, 1.0),
     # 99.9 % of two pressures that are as expected stay below. On recordings of joints that are off their model by one
     # or two per cent, and on those with an effect that it lacks, at most 2 % of the samples in any 0.1 s are above.
     Parameter("nis_limit", 13.8, "normalised innovation squared that counts as out of bounds [-]", 0.1, 1e9),
-    Parameter("nis_time", 0.1, "time of which 15 % of the samples are out of bounds to stop it [s]", 0.01, 60.0),
+    Parameter("nis_time", 0.1, "it stops when 15 % of the samples of this time are out of bounds [s]", 0.01, 60.0),
     Parameter("blind_time", 0.1, "how long an estimate may be without one of the pressures [s]", 0.001, 10.0),
     Parameter("blend_time", 0.5, "time constant with which the offset of a bumpless start fades [s]", 0.001, 60.0),
 )

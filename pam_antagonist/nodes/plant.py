@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """
 Simulated joint with two pneumatic muscles, in place of a real one: the physics of the rig in real time at its sample
-period, with finer steps, parameters off their declared values, sensor noise and quantisation. It obeys one commander;
-commands are clamped and slew-limited, and the valves become safe when commands stay away or a pressure is not what it
-may be (docs/how-to/safety.md).
+period, with finer steps, parameters off their declared values, sensor noise and quantisation. It obeys one commander.
+Commands are clamped and slew-limited. The valves get safe voltages when commands stop or a pressure is missing, frozen
+or too high (docs/how-to/safety.md).
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only),
@@ -30,7 +30,7 @@ PARAMETERS = (
     JOINT_NAME,
     FRAME,
     *VALVE_OWNER,
-    Parameter("seed", 0, "of the scatter of the parameters and of the sensor noise [-]", 0, 2**31 - 1),
+    Parameter("seed", 0, "seed of the parameters' mismatch and of the sensor noise [-]", 0, 2**31 - 1),
     Parameter("mismatch", 0.0, "relative standard deviation of the parameters from the rig's [-]", 0.0, 0.29),
     Parameter("noise", True, "whether the sensors have noise and steps"),
     Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),

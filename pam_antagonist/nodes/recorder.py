@@ -28,7 +28,7 @@ of this package read it as it is. A full disk ends the recording with status 2; 
 
 options:
   --out DIR         folder of the bag; it must not exist
-  --duration S      end by itself after so many seconds (default: when it is told to)
+  --duration S      end after S seconds (default: on Ctrl-C)
   --max-size MB     begin a new file when the last one has so many megabytes (default: one file)
   --max-duration S  begin a new file after so many seconds (default: one file)
   --namespace /NS   record the joint in this namespace (default: that of this node); may be given several times

@@ -106,7 +106,7 @@ class PressureSupervision:
         highest: pressure limit of each muscle (2,) absolute [Pa].
         over_time: how long a pressure may be above it [s]; a single reading may be a spike of the sensor.
         missing_time: how long a pressure may be missing (NaN or infinite) [s].
-        frozen_time: how long a pressure may be exactly the same [s]; None: any time.
+        frozen_time: how long a pressure may keep exactly the same value [s]; None: any time.
         period: between two samples [s].
 
     Raises:
