@@ -54,6 +54,9 @@ COMMANDS: dict[str, Command] = {
     "battery": Command(
         "pam_antagonist.validation.battery.command:main", "how often the diagnosis is right, on simulated joints"
     ),
+    "control_laws": Command(
+        "pam_antagonist.validation.control.command:main", "how well the laws of control do, on simulated joints"
+    ),
     "faults": Command(
         "pam_antagonist.validation.faults.command:main",
         "make every fault in a running pipeline, tell what the valves did",

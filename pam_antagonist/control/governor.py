@@ -96,9 +96,10 @@ def _worse(excess, which, new, number):
 
 
 @inlined
-def _excess(x, with_motion, spread, of_pressures, of_velocity, of_force, limits, p):
+def _excess(x, with_motion, of_angle, push, of_pressures, of_velocity, of_force, limits, p):
     """Largest excess over a limit of one state, and which limit; negative: within all of them."""
     excess, which = -math.inf, 0
+    spread = of_angle + push / max(-_torque_slope(x, p), _LEAST_STIFFNESS)
     if with_motion:
         new = (abs(x[ANGLE]) + spread - limits.angle) / _ANGLE_SCALE
         excess, which = _worse(excess, which, new, _ANGLE)
@@ -133,7 +134,10 @@ def _excess(x, with_motion, spread, of_pressures, of_velocity, of_force, limits,
 
 @in_place
 def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z, push, held, x, u, p, coarse):
-    """Largest excess over a limit on the way to a reference and at its end, and which limit.
+    """Excess over limits at the end of a reference, and on the way to it, and which limit is violated most.
+
+    The excesses of all steps on the way are added up: the largest one alone may be that of the present state, which no
+    reference changes.
 
     Args:
         of_torque: whether the value is a torque [N m]; else it is an angle [rad].
@@ -155,12 +159,13 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
     bandwidth, _, approach = gains
     wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box, held, x, p)
     first, second = x[PRESSURE_1], x[PRESSURE_2]
-    spread = z * math.sqrt(seen.angle_variance) + push / max(-_torque_slope(x, p), _LEAST_STIFFNESS)
+    of_angle = z * math.sqrt(seen.angle_variance)
     of_pressures = z * math.sqrt(seen.pressure_variance_1), z * math.sqrt(seen.pressure_variance_2)
     # The torque's is that of both forces' difference; each is taken to have half of the variance.
     of_velocity, of_force = z * math.sqrt(seen.velocity_variance), z * math.sqrt(0.5 * seen.torque_variance)
     x[VELOCITY] = 0.0
-    excess, which = _excess(x, not of_torque, spread, of_pressures, of_velocity, of_force, limits, p)
+    excess, which = _excess(x, not of_torque, of_angle, push, of_pressures, of_velocity, of_force, limits, p)
+    at_end, total = max(excess, 0.0), 0.0
     _make_steady(x, seen.angle, seen.pressure_1, seen.pressure_2, held, p, 0.0)
     x[VELOCITY] = 0.0 if of_torque else seen.velocity
     u[2] = known_torque(seen.external_torque, seen.external_variance)
@@ -168,9 +173,10 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
         u[0] = voltage_towards(0, x[PRESSURE_1], first, x[ANGLE], x[VELOCITY], bandwidth, p)
         u[1] = voltage_towards(1, x[PRESSURE_2], second, x[ANGLE], x[VELOCITY], bandwidth, p)
         _rk4_step(x, u, coarse, _STEP, x)
-        new, number = _excess(x, not of_torque, spread, of_pressures, of_velocity, of_force, limits, p)
+        new, number = _excess(x, not of_torque, of_angle, push, of_pressures, of_velocity, of_force, limits, p)
+        total += max(new, 0.0)
         excess, which = _worse(excess, which, new, number)
-    return excess, which
+    return at_end, total, which
 
 
 class Governor:
@@ -218,12 +224,12 @@ class Governor:
 
     def _excess(
         self, quantity: Mode, value: float, stiffness: float, seen: Seen, integral: float, gains: tuple[float, ...]
-    ) -> tuple[float, int]:
-        excess, which = _predict(
+    ) -> tuple[float, float, int]:
+        at_end, on_the_way, which = _predict(
             quantity is Mode.TORQUE, value, stiffness, seen, integral, gains, self._box, self._limits, self._z,
             self._push, self._held, self._x, self._u, self._p, self._coarse[quantity],
         )  # fmt: skip
-        return excess, which
+        return at_end, on_the_way, which
 
     def step(self, mode: Mode, value: float, stiffness: float, seen: Seen, law: ModelController) -> tuple[float, float]:
         """The reference to apply at one sample.
@@ -259,15 +265,19 @@ class Governor:
         new = value if of_value * share == 1.0 else before + of_value * share * (value - before)
         softness = before_stiffness + of_stiffness * share * (stiffness - before_stiffness)
         softness = stiffness if of_stiffness * share == 1.0 else softness
-        excess, which = self._excess(quantity, new, softness, seen, law.integral, law.gains)
-        # Where to stay violates a limit as well, by a push for instance, whatever is no worse is allowed.
-        if excess > 0.0 and excess > self._excess(quantity, before, before_stiffness, seen, law.integral, law.gains)[0]:
-            self.active, self._shares[way] = LIMITS[which], max(0.5 * share, _LEAST_SHARE)
-            self.held_back += 1
-        else:
+        at_end, on_the_way, which = self._excess(quantity, new, softness, seen, law.integral, law.gains)
+        allowed = at_end == on_the_way == 0.0
+        if not allowed:
+            # Where to stay violates a limit as well, after a push for instance, whatever is no worse is allowed.
+            stays = self._excess(quantity, before, before_stiffness, seen, law.integral, law.gains)
+            allowed = at_end <= stays[0] and on_the_way <= stays[1]
+        if allowed:
             self._shares[way] = min(2.0 * share, 1.0)
             self._applied = (new, softness)
-        if way or excess > 0.0:
+        else:
+            self.active, self._shares[way] = LIMITS[which], max(0.5 * share, _LEAST_SHARE)
+            self.held_back += 1
+        if way or not allowed:
             self._way = (way + 1) % len(_WAYS) if not math.isnan(stiffness) else 0
         return self._applied
 

@@ -110,6 +110,7 @@ def run(
     seed: int = 0,
     mismatch: float = MISMATCH,
     push: Callable[[int], float] = lambda k: 0.0,
+    push_is_known: bool = False,
 ) -> Course:
     """Run the loop: one sample of the plant, one of the filter, one command.
 
@@ -121,6 +122,7 @@ def run(
         seed: of the joint's parameters and the sensors' noise.
         mismatch: standard deviation of the parameters [-].
         push: torque from outside [N m] at sample k.
+        push_is_known: whether the law is told of it, as by a torque sensor.
     """
     plant, estimator = Plant(rig, joint, seed=seed, mismatch=mismatch), Estimator(rig, "default", joint)
     p, period = plant.parameters, round(rig.sample_period * 1e9)
@@ -132,7 +134,10 @@ def run(
         row = estimator.step((k + 1) * period, *sample.pressure, *sample.voltage)
         assert row is not None  # every sample is newer than the one before
         x = sample.truth
-        voltage = laws.step(reference, seen(row)).voltage
+        estimate = seen(row)
+        if push_is_known:
+            estimate = estimate._replace(external_torque=outside, external_variance=0.0)
+        voltage = laws.step(reference, estimate).voltage
         rows.append(
             (
                 reference.value, x[0], x[1], dynamics.torque(x, p), -dynamics.torque_slope(x, p), reference.stiffness,
