@@ -49,8 +49,8 @@ _NOMINAL = 7e5, 6e5
 _PRIORS = {
     "valve_1.inflow_area": 0.25, "valve_1.outflow_area": 0.25,
     "valve_2.inflow_area": 0.25, "valve_2.outflow_area": 0.25,
-    "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.2, "joint.inertia": 0.3, "joint.viscous_friction": 0.8,
-    "friction.shaft": 0.5, "friction.muscle": 0.8,
+    "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.2, "joint.inertia": 0.1, "joint.viscous_friction": 0.5,
+    "friction.shaft": 0.3, "friction.muscle": 0.2,
 }  # fmt: skip
 """Standard deviations before identification, as shares of the value."""
 _FORCE_PRIOR = 0.15
@@ -190,13 +190,17 @@ def volume_map(facts: Facts) -> dict[str, float]:
 
 
 def _force_priors(facts: Facts) -> dict[str, float]:
-    """Standard deviations of the force map's coefficients: each alone moves the force by about the same share."""
+    """Standard deviations of the force map's coefficients.
+
+    They are wide: how much steeper than the data sheet's a force falls with the length depends on the end fittings and
+    the hose, and the torques of a recording tell the map well.
+    """
     part, force = facts.muscle, force_map(facts)
     stds = {
-        "v1": 0.5 * _FORCE_PRIOR * abs(force["v1"]),
-        "v2": _FORCE_PRIOR * part.force / part.pressure,
-        "w1": 0.5 * _FORCE_PRIOR * part.force / facts.nominal_length,
-        "w2": 0.5 * _FORCE_PRIOR * part.force,
+        "v1": abs(force["v1"]),
+        "v2": abs(force["v1"]) * facts.length,
+        "w1": part.force / facts.nominal_length,
+        "w2": part.force,
     }
     return {f"muscle_{i}.force.{name}": std for i in (1, 2) for name, std in stds.items()}
 
