@@ -49,7 +49,7 @@ _NOMINAL = 7e5, 6e5
 _PRIORS = {
     "valve_1.inflow_area": 0.25, "valve_1.outflow_area": 0.25,
     "valve_2.inflow_area": 0.25, "valve_2.outflow_area": 0.25,
-    "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.2, "joint.inertia": 0.1, "joint.viscous_friction": 0.5,
+    "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.2, "joint.inertia": 0.2, "joint.viscous_friction": 0.5,
     "friction.shaft": 0.3, "friction.muscle": 0.2,
 }  # fmt: skip
 """Standard deviations before identification, as shares of the value."""
