@@ -57,6 +57,7 @@ NAVIGATION = {
     ],
     "Evidence": [
         "evidence/sealed_joint",
+        "pamy",
         "evidence/close_loop",
         "battery",
         "evidence/identification",

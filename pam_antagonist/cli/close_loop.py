@@ -93,7 +93,7 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig)
+    rig = load_rig(arguments.rig, regulators=True)
     common.lock_angle(arguments)
     share, bags = _split(arguments.holdout)
     if rig.drive == "regulator":

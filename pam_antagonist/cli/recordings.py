@@ -110,8 +110,6 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
         BadInput: a bag that cannot be read, or the same one twice, or a recording that is certainly wrong.
     """
     regulated = rig.drive == "regulator"
-    if regulated and not hasattr(arguments, "also"):
-        raise BadInput(f"rig {rig.name} has pressure regulators (drive: regulator): expected close_loop")
     names = common.topics(arguments)
     bags = [*arguments.bags, *further]
     recordings = [

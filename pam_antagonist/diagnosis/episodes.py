@@ -231,7 +231,7 @@ def diagnose(
         rows.append(row)
         models[name] = fitted
     extended = models["extended"]
-    recent = joint.take(thinned(_last(held.pool, window), _USED))
+    recent = joint.take(thinned(last(held.pool, window), _USED))
     progress("drift")
     course, course_errors = _course(joint, held, extended)
     compared = None
@@ -356,7 +356,13 @@ def _scores(
     return out
 
 
-def _last(pool: Indices, window: float) -> Indices:
+def last(pool: Indices, window: float) -> Indices:
+    """The last share of the episodes that may be fitted.
+
+    Args:
+        pool: these (E,).
+        window: the share.
+    """
     return pool[round(len(pool) * (1.0 - window)) :]
 
 
@@ -392,7 +398,7 @@ def _row(
     later = rmse(*unseen.squares(unseen.residual(everything)))
     recent, fitted = later, everything
     if window < 1.0:
-        fitted = joint.take(thinned(_last(held.pool, window), _USED)).fit(everything)
+        fitted = joint.take(thinned(last(held.pool, window), _USED)).fit(everything)
         recent = rmse(*unseen.squares(unseen.residual(fitted)))
     between = joint.take(held.interleaved)
     squares = between.squares(between.residual(everything))

@@ -145,6 +145,13 @@ class PressureDriven:
             if signal not in recording.signals:
                 known = ", ".join(recording.signals) or "none was recorded"
                 raise BadInput(f"{name}: no signal {signal!r}; expected one of: {known}")
+        for signal, (values, _) in recording.signals.items():
+            for number in (1, 2):
+                if np.array_equal(values, recording.pressure[:, number - 1], equal_nan=True):
+                    raise BadInput(
+                        f"{name}: pressure_{number} is {signal}, row by row; expected the measured pressure, not what "
+                        "the regulator was asked for"
+                    )
         columns = [recording.signals[signal].values for signal in names]
         signals = np.column_stack(columns) if columns else np.empty((len(recording), 0))
         whole: NDArray[np.bool_] = np.asarray(np.isfinite(np.column_stack([recording.pressure, signals])).all(axis=1))

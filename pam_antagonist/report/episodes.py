@@ -74,7 +74,7 @@ def verdict(found: EpisodeDiagnosis) -> str:
     listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
     return (
         f"What the model lacks is {listed}. The error on later episodes falls from {number(_later(before).value)}° to "
-        f"{number(_later(after).value)}°."
+        f"{number(_later(after).value)}°, both models fitted to the same episodes."
     )
 
 
@@ -92,7 +92,8 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
             f"removes {percent(item.removed.value)} of the squared error of unseen episodes "
             f"({percent(item.removed.low)} to {percent(item.removed.high)})"
         )  # fmt: skip
-        out.append(Finding("note", f"{in_words(item.name).capitalize()} is not needed beside these: it {how}."))
+        name = in_words(item.name)
+        out.append(Finding("note", f"{name[:1].upper()}{name[1:]} is not needed beside these: it {how}."))
     whole, recent = found.rows[-1].later, found.rows[-1].recent
     if found.window < 1.0 and recent is not None:
         kind: Literal["warn", "note"] = "warn" if recent.value < _DRIFT * whole.value else "note"

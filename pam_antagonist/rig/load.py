@@ -21,11 +21,13 @@ def rig_names() -> list[str]:
     return sorted(path.stem for path in (config_dir() / "rigs").glob("*.yaml"))
 
 
-def load_rig(name_or_path: str | Path) -> Rig:
+def load_rig(name_or_path: str | Path, regulators: bool = False) -> Rig:
     """Read and check a rig.
 
     Args:
         name_or_path: a name from ``config/rigs`` (``shin2022``), or the path of a YAML file.
+        regulators: whether a rig with pressure regulators will do. Nodes and most commands put voltages on valves, or
+            read them, and must not take such a rig for one with valves.
 
     Returns:
         The rig, immutable.
@@ -42,6 +44,9 @@ def load_rig(name_or_path: str | Path) -> Rig:
     path = _locate(str(name_or_path), Path())
     content = _read_with_base(path)
     rig = validated(Rig, content, str(path), _SWITCHES)
+    if rig.drive == "regulator" and not regulators:
+        raise BadInput(f"{path}: a rig with pressure regulators (drive: regulator), expected one with valves; "
+                       "close_loop alone takes such a rig")  # fmt: skip
     complaint = unphysical(rig)
     if complaint:
         raise BadInput(f"{path}: {complaint}")

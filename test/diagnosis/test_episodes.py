@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 
 from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.episodes import diagnose, drawn, held_out, ratio
+from pam_antagonist.diagnosis.episodes import diagnose, drawn, held_out, ratio, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.pressure_driven import angles
@@ -71,7 +72,7 @@ def tied() -> Recording:
 
 
 def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording) -> None:
-    episodes = PressureDriven.of(tied, load_rig("regulator_joint"), ["decoy", "other"])
+    episodes = PressureDriven.of(tied, load_rig("regulator_joint", regulators=True), ["decoy", "other"])
     found = diagnose(episodes, 1.0 / 3.0)
     assert set(found.effects) == {"friction", "friction_by_signal: other"}
     base, coulomb, extended = found.rows[1:]
@@ -86,10 +87,12 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording) -> 
 
 
 def test_nothing_is_found_where_friction_is_constant_but_that() -> None:
-    episodes = PressureDriven.of(joint(by_signal=0.0, seed=2), load_rig("regulator_joint"), ["decoy", "other"])
-    found = diagnose(episodes, 1.0 / 3.0)
-    assert found.effects == ("friction",)
-    assert found.rows[-1].later.value < 0.2
+    episodes = PressureDriven.of(
+        joint(by_signal=0.0, seed=2), load_rig("regulator_joint", regulators=True), ["decoy", "other"]
+    )
+    _, model, tried = search(episodes, held_out(len(episodes), 1.0 / 3.0).pool, lambda text: None)
+    assert [item.name for item in tried if item.taken] == ["friction"]
+    assert list(model.effects) == ["effects.friction.coulomb"]
 
 
 def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: Path, capsys: Any) -> None:
@@ -99,7 +102,7 @@ def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: P
     said = capsys.readouterr().out
     assert "friction that grows with other" in said
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    rig = load_rig(tmp_path / "out" / "rig_extended.yaml")
+    rig = load_rig(tmp_path / "out" / "rig_extended.yaml", regulators=True)
     assert rig.drive == "regulator" and list(rig.signals) == ["other"]
     again = PressureDriven.of(tied, rig)
     later = again.take(held_out(len(again), 1.0 / 3.0).later)
@@ -126,12 +129,24 @@ def test_what_cannot_be_is_refused(
 
 def test_a_recording_in_one_piece_is_refused(tied: Recording) -> None:
     with pytest.raises(BadInput, match="1 whole episodes of 1; expected at least 20"):
-        PressureDriven.of(tied.slice(0.0, 0.5), load_rig("regulator_joint"))
+        PressureDriven.of(tied.slice(0.0, 0.5), load_rig("regulator_joint", regulators=True))
+
+
+def test_setpoints_in_the_place_of_measured_pressures_are_refused(tied: Recording) -> None:
+    signals = {**tied.signals, "p1_set": FurtherSignal(tied.pressure[:, 0], "Pa")}
+    rig = load_rig("regulator_joint", regulators=True)
+    with pytest.raises(BadInput, match="pressure_1 is p1_set, row by row"):
+        PressureDriven.of(replace(tied, signals=signals), rig)
+
+
+def test_only_who_is_ready_for_it_gets_a_rig_with_regulators() -> None:
+    with pytest.raises(BadInput, match=r"pressure regulators \(drive: regulator\), expected one with valves"):
+        load_rig("regulator_joint")
 
 
 def test_rows_of_any_period_give_the_same_course() -> None:
     """Inner steps: a row in the place of four changes little where the pressures are linear between them."""
-    rig = load_rig("regulator_joint")
+    rig = load_rig("regulator_joint", regulators=True)
     time = np.linspace(0.0, 1.0, 201)
     pressure = np.column_stack([300e3 + 200e3 * time, 400e3 - 100e3 * time])
     p, start, none = rig.parameters(), np.array([[0.1, 0.0]]), np.empty((201, 0))

@@ -1,0 +1,142 @@
+"""``pamy``: the measured arm from its CSV file to the page: effects, baselines, drift and regulators."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pam_antagonist.cli import common
+from pam_antagonist.diagnosis.episodes import Held, Interval, diagnose, held_out, rmse, thinned
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification import regulator
+from pam_antagonist.identification.regulator import Regulator
+from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+from pam_antagonist.optional import available
+from pam_antagonist.recording.csv_import import read_csv
+from pam_antagonist.recording.csv_map import load_map
+from pam_antagonist.recording.recording import Recording
+from pam_antagonist.report import episodes as report
+from pam_antagonist.report import html, terminal
+from pam_antagonist.rig import load_rig
+from pam_antagonist.validation.pamy import baselines, page
+
+_DESCRIPTION = """\
+What close_loop makes of the measured arm, beside models without physics, with its drift and its regulators.
+
+FILE is the CSV of docs/pamy.md, which is not part of this package. Other files with the same columns do as well.
+Writes DIR/report.html and DIR/report.json, and with --docs the page. It takes some minutes.
+"""
+_EXAMPLES = """\
+examples:
+  {run} pamy pamy_joint0.csv --out result
+  {run} pamy pamy_joint0.csv --out result --docs docs/pamy.md
+"""
+_OTHER = ("joint1_p1", "joint1_p2")
+_SETPOINTS = ("p1_set", "p2_set")
+_SHARE = 1.0 / 3.0
+_EPISODES = 400
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("pamy", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("file", type=Path, metavar="FILE", help="the CSV file")
+    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the report; a new one")
+    out.add_argument("--docs", type=Path, metavar="FILE", help="write the page as Markdown as well (docs/pamy.md)")
+    out.add_argument("--jobs", type=int, default=2, metavar="N", help="threads (default: 2)")
+    out.add_argument("--no-figures", action="store_true", help="leave the figure out of report.html")
+    common.add_json(out)
+    common.add_open(out)
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    with common.json_beside(arguments):
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if not 1 <= arguments.jobs <= 64:
+        raise BadInput(f"--jobs {arguments.jobs}: expected a number from 1 to 64")
+    common.check_output(arguments.out)
+    recording = read_csv(arguments.file, load_map("pamy_joint0"))
+    begin = time.perf_counter()
+    result = analysed(recording, arguments.jobs)
+    result = replace(result, took=time.perf_counter() - begin)
+    hashes = (hashlib.sha256(arguments.file.read_bytes()).hexdigest(),)
+    with common.output_folder(arguments.out) as folder:
+        content = report.document(result.found, result.joint, hashes, not arguments.no_figures)
+        html.write(folder, content, page.numbers(result, hashes))
+    if arguments.docs is not None:
+        arguments.docs.write_text(page.markdown(result), encoding="utf-8")
+    print(terminal.render(report.summary(result.found, result.joint)))
+    common.announce_report(arguments, arguments.out)
+    return common.DONE
+
+
+def analysed(recording: Recording, jobs: int) -> page.ArmResult:
+    """All that the page shows.
+
+    Args:
+        recording: of the arm, with the signals of its map.
+        jobs: threads.
+
+    Raises:
+        BadInput: a recording from which nothing can be learned.
+    """
+    rig = load_rig("regulator_joint", regulators=True)
+    joint = PressureDriven.of(recording, rig, _OTHER, jobs)
+    asked = PressureDriven.of(recording, rig, _SETPOINTS)
+    held = held_out(len(joint), _SHARE)
+    found = diagnose(joint, _SHARE, progress=lambda text: print(f"pamy: {text}", file=sys.stderr, flush=True))
+    rows = baselines.rows(joint, held, found.window)
+    regulators = tuple(_regulator(asked, held, muscle) for muscle in (0, 1))
+    later = asked.take(held.later)
+    held_pressures = np.column_stack([_held(one, later, muscle) for muscle, one in enumerate(regulators)])
+    errors = tuple(
+        (_rms(held_pressures[:, k] - later.pressure[:, k]), _rms(_setpoint(later, k) - later.pressure[:, k]))
+        for k in (0, 1)
+    )
+    commanded = _error(replace(joint.take(held.later), pressure=held_pressures), found.model)
+    return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, errors, 0.0)
+
+
+def _setpoint(asked: PressureDriven, muscle: int) -> np.ndarray:
+    """What a regulator was asked for (N,) [Pa]."""
+    return np.asarray(asked.signals[:, muscle] + list(asked.rig.signals.values())[muscle])
+
+
+def _regulator(asked: PressureDriven, held: Held, muscle: int) -> Regulator:
+    part = asked.take(thinned(held.pool, _EPISODES))
+    return regulator.fit(part.first, part.time, _setpoint(part, muscle), part.pressure[:, muscle])
+
+
+def _held(one: Regulator, asked: PressureDriven, muscle: int) -> np.ndarray:
+    """The pressure that a regulator holds (N,) [Pa]."""
+    start = asked.pressure[asked.first[:-1], muscle]
+    return regulator.simulated(one, asked.first, asked.time, _setpoint(asked, muscle), start)
+
+
+def _error(joint: PressureDriven, model: PressureModel) -> Interval:
+    return rmse(*joint.squares(joint.residual(model)))
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""The page of the measured arm, on a small simulated one with the columns of the real file; and a regulator."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.identification import regulator
+from pam_antagonist.identification.regulator import Regulator
+from pam_antagonist.validation.pamy.command import main
+
+EPISODES, ROWS, PERIOD = 60, 70, 0.01
+
+
+def arm(folder: Path) -> Path:
+    """A file: the angle follows the pressures as a damped swing with friction, these lag behind their setpoints."""
+    rng = np.random.default_rng(4)
+    first = np.arange(EPISODES + 1) * ROWS
+    time = np.tile(PERIOD * np.arange(ROWS), EPISODES)
+    asked = np.stack([0.5 + 0.2 * np.cumsum(rng.standard_normal((EPISODES, ROWS)) * 0.15, axis=1) for _ in "12"])
+    truth = Regulator(40.0, 0.5, 0.0, 1.0, 0.0)
+    setpoints = [np.clip(one, 0.0, 1.0).ravel() for one in asked]
+    held = [regulator.simulated(truth, first, time, one, one[first[:-1]]) for one in setpoints]
+    angle = np.zeros(EPISODES * ROWS)
+    for begin in first[:-1]:
+        position = speed = 0.0
+        for k in range(begin + 1, begin + ROWS):
+            for s in range(10):
+                late = (s + 0.5) / 10
+                pull = sum(
+                    sign * ((1 - late) * one[k - 1] + late * one[k]) for sign, one in zip((1, -1), held, strict=True)
+                )
+                free = speed + PERIOD / 10 * (90.0 * pull - 60.0 * position - 8.0 * speed)
+                speed = math.copysign(max(abs(free) - PERIOD / 10 * 5.0, 0.0), free)
+                position += PERIOD / 10 * speed
+            angle[k] = position
+    number = np.repeat(np.arange(EPISODES), ROWS)
+    other = 0.5 + 0.1 * rng.standard_normal((2, EPISODES))[:, number]
+    names = "episode,t_s,angle_rad,p1,p2,joint1_p1,joint1_p2,p1_set,p2_set"
+    np.savetxt(
+        folder / "arm.csv", np.column_stack([number, time, angle, *held, *other, *setpoints]), "%.6f", ",",
+        header=names, comments="",
+    )  # fmt: skip
+    return folder / "arm.csv"
+
+
+def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
+    options = ["--out", str(tmp_path / "out"), "--docs", str(tmp_path / "pamy.md"), "--no-figures"]
+    assert main([str(arm(tmp_path)), *options]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["effects"] == ["friction"]
+    assert report["errors_deg"][-1]["later"][0] < 0.2
+    assert report["baselines_deg"][0]["later"][0] > 5.0 * report["errors_deg"][-1]["later"][0]
+    one = report["regulators"][0]
+    assert one["frequency"] == pytest.approx(40.0, rel=0.02) and one["damping"] == pytest.approx(0.5, rel=0.05)
+    text = (tmp_path / "pamy.md").read_text()
+    assert (
+        "What the model lacks is constant (Coulomb) friction" in text and "| static map of the two pressures |" in text
+    )
+
+
+def test_a_regulator_is_found_with_its_dead_time() -> None:
+    rng = np.random.default_rng(5)
+    first = np.arange(21) * 100
+    time = np.tile(0.01 * np.arange(100), 20)
+    setpoint = 3e5 + 1e5 * np.repeat(rng.uniform(-1.0, 1.0, (20, 10)), 10, axis=1).ravel()
+    truth = Regulator(25.0, 0.35, 0.023, 0.97, 4e3)
+    pressure = regulator.simulated(truth, first, time, setpoint, setpoint[first[:-1]])
+    found = regulator.fit(first, time, setpoint, pressure + 200.0 * rng.standard_normal(len(pressure)))
+    assert found.frequency == pytest.approx(25.0, rel=0.01)
+    assert found.damping == pytest.approx(0.35, rel=0.03)
+    assert found.dead_time == pytest.approx(0.023, abs=5e-4)
+    assert (found.gain, found.offset) == pytest.approx((0.97, 4e3), rel=0.1)
+    assert truth.resonance == pytest.approx(1.0 / (2 * 0.35 * np.sqrt(1 - 0.35**2)))
