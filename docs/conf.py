@@ -27,6 +27,7 @@ NAVIGATION = {
         "how-to/hardware",
         "how-to/driver",
         "how-to/references",
+        "interaction",
         "how-to/ros2_control",
         "how-to/several_joints",
         "how-to/safety",

@@ -107,7 +107,7 @@ def rig_fields() -> str:
 def _walk(prefix: str, node: dict[str, Any], defs: dict[str, Any], rows: list[str]) -> None:
     for key, entry in node.get("properties", {}).items():
         inner = entry
-        for reference in (entry, *entry.get("allOf", [])):
+        for reference in (entry, *entry.get("allOf", []), *entry.get("anyOf", [])):
             if "$ref" in reference:
                 inner = defs[reference["$ref"].rsplit("/", 1)[1]]
         path = f"{prefix}{key}"

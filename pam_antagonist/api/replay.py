@@ -80,6 +80,7 @@ def replay(
     progress: Callable[[int], None] | None = None,
     read_seconds: float = 0.0,
     begin_s: float | None = None,
+    angle_sensor: str = "auto",
 ) -> ReplayResult:
     """Run a recording through the estimator and through the model alone, and judge both.
 
@@ -93,6 +94,8 @@ def replay(
         read_seconds: what reading the recording took [s], for the real-time factor.
         begin_s: time from the first sample from which on there is to be an estimate [s]; None: all of it. The
             estimates are those of the whole.
+        angle_sensor: ``none``, ``encoder`` (the recording's topic ``angle_sensor`` is an input of the filter as well),
+            or ``auto``: as the live filter, where its checkpoints tell, else none.
 
     Returns:
         Estimates, errors against what was measured, and the consistency of the filter.
@@ -111,5 +114,6 @@ def replay(
         (6000,)
     """
     chosen = as_rig(rig)
-    done = _replay(as_recording(recording, chosen), chosen, tuning, joint, lock_angle, read_seconds, progress, begin_s)
+    given = as_recording(recording, chosen)
+    done = _replay(given, chosen, tuning, joint, lock_angle, read_seconds, progress, begin_s, angle_sensor)
     return ReplayResult(**{item.name: getattr(done, item.name) for item in fields(Replay)})

@@ -73,13 +73,16 @@ def simulate(
         raise BadInput(f"voltage has shape {given.shape}, expected (N, 2)")
     plant = Plant(chosen, joint, lock_angle, seed, mismatch=mismatch, noise=noise)
     count = len(given)
-    pressure, angle, torque = np.empty((count, 2)), np.empty(count), np.empty(count)
+    pressure, (angle, torque, encoder) = np.empty((count, 2)), np.empty((3, count))
     for k in range(count):
         sample = plant.step(given[k])
         pressure[k] = sample.pressure
         angle[k] = sample.angle
-        torque[k] = sample.torque
+        torque[k], encoder[k] = sample.torque, sample.encoder
         if progress is not None and k % 1000 == 999:
             progress(1000)
     stamps = FIRST_STAMP_NS + np.rint(np.arange(1, count + 1) * chosen.sample_period * 1e9).astype(np.int64)
-    return Recording(path=Path(path), stamp_ns=stamps, pressure=pressure, voltage=given, angle=angle, torque=torque)
+    return Recording(
+        path=Path(path), stamp_ns=stamps, pressure=pressure, voltage=given, angle=angle, torque=torque,
+        angle_sensor=None if chosen.encoder is None else encoder,
+    )  # fmt: skip

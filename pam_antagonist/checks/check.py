@@ -19,14 +19,15 @@ from pam_antagonist.checks.delay import delay_of_voltages
 from pam_antagonist.checks.prediction import correlation, predicted, range_of
 from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import Estimator
 from pam_antagonist.model import equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.joint import joint_condition
+from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.units import UNITS
 from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import NO_ENCODER, Rig
 
 Floats = NDArray[np.float64]
 
@@ -89,12 +90,27 @@ def check_recording(recording: Recording, rig: Rig, joint: str = "auto", lock_an
     now, unit_findings = _units_by_size(recording)
     condition = joint_condition(now.applied(recording), joint, lock_angle if joint == "locked" else None)
     findings = [*unit_findings, *_clocks(recording), *_rate(recording, rig), *_still(recording, now, rig)]
+    findings += _encoder(recording, rig, condition)
     if rig.valves.sealed:
         found, now = _sealed(recording, rig, now)
     else:
         found, now = _driven(recording, rig, now, condition.condition, condition.lock_angle)
     order = ("wrong", "doubtful", "untested", "good")
     return Checked(tuple(sorted([*findings, *found], key=lambda f: order.index(f.status))), now, condition.condition)
+
+
+def _encoder(recording: Recording, rig: Rig, condition: JointCondition) -> list[Finding]:
+    """Whether the estimator would believe the recorded encoder."""
+    if recording.angle_sensor is None:
+        return []
+    if rig.encoder is None:
+        return [Finding("untested", f"topic angle_sensor: {NO_ENCODER.format(rig=rig.name)}")]
+    estimator = Estimator(rig, "default", condition.condition, condition.lock_angle, "encoder")
+    estimator.run(recording.stamp_ns, recording.pressure, recording.voltage, recording.angle_sensor)
+    complaint = estimator.encoder_complaint
+    if complaint:
+        return [Finding("wrong", complaint)]
+    return [Finding("good", f"the estimator uses the encoder: {estimator.counts.angles_used} angles")]
 
 
 def _driven(

@@ -21,10 +21,10 @@ from pam_antagonist.rig import Rig, load_rig
 _DESCRIPTION = """\
 Run recordings through the estimator again and report its errors.
 
-The unscented Kalman filter gets the recorded pressures and valve voltages, nothing else, by the code that
-runs live; the model alone gets the voltages. Both are compared with the measured angle and torque, where the
-bag has them. Where it has the estimate that was published live, the two are compared bit by bit. Of a bag that holds
-several joints, each is replayed, with the one rig; --namespace picks one.
+The unscented Kalman filter gets the recorded pressures and valve voltages, and with --angle-sensor encoder the
+encoder's angle, by the code that runs live; the model alone gets the voltages. Both are compared with the measured
+angle and torque, where the bag has them. Where it has the estimate that was published live, the two are compared bit
+by bit. Of a bag that holds several joints, each is replayed, with the one rig; --namespace picks one.
 
 Writes DIR/report.json and DIR/report.html. Status: 0 done, 2 bad input (one line says what and where).
 """
@@ -57,6 +57,11 @@ def parser() -> common.Parser:
         "--from", dest="begin", type=float, metavar="SECONDS",
         help="estimate from this time of the recording on; a checkpoint of the live filter saves the way there, and "
         "the estimates are those of the whole (default: all of it)",
+    )  # fmt: skip
+    out.add_argument(
+        "--angle-sensor", choices=("auto", "none", "encoder"), default="auto",
+        help="encoder: topic angle_sensor is an input of the filter as well; auto: as the live filter, where the "
+        "recording tells, else none (default: auto)",
     )  # fmt: skip
     common.add_topics(out)
     out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
@@ -143,8 +148,9 @@ def _replay(
     read_seconds = time.perf_counter() - begin
     with counted(len(recording.stamp_ns), f"replay {bag.name}") as done:
         return replay(
-            recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, done, read_seconds, arguments.begin
-        )
+            recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, done, read_seconds,
+            arguments.begin, arguments.angle_sensor,
+        )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -13,10 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import encoder
 from pam_antagonist.estimation.filter import Memory, Settings
 from pam_antagonist.estimation.stamps import LAST, REJECTED, RUNNING, STARTED
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.model.effects.external_torque import UNBOUNDED
 
 _DIGITS = 16
+_LATER = {
+    "effects.external_torque.prior": UNBOUNDED,
+    **{
+        parameter_path(name, item.name): item.neutral
+        for name in ("friction_by_pressure", "friction_by_signal")
+        for item in CATALOGUE[name].parameters
+    },
+}
+"""Parameters that came after the first checkpoints, with their neutral values."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +83,7 @@ class Checkpoint:
         voltage: last known ones (2,) [V].
         rejected: samples in a row that the gate refused.
         distances: how many distances between stamps there were since the start, then the last of them [ns], a ring.
+        angle_sensor: what is remembered of a measured angle (encoder.MEMORY,); empty where none was read.
     """
 
     stamp_ns: int
@@ -81,6 +95,7 @@ class Checkpoint:
     voltage: NDArray[np.float64]
     rejected: int
     distances: NDArray[np.int64]
+    angle_sensor: NDArray[np.float64]
 
 
 def settings_hash(settings: Settings) -> str:
@@ -89,8 +104,16 @@ def settings_hash(settings: Settings) -> str:
     Args:
         settings: of the filter.
     """
+    content = settings._asdict()
+    sets = settings.parameter_sets
+    # What came later has no part in it where it is not used, so that checkpoints of before stay of use.
+    neutral = [par.INDEX[name] for name, value in _LATER.items() if np.all(sets[:, par.INDEX[name]] == value)]
+    content["parameter_sets"] = np.delete(sets, neutral, axis=1)
+    if settings.angle_noise == 0.0:
+        for name in ("angle_noise", "angle_offset", "angle_step"):
+            del content[name]
     digest = hashlib.sha256()
-    for value in settings:
+    for value in content.values():
         digest.update(np.ascontiguousarray(value, dtype=np.float64).tobytes())
     return digest.hexdigest()[:_DIGITS]
 
@@ -113,6 +136,7 @@ def take(memory: Memory, identity: FilterIdentity) -> Checkpoint:
         memory.held.copy(),
         int(clock[REJECTED]),
         clock[REJECTED + 1 :].copy(),
+        memory.encoder.copy() if encoder.was_read(memory.encoder) else np.empty(0),
     )
 
 
@@ -148,8 +172,11 @@ def put(checkpoint: Checkpoint, memory: Memory, identity: FilterIdentity) -> Non
         and (distances[1:][: distances[0]] > 0).all()
     ):
         raise BadInput("the checkpoint is damaged: its stamps and counts cannot be those of a filter")
+    if len(checkpoint.angle_sensor) not in (0, encoder.MEMORY):
+        raise BadInput(f"the checkpoint is damaged: angle_sensor has {len(checkpoint.angle_sensor)} numbers")
     for name, own in here.items():
         own[:] = getattr(checkpoint, name)
+    memory.encoder[:] = checkpoint.angle_sensor if len(checkpoint.angle_sensor) else encoder.new()
     clock[RUNNING], clock[LAST], clock[STARTED] = 1, checkpoint.stamp_ns, checkpoint.started_ns
     clock[REJECTED], clock[REJECTED + 1 :] = checkpoint.rejected, distances
 

@@ -9,17 +9,22 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import checkpoint as checkpoints
+from pam_antagonist.estimation import encoder, stamps, ukf
 from pam_antagonist.estimation import filter as kernels
-from pam_antagonist.estimation import stamps, ukf
 from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
 from pam_antagonist.estimation.filter import ESTIMATE_DTYPE
 from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
-from pam_antagonist.rig import Rig, Tuning, fingerprint
+from pam_antagonist.model.effects.external_torque import UNBOUNDED
+from pam_antagonist.rig import NO_ENCODER, Rig, Tuning, fingerprint
 
 _FASTEST = 100.0  # a joint that could be set to [rad/s]
 _PRESSURES = (50e3, 2e6)  # absolute, likewise [Pa]; gauge pressures near the atmosphere's are below
+
+
+ANGLE_SENSORS = ("none", "encoder")
+"""What may measure the angle for a filter."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,8 @@ class Counts:
         gaps: samples that came after missing ones.
         repaired: samples at which the covariance was repaired.
         restarts: how often the filter began again.
+        angles_used: samples whose measured angle was used.
+        angles_refused: samples whose measured angle was not: outliers, and all of an encoder that is refused.
     """
 
     processed: int
@@ -47,6 +54,8 @@ class Counts:
     gaps: int
     repaired: int
     restarts: int
+    angles_used: int
+    angles_refused: int
 
 
 @dataclass(frozen=True)
@@ -136,12 +145,36 @@ def _of_states(p: np.ndarray, tuning: Tuning, period: float, locked: bool) -> tu
     for effect, state in ADDED_STATES:
         if state.name not in present:
             continue
-        named = isinstance(state.noise, str)
-        noise = float(p[par.INDEX[parameter_path(effect, str(state.noise))]] if named else state.noise)
-        own = tuning.states.get(state.name, (state.initial_std**2, noise**2 * period))
+
+        def number(name: str, effect: str = effect) -> float:
+            return float(p[par.INDEX[parameter_path(effect, name)]])
+
+        noise = number(state.noise) if isinstance(state.noise, str) else state.noise
+        prior = number(state.prior) if state.prior else math.inf
+        if prior < UNBOUNDED:
+            # What a step adds to a state that forgets exp(−period/T) of itself and keeps the variance s², T = 2 s²/σ².
+            own = (prior**2, -(prior**2) * math.expm1(-((noise / prior) ** 2) * period))
+        else:
+            own = (state.initial_std**2, noise**2 * period)
+        own = tuning.states.get(state.name, own)
         initial.append(own[0])
         process.append(own[1])
     return np.array(initial), np.array(process)
+
+
+def _angle_sensor(rig: Rig, name: str) -> dict[str, float]:
+    """What a filter is set to for its angle sensor."""
+    if name not in ANGLE_SENSORS:
+        raise BadInput(f"angle_sensor {name!r}: expected one of {', '.join(ANGLE_SENSORS)}")
+    if name == "none":
+        return {}
+    if rig.encoder is None:
+        raise BadInput(f"angle_sensor encoder: {NO_ENCODER.format(rig=rig.name)}")
+    if rig.encoder.variance <= 0.0:
+        raise BadInput(f"encoder of rig {rig.name}: neither noise nor a step, expected std or step above 0 rad")
+    return {
+        "angle_noise": rig.encoder.variance, "angle_offset": rig.encoder.offset, "angle_step": rig.encoder.step
+    }  # fmt: skip
 
 
 def _results(samples: int, states: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -158,12 +191,21 @@ class Estimator:
         tuning: name of one of its tunings.
         joint: ``free``, or ``locked`` where the joint is held.
         lock_angle: angle [rad] at which a locked joint is held.
+        angle_sensor: ``none``, or ``encoder`` where each sample may have a measured angle beside the pressures.
 
     Raises:
-        BadInput: a tuning or joint condition that does not exist.
+        BadInput: a tuning, joint condition or angle sensor that does not exist, or an encoder that the rig file says
+            nothing of.
     """
 
-    def __init__(self, rig: Rig, tuning: str = "default", joint: str = "free", lock_angle: float = 0.0) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        tuning: str = "default",
+        joint: str = "free",
+        lock_angle: float = 0.0,
+        angle_sensor: str = "none",
+    ) -> None:
         chosen = rig.tuning(tuning)
         sets = parameter_sets(rig, chosen, joint, lock_angle)
         n, m = int(sets[0, par.STATES]), (len(sets) - 1) // 2
@@ -180,6 +222,7 @@ class Estimator:
             kappa=chosen.kappa,
             gate=chosen.gate,
             lock_angle=lock_angle,
+            **_angle_sensor(rig, angle_sensor),
         )
         self._added = par.added_states(sets[0])
         self._memory = kernels.make_memory(n, m)
@@ -190,7 +233,8 @@ class Estimator:
         # What the kernel takes: plain tuples, see filter.process_all.
         self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, m))
         self._stamp, self._pressure, self._voltage = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 2))
-        self._live = self._stamp, self._pressure, self._voltage, *self._fields, *_results(1, n)
+        self._angle = np.full(1, np.nan)
+        self._live = self._stamp, self._pressure, self._voltage, self._angle, *self._fields, *_results(1, n)
         rows = self._live[-4]
         self._row = rows[0]
         # numpy copies a record field by field, which takes longer than the filter's step.
@@ -207,6 +251,17 @@ class Estimator:
     def reset(self) -> None:
         """Forget the estimate; the next sample with both pressures and voltages starts the filter."""
         self._memory.clock[:] = 0
+        self._memory.encoder[:] = encoder.new()
+
+    @property
+    def estimates_external_torque(self) -> bool:
+        """Whether the rig has the torque from outside as a state."""
+        return kernels.EXTERNAL_TORQUE in self._added
+
+    @property
+    def encoder_complaint(self) -> str:
+        """Why the encoder is refused, and what to do; empty where it is not."""
+        return encoder.complaint(self._memory.encoder)
 
     def set_state(
         self, stamp_ns: int, angle: float, velocity: float, pressure: tuple[float, float], voltage: tuple[float, float]
@@ -278,7 +333,9 @@ class Estimator:
         """Stamp [ns] of the sample that started the running filter, None before that."""
         return stamps.started_ns(self._memory.clock)
 
-    def step(self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float) -> np.void | None:
+    def step(
+        self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan
+    ) -> np.void | None:
         """Take one sample in.
 
         Args:
@@ -287,6 +344,7 @@ class Estimator:
             p2: pressure of muscle 2, absolute [Pa], NaN where missing.
             u1: voltage on valve 1 over the step that ends at the stamp [V], NaN where missing.
             u2: voltage on valve 2, likewise.
+            angle: as the encoder reads it [rad], NaN where missing.
 
         Returns:
             The estimate (an ``ESTIMATE_DTYPE``), or None where there is none: the sample was not newer than the last
@@ -299,11 +357,13 @@ class Estimator:
             >>> abs(float(row["angle"])) < 0.01, row["covariance"].shape
             (True, (3, 3))
         """
-        if self.step_in_place(stamp_ns, p1, p2, u1, u2) is None:
+        if self.step_in_place(stamp_ns, p1, p2, u1, u2, angle) is None:
             return None
         return self._bytes.copy().view(ESTIMATE_DTYPE)[0]
 
-    def step_in_place(self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float) -> np.void | None:
+    def step_in_place(
+        self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan
+    ) -> np.void | None:
         """:meth:`step` without a copy, for a loop that has a millisecond: the next call overwrites the row.
 
         Args:
@@ -312,29 +372,35 @@ class Estimator:
             p2: likewise.
             u1: likewise.
             u2: likewise.
+            angle: likewise.
 
         Returns:
             The estimate, valid until the next call, or None.
         """
-        self._stamp[0] = stamp_ns
+        self._stamp[0], self._angle[0] = stamp_ns, angle
         pressure, voltage = self._pressure, self._voltage
         pressure[0, 0], pressure[0, 1], voltage[0, 0], voltage[0, 1] = p1, p2, u1, u2
         return self._row if kernels.process_all(*self._live) else None
 
-    def run(self, stamp_ns: np.ndarray, pressure: np.ndarray, voltage: np.ndarray) -> EstimateRun:
+    def run(
+        self, stamp_ns: np.ndarray, pressure: np.ndarray, voltage: np.ndarray, angle: np.ndarray | None = None
+    ) -> EstimateRun:
         """Take a recording in, sample by sample; the same as calling :meth:`step` for each.
 
         Args:
             stamp_ns: stamps (N,) [ns].
             pressure: pressures (N, 2) [Pa], NaN where missing.
             voltage: voltages (N, 2) [V], NaN where missing.
+            angle: what the encoder reads (N,) [rad], NaN where missing; None: nothing.
         """
+        angles = np.full(len(stamp_ns), np.nan) if angle is None else np.array(angle, dtype=np.float64)
         rows, states, index, started = _results(len(stamp_ns), len(self._memory.x))
         stamps = np.ascontiguousarray(stamp_ns, dtype=np.int64)
         count = kernels.process_all(
             stamps,
             np.array(pressure, dtype=np.float64, order="C"),
             np.array(voltage, dtype=np.float64, order="C"),
+            angles,
             *self._fields,
             rows,
             states,

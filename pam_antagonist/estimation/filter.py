@@ -12,6 +12,7 @@ by the time of arrival:
   known voltages, up to ``LONGEST_GAP_NS``; beyond that the filter starts again;
 * a pressure that is not finite: the other one alone is used, or none (prediction only);
 * voltages that are not finite: the last known ones are taken to hold;
+* a measured angle, where the filter uses one: :mod:`~pam_antagonist.estimation.encoder`;
 * an innovation beyond the gate (Mahalanobis distance): the pressure that is further off is left out,
   then the other one if that is beyond the gate as well. After ``PATIENCE`` such samples in a row it is
   the filter that is wrong, not the sensor, and the pressures are used again.
@@ -28,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist._jit import in_place, merged
-from pam_antagonist.estimation import stamps, start, ukf
+from pam_antagonist.estimation import encoder, stamps, start, ukf
 from pam_antagonist.estimation.stamps import (
     CLOCK_SIZE,
     LAST,
@@ -47,12 +48,28 @@ from pam_antagonist.model.parameters import SLOT_OF
 PATIENCE = 20
 """Samples, at any rate: so many readings in a row tell a wrong filter from a wrong sensor."""
 
-MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, LATE = 1, 2, 4, 8, 16, 32, 64
+MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, LATE, NO_ANGLE = (
+    1, 2, 4, 8, 16, 32, 64, 128,
+)  # fmt: skip
 """Flags of an estimate, as in ``JointEstimate.msg``."""
-_NO_FLAGS = np.int64(0)
+_NO_FLAGS, _ANGLE_MISSING, _ANGLE_REFUSED = np.int64(0), np.int64(NO_ANGLE), np.int64(OUTLIER)
+_VERDICT, _WITHOUT = encoder.VERDICT, encoder.WITHOUT
 
-COUNTERS = ("processed", "predicted_only", "missing", "outliers", "late", "duplicates", "gaps", "repaired", "restarts")
-_PROCESSED, _PREDICTED_ONLY, _MISSING, _OUTLIERS, _LATE, _DUPLICATES, _GAPS, _REPAIRS, _RESTARTS = range(len(COUNTERS))
+COUNTERS = ("processed", "predicted_only", "missing", "outliers", "late", "duplicates", "gaps", "repaired", "restarts",
+            "angles_used", "angles_refused")  # fmt: skip
+(
+    _PROCESSED,
+    _PREDICTED_ONLY,
+    _MISSING,
+    _OUTLIERS,
+    _LATE,
+    _DUPLICATES,
+    _GAPS,
+    _REPAIRS,
+    _RESTARTS,
+    _ANGLES_USED,
+    _ANGLES_REFUSED,
+) = range(len(COUNTERS))
 
 ESTIMATE_DTYPE = np.dtype(
     [
@@ -78,7 +95,10 @@ from outside [N m] and its covariance with angle, velocity, torque and itself, N
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
 _forces, _torque_slope, _start_state = dynamics.forces, dynamics.torque_slope, start.start
 _subsystem, _pressure_behind = dynamics.subsystem, sensor.pressure_behind
-_EXTERNAL_TORQUE = SLOT_OF[CATALOGUE[DISTURBANCE].states[0].name]
+EXTERNAL_TORQUE = CATALOGUE[DISTURBANCE].states[0].name
+"""Name of the state that is the torque from outside."""
+_EXTERNAL_TORQUE = SLOT_OF[EXTERNAL_TORQUE]
+_examine, _correct_angle = encoder.examine, encoder.correct
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
 
 
@@ -96,6 +116,9 @@ class Settings(NamedTuple):
         kappa: κ, the scaling of the sigma points [-].
         gate: largest Mahalanobis distance of a pressure that is used [-].
         lock_angle: angle of a locked joint [rad].
+        angle_noise: variance of a measured angle [rad²]; 0: none is used.
+        angle_offset: so much too high it reads [rad].
+        angle_step: of its converter [rad]; 0: none.
     """
 
     parameter_sets: np.ndarray
@@ -108,6 +131,9 @@ class Settings(NamedTuple):
     kappa: float
     gate: float
     lock_angle: float
+    angle_noise: float = 0.0
+    angle_offset: float = 0.0
+    angle_step: float = 0.0
 
 
 class Memory(NamedTuple):
@@ -124,6 +150,7 @@ class Memory(NamedTuple):
         innovation_covariance: (2, 2) [Pa²].
         torque_moments: mean of the torque [N m], its variance, its covariance with each state (2 + n,).
         noise: diagonal of Q for the step at hand (n,).
+        encoder: what is remembered of a measured angle (encoder.MEMORY,).
     """
 
     x: np.ndarray
@@ -136,6 +163,7 @@ class Memory(NamedTuple):
     innovation_covariance: np.ndarray
     torque_moments: np.ndarray
     noise: np.ndarray
+    encoder: np.ndarray
 
 
 def make_memory(states: int, considered: int) -> Memory:
@@ -157,13 +185,13 @@ def make_memory(states: int, considered: int) -> Memory:
         innovation_covariance=np.zeros((2, 2)),
         torque_moments=np.zeros(2 + n),
         noise=np.zeros(n),
+        encoder=encoder.new(),
     )
 
 
 @in_place
-def _start(stamp, y, u, memory, settings, work):
-    """Set the filter to what a first sample tells."""
-    memory.held[0], memory.held[1] = u
+def _start(y, memory, settings, work):
+    """Set the state to what a first sample tells."""
     _start_state(
         y,
         memory.held,
@@ -178,7 +206,6 @@ def _start(stamp, y, u, memory, settings, work):
         memory.innovation,
         work,
     )
-    _start_clock(memory.clock, stamp)
 
 
 @in_place
@@ -263,11 +290,38 @@ def _dropped(elapsed, x, covariance, clock, counts):
 
 
 @in_place
-def _begin(stamp, y, u, memory, settings, work, row):
-    """Start with a sample that has everything; whether there is an estimate."""
-    _start(stamp, y, u, memory, settings, work)
+def _begin(stamp, y, u, angle, memory, settings, work, row):
+    """Start with a sample that has pressures and voltages; whether there is an estimate."""
+    memory.held[0], memory.held[1] = u
+    _start(y, memory, settings, work)
+    _start_clock(memory.clock, stamp)
+    flags = _NO_FLAGS
+    if settings.angle_noise > 0.0:
+        flags = _angle(angle, 0.0, y, True, memory, settings, work)
     memory.counts[_PROCESSED] += 1
-    return _write(row, memory, settings, np.nan, _NO_FLAGS, work)
+    return _write(row, memory, settings, np.nan, flags, work)
+
+
+@in_place
+def _angle(angle, elapsed, y, usable, memory, settings, work):
+    """Update with a measured angle [rad], where there is one that may be used; flags of the estimate."""
+    counts = memory.counts
+    if not math.isfinite(angle):
+        memory.encoder[_WITHOUT] += elapsed
+        return _ANGLE_MISSING
+    reading, before = angle - settings.angle_offset, memory.encoder[_VERDICT]
+    may = _examine(
+        reading, elapsed, y, usable, memory.held, memory.x, settings.parameter_sets[0], settings.measurement_noise,
+        settings.angle_noise, settings.angle_step, memory.encoder, work,
+    )  # fmt: skip
+    if memory.encoder[_VERDICT] != before and usable:
+        # What a bad encoder has told the filter is of no use: begin again by the pressures.
+        _start(y, memory, settings, work)
+    if may and _correct_angle(reading, memory, settings, work):
+        counts[_ANGLES_USED] += 1
+        return _NO_FLAGS
+    counts[_ANGLES_REFUSED] += 1
+    return _ANGLE_REFUSED
 
 
 @merged
@@ -372,13 +426,14 @@ def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
 
 
 @merged
-def process(stamp, y, u, memory, settings, work, row):
+def process(stamp, y, u, angle, memory, settings, work, row):
     """Take one sample in.
 
     Args:
         stamp: [ns].
         y: both pressures [Pa], NaN where missing.
         u: both voltages [V] over the step that ends at the stamp, NaN where missing.
+        angle: measured angle [rad], NaN where missing; not looked at where the settings have no noise of it.
         memory: :class:`Memory` of the filter, changed in place.
         settings: its :class:`Settings`.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
@@ -400,7 +455,7 @@ def process(stamp, y, u, memory, settings, work, row):
         return False
     if clock[RUNNING] == 0:
         if complete:
-            return _begin(stamp, y, u, memory, settings, work, row)
+            return _begin(stamp, y, u, angle, memory, settings, work, row)
         counts[_MISSING] += 1
         return False
 
@@ -413,23 +468,28 @@ def process(stamp, y, u, memory, settings, work, row):
         # Nothing of the old estimate is of use: begin again with this sample, or with the next good one.
         clock[RUNNING] = 0
         counts[_RESTARTS] += 1
-        return complete and _begin(stamp, y, u, memory, settings, work, row)
+        return complete and _begin(stamp, y, u, angle, memory, settings, work, row)
 
     use_1, use_2, outlier = _gate(y, finite_1, finite_2, memory, settings)
     nis = _correct(use_1, use_2, memory, settings, work)
     flags = _flagged(finite_1, finite_2, known_u, outlier, gap, repaired > 0, counts)
+    if settings.angle_noise > 0.0:
+        flags |= _angle(angle, elapsed * 1e-9, y, finite_1 and finite_2, memory, settings, work)
     counts[_PROCESSED] += 1
     return _write(row, memory, settings, nis, flags, work)
 
 
 @in_place
-def process_all(stamps, pressures, voltages, memory_fields, settings_fields, work_fields, rows, states, index, started):
+def process_all(
+    stamps, pressures, voltages, angles, memory_fields, settings_fields, work_fields, rows, states, index, started
+):  # fmt: skip
     """:func:`process` for every sample of a recording, called from Python.
 
     Args:
         stamps: (N,) [ns].
         pressures: (N, 2) [Pa].
         voltages: (N, 2) [V].
+        angles: (N,) [rad].
         memory_fields: fields of :class:`Memory` as a plain tuple, which numba takes from Python in a third of the time.
         settings_fields: fields of :class:`Settings`, likewise.
         work_fields: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise.
@@ -445,7 +505,7 @@ def process_all(stamps, pressures, voltages, memory_fields, settings_fields, wor
     count = 0
     for k in range(stamps.shape[0]):
         y, u = (pressures[k, 0], pressures[k, 1]), (voltages[k, 0], voltages[k, 1])
-        if process(stamps[k], y, u, memory, settings, work, rows[count]):
+        if process(stamps[k], y, u, angles[k], memory, settings, work, rows[count]):
             for i in range(states.shape[1]):
                 states[count, i] = memory.x[i]
             index[count] = k

@@ -1,6 +1,8 @@
 """How the filter starts: the state that a first sample tells, and its covariance.
 
-A joint with valves starts at rest under its first pressures, each state as uncertain as the tuning says.
+A joint with valves starts at rest under its first pressures, each state as uncertain as the tuning says. Where the
+torque from outside d has a declared prior, the joint may lean on it: ψ = ψ_0 + d/K, with K the stiffness of the joint,
+so that both start as correlated as they are.
 
 Sealed chambers whose charge is known tell the angle, also in the middle of a motion. Their pressures are
 
@@ -22,14 +24,20 @@ from pam_antagonist.estimation import ukf
 from pam_antagonist.model import dynamics, equilibrium, sensor
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
-from pam_antagonist.model.parameters import BASE_STATES, CHARGE, LOCKED, SLOT_OF
+from pam_antagonist.model.effects.external_torque import UNBOUNDED
+from pam_antagonist.model.parameters import BASE_STATES, CHARGE, INDEX, LOCKED, SLOT_OF, STIFFNESS
 
 _DISTURBANCE = SLOT_OF[CATALOGUE[DISTURBANCE].states[0].name]
+_PRIOR = INDEX["effects.external_torque.prior"]
 _NEAR = 1e-5
 """[rad] To either side, for the slope of a closed chamber's pressure."""
 _start_angle, _make_steady, _closed = equilibrium.start_angle, equilibrium.make_steady, equilibrium.closed_pressure
 _pressure_behind, _chamber, _update = sensor.pressure_behind, dynamics.chamber_pressure, ukf.update
-_torque_needed, _sliding_friction = dynamics.torque_needed, dynamics.sliding_friction
+_torque_slope, _torque_needed, _sliding_friction = (
+    dynamics.torque_slope,
+    dynamics.torque_needed,
+    dynamics.sliding_friction,
+)
 
 
 @in_place
@@ -63,6 +71,19 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
         _update(x, covariance, cross, innovation, noise, gain_noise, True, True, work)
         innovation[:] = np.nan
         _torque_from_outside(x, covariance, p)
+    elif p[LOCKED] == 0.0 and p[_PRIOR] < UNBOUNDED:
+        _leaning(x, covariance, p)
+
+
+@in_place
+def _leaning(x, covariance, p):
+    """Covariance of a joint at rest that leans on a torque from outside, from its diagonal, in place."""
+    at = int(p[_DISTURBANCE])
+    stiffness = p[STIFFNESS] - _torque_slope(x, p)
+    if at > 0 and stiffness > 0.0:
+        covariance[ANGLE, at] = covariance[at, at] / stiffness
+        covariance[at, ANGLE] = covariance[ANGLE, at]
+        covariance[ANGLE, ANGLE] += covariance[ANGLE, at] / stiffness
 
 
 @in_place

@@ -25,7 +25,7 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.estimation.factor import factorise
 from pam_antagonist.model import dynamics
-from pam_antagonist.model.dynamics import PRESSURE_1
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1
 
 _rk4_step, _torque = dynamics.rk4_step, dynamics.torque
 OUTPUTS = 2
@@ -273,6 +273,45 @@ def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, wo
             covariance[i, j] = factor[i, j]
             covariance[j, i] = factor[i, j]
     return nis
+
+
+@in_place
+def update_angle(x, covariance, cross, innovation, noise, work):
+    """Update step for a measured angle, whose noise is independent of the pressures', in place.
+
+    The gain K = P_xψ/(P_ψψ + R) acts on the state, as in :func:`update`: C ← C − K C_ψ, and P in Joseph's form.
+
+    Args:
+        x: estimate (n,).
+        covariance: P (n, n).
+        cross: C (n, m).
+        innovation: measured less estimated angle [rad].
+        noise: variance R of the measurement [rad²].
+        work: :class:`Work`, scratch.
+    """
+    gain, factor = work.gain, work.lower
+    n, m = x.shape[0], cross.shape[1]
+    total = covariance[ANGLE, ANGLE] + noise
+    for i in range(n):
+        gain[i, 0] = covariance[i, ANGLE] / total
+        x[i] += gain[i, 0] * innovation
+    for j in range(m):
+        c = cross[ANGLE, j]
+        for i in range(n):
+            cross[i, j] -= gain[i, 0] * c
+    for i in range(n):
+        for j in range(i + 1):
+            # (I − K g) P (I − K g)ᵀ + K R Kᵀ for the one row g that picks the angle.
+            factor[i, j] = (
+                covariance[i, j]
+                - gain[i, 0] * covariance[ANGLE, j]
+                - covariance[i, ANGLE] * gain[j, 0]
+                + gain[i, 0] * total * gain[j, 0]
+            )
+    for i in range(n):
+        for j in range(i + 1):
+            covariance[i, j] = factor[i, j]
+            covariance[j, i] = factor[i, j]
 
 
 @in_place

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.nodes.parameters import FRAME, JOINT_NAME, RIG, VALVE_OWNER, Parameter
+from pam_antagonist.nodes.parameters import ANGLE_SENSORS, FRAME, JOINT_NAME, RIG, VALVE_OWNER, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ command. A device that is unplugged is opened again when it is back.
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter where there are some, for
-             validation only), rig (std_msgs/String)
+             validation only), angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder), rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
 services:    ~/stop, ~/clear_stop (std_srvs/Trigger); ~/measure_rest (std_srvs/Trigger: with both muscles open to the
              air, takes what the sensors show for the atmosphere's pressure); and those of a lifecycle node
@@ -42,6 +42,7 @@ PARAMETERS = (
         -50e3,
         50e3,
     ),
+    Parameter("angle_sensor", "none", "encoder: publishes the encoder's angle as angle_sensor", choices=ANGLE_SENSORS),
     Parameter("device_timeout", 3.0, "time that the device may take to answer the greeting [s]", 0.1, 30.0),
 )
 

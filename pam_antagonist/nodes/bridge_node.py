@@ -113,7 +113,7 @@ class BridgeNode(PamNode):
             for i in (1, 2)
         )
         self._valves = wire.Outgoing(self, ValveCommand, TOPICS["valve_state"].relative, "valves", wire.VALVES)
-        self._joint = JointOutput(self, values["joint_name"], values["frame_id"])
+        self._joint = JointOutput(self, values["joint_name"], values["frame_id"], values["angle_sensor"])
         self.create_service(Trigger, "~/measure_rest", self._on_measure_rest)
         announce(self, rig)
         self.start_diagnostics(values["joint_name"])
@@ -208,9 +208,14 @@ class JointOutput:
         node: publishes.
         name: of the joint.
         frame_id: in every header.
+        angle_sensor: ``encoder`` publishes the angle as ``angle_sensor`` as well.
     """
 
-    def __init__(self, node: PamNode, name: str, frame_id: str) -> None:
+    def __init__(self, node: PamNode, name: str, frame_id: str, angle_sensor: str) -> None:
+        self._encoder: wire.Outgoing | None = None
+        if angle_sensor == "encoder":
+            body, self._position = wire.joint_position(name)
+            self._encoder = wire.Outgoing(node, JointState, TOPICS["angle_sensor"].relative, frame_id, body)
         body, self._values = wire.joint_state(name, velocity=False)
         self._both = wire.Outgoing(node, JointState, TOPICS["measured_joint_states"].relative, frame_id, body)
         self._message = JointState()
@@ -219,6 +224,8 @@ class JointOutput:
 
     def send(self, sample: Sample) -> None:
         """Publish angle and torque of a sample."""
+        if self._encoder is not None and sample.angle is not None:
+            self._encoder.send(sample.stamp_ns, *self._position(sample.angle))
         if sample.angle is not None and sample.torque is not None:
             self._both.send(sample.stamp_ns, *self._values(sample.angle, sample.torque))
         elif sample.angle is not None or sample.torque is not None:

@@ -52,7 +52,7 @@ def message(checkpoint: Checkpoint, frame_id: str) -> FilterCheckpoint:
     for name in ("rig", "fingerprint", "tuning", "joint", "settings"):
         setattr(out, name, getattr(checkpoint.identity, name))
     out.lock_angle, out.added = checkpoint.identity.lock_angle, list(checkpoint.identity.added)
-    for name in ("state", "covariance", "cross"):
+    for name in ("state", "covariance", "cross", "angle_sensor"):
         setattr(out, name, getattr(checkpoint, name).ravel().tolist())
     out.voltage, out.distances, out.rejected = checkpoint.voltage, checkpoint.distances, checkpoint.rejected
     return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.nodes.parameters import FRAME, JOINT, JOINT_NAME, LOCK_ANGLE, RIG, Parameter
+from pam_antagonist.nodes.parameters import ANGLE_SENSORS, FRAME, JOINT, JOINT_NAME, LOCK_ANGLE, RIG, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -12,12 +12,14 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """
 Angle and torque of the joint, with their covariance, from the two muscle pressures and the valve voltages: the
-unscented Kalman filter of the rig, one estimate for each sample, in the order of the stamps. It never reads a
-measured angle or torque.
+unscented Kalman filter of the rig, one estimate for each sample, in the order of the stamps. It reads a measured angle
+only where it is told to (angle_sensor: encoder), and never what is measured for validation.
 
-subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand)
+subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand);
+             angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder)
 publishes:   joint_estimate (pam_antagonist_msgs/JointEstimate), joint_states (sensor_msgs/JointState),
-             rig (std_msgs/String), filter_checkpoint (pam_antagonist_msgs/FilterCheckpoint, once a second)
+             external_torque (geometry_msgs/WrenchStamped, of a rig with that state), rig (std_msgs/String),
+             filter_checkpoint (pam_antagonist_msgs/FilterCheckpoint, once a second)
 services:    ~/reset (std_srvs/Trigger), ~/set_state (pam_antagonist_msgs/SetState), and those of a lifecycle node
 """
 
@@ -32,6 +34,12 @@ PARAMETERS = (
         "default",
         "name of one of the rig's filter tunings; a new one starts the filter again",
         read_only=False,
+    ),
+    Parameter(
+        "angle_sensor",
+        "none",
+        "encoder: topic angle_sensor is an input as well, with noise and offset of the rig file's encoder",
+        choices=ANGLE_SENSORS,
     ),
     Parameter("pairing_timeout", 0.02, "longest time that a sample waits for its other topics [s]", 0.001, 1.0),
     Parameter("max_age", 0.02, "age beyond which an estimate is flagged LATE [s]", 0.001, 10.0),

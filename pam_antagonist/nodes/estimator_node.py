@@ -6,18 +6,19 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
 from sensor_msgs.msg import FluidPressure, JointState
 from std_srvs.srv import Trigger
 
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import Estimator
+from pam_antagonist.estimation import Counts, Estimator
 from pam_antagonist.nodes import checkpoints, qos, wire
 from pam_antagonist.nodes.estimator import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode
-from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
+from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
@@ -55,7 +56,10 @@ class EstimatorNode(PamNode):
         self._rig = rig = load_rig(values["rig"])
         # Loads or compiles the filter, so that the first sample does not wait for it.
         self._estimator = self._make(values["tuning"])
-        self._pairing = SamplePairing(values["pairing_timeout"], self.now_ns)
+        self._encoder = values["angle_sensor"] == "encoder"
+        self._pairing = SamplePairing(
+            values["pairing_timeout"], self.now_ns, topics=ANGLE + 1 if self._encoder else VALVES + 1
+        )
         self._max_age = round(values["max_age"] * 1e9)
         self._published = self._late = self._late_before = 0
         self._latency, self._nis, self._rate = Window(), Window(), Rate()
@@ -66,6 +70,11 @@ class EstimatorNode(PamNode):
         self._estimates = wire.Outgoing(self, JointEstimate, name, frame, wire.ESTIMATE)
         body, self._state_values = wire.joint_state(values["joint_name"], velocity=True)
         self._states = wire.Outgoing(self, JointState, TOPICS["joint_states"].relative, frame, body)
+        self._external: wire.Outgoing | None = None
+        if self._estimator.estimates_external_torque:
+            name = TOPICS["external_torque"].relative
+            self._external = wire.Outgoing(self, WrenchStamped, name, frame, wire.WRENCH)
+        self._complaint = ""
         self._checkpoints = checkpoints.CheckpointPublisher(self, frame)
         self._pressure, self._valves = wire.Incoming(wire.PRESSURE), wire.Incoming(wire.VALVES)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -92,13 +101,17 @@ class EstimatorNode(PamNode):
             (ValveCommand, "valve_state", self._on_valves),
         ):
             self.create_subscription(kind, TOPICS[topic].relative, callback, qos.STREAM, raw=True)
+        if self._encoder:
+            name = TOPICS["angle_sensor"].relative
+            self.create_subscription(JointState, name, self._on_angle, qos.STREAM, raw=True)
         self.steady_timer(self.values["pairing_timeout"] / _CHECKS, lambda: self._take(self._pairing.expire()))
 
     def _remember(self) -> None:
         self._checkpoints.publish(self._estimator.checkpoint())
 
     def _make(self, tuning: str) -> Estimator:
-        return Estimator(self._rig, tuning, self.values["joint"], self.values["lock_angle"])
+        values = self.values
+        return Estimator(self._rig, tuning, values["joint"], values["lock_angle"], values["angle_sensor"])
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         self._estimator.reset()
@@ -139,7 +152,9 @@ class EstimatorNode(PamNode):
                 self._before = (self._estimator.counts, *self._before[1:])
         return SetParametersResult(successful=True)
 
-    def sample(self, stamp_ns: int, pressure_1: float, pressure_2: float, voltage_1: float, voltage_2: float) -> None:
+    def sample(
+        self, stamp_ns: int, pressure_1: float, pressure_2: float, voltage_1: float, voltage_2: float, angle: float
+    ) -> None:
         """Take a sample of the plant in the same process.
 
         Args:
@@ -148,10 +163,11 @@ class EstimatorNode(PamNode):
             pressure_2: likewise.
             voltage_1: on valve 1 over the sample that ends at the stamp [V].
             voltage_2: on valve 2 [V].
+            angle: as the encoder reads it, NaN where missing [rad].
         """
         if not self.active:
             return
-        self._take(self._pairing.whole(Sample(stamp_ns, pressure_1, pressure_2, voltage_1, voltage_2)))
+        self._take(self._pairing.whole(Sample(stamp_ns, pressure_1, pressure_2, voltage_1, voltage_2, angle)))
 
     def _on_pressure_1(self, data: bytes) -> None:
         stamp_ns, pressure, _ = self._pressure(data)
@@ -164,6 +180,10 @@ class EstimatorNode(PamNode):
     def _on_valves(self, data: bytes) -> None:
         stamp_ns, first, second = self._valves(data)
         self._take(self._pairing.add(VALVES, stamp_ns, first, second))
+
+    def _on_angle(self, data: bytes) -> None:
+        stamp_ns, angle = wire.position_in(data, self.values["joint_name"])
+        self._take(self._pairing.add(ANGLE, stamp_ns, angle))
 
     def _take(self, samples: list[Sample]) -> None:
         for sample in samples:
@@ -185,12 +205,34 @@ class EstimatorNode(PamNode):
             self._estimates.send(sample.stamp_ns, *divmod(started, 10**9), numbers, subsystem, flags, external)
             state = self._state_values(row["angle"], row["velocity"], row["torque"])
             self._states.send(sample.stamp_ns, *state)
+            if self._external is not None:
+                self._external.send(sample.stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0, row["external_torque"])
             self._published += 1
             self._latency.add(age)
             if not math.isnan(row["nis"]):
                 self._nis.add(row["nis"])
             if self.deliver is not None:
                 self.deliver(sample.stamp_ns, *wire.for_control(data, flags))
+
+    def _encoder_health(self, now: Counts, before: Counts) -> dict[str, Health]:
+        """Part ``encoder``, where one is used: whether it is believed."""
+        if not self._encoder:
+            return {}
+        complaint = self._estimator.encoder_complaint
+        if complaint and complaint != self._complaint:
+            self.get_logger().error(f"{complaint}; the estimate goes on without it")
+        self._complaint = complaint
+        used, refused = (getattr(now, name) - getattr(before, name) for name in ("angles_used", "angles_refused"))
+        if complaint:
+            state = Health(Level.ERROR, f"refused: {complaint}")
+        elif not used:
+            state = Health(Level.WARN, "no angle was used")
+        elif refused > 0.05 * used:
+            state = Health(Level.WARN, f"{refused} angles were too far from the expected ones")
+        else:
+            state = Health(Level.OK, "used")
+        values = {"used": now.angles_used, "refused": now.angles_refused}
+        return {"encoder": Health(state.level, state.message, values)}
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the estimate: rate, losses and pairing since the last report."""
@@ -214,6 +256,7 @@ class EstimatorNode(PamNode):
         if nis.count and rejected > 0.05 * nis.count:
             consistency = Health(Level.WARN, f"{rejected} pressures were too far from the expected ones")
         return {
+            **self._encoder_health(counts, counts_before),
             "samples": Health(
                 filtering.level,
                 filtering.message,

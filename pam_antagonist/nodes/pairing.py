@@ -17,10 +17,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-PRESSURE_1, PRESSURE_2, VALVES = range(3)
-"""The topics of a sample."""
+PRESSURE_1, PRESSURE_2, VALVES, ANGLE = range(4)
+"""The topics of a sample, the last one where a measured angle is used."""
 
-_FIRST = (0, 1, 2)  # where each topic's values start in a sample
+_FIRST = (0, 1, 2, 4)  # where each topic's values start in a sample
+_BITS = 5  # behind the values: which topics have come
 _LIMIT = 5000  # samples that wait; more only come from stamps that make no sense
 
 
@@ -33,6 +34,7 @@ class Sample(NamedTuple):
         pressure_2: absolute [Pa].
         voltage_1: on valve 1 over the sample that ends at the stamp [V].
         voltage_2: on valve 2 [V].
+        angle: as the encoder reads it [rad].
     """
 
     stamp_ns: int
@@ -40,6 +42,7 @@ class Sample(NamedTuple):
     pressure_2: float
     voltage_1: float
     voltage_2: float
+    angle: float = math.nan
 
 
 @dataclass
@@ -68,9 +71,13 @@ class SamplePairing:
         timeout: how long a sample may wait for a topic [s].
         restart_after: a message that is older than the last sample by more than this is a new start [s].
         clock: current time [ns], for the waiting time.
+        topics: how many a sample has: 3, or 4 with a measured angle.
     """
 
-    def __init__(self, timeout: float, clock: Callable[[], int], restart_after: float = 0.5) -> None:
+    def __init__(
+        self, timeout: float, clock: Callable[[], int], restart_after: float = 0.5, topics: int = VALVES + 1
+    ) -> None:
+        self._topics = topics
         self.counts = PairingCounts()
         self._timeout = round(timeout * 1e9)
         self._restart = round(restart_after * 1e9)
@@ -81,16 +88,16 @@ class SamplePairing:
         """Forget every message that waits, and the time of the last sample."""
         self._waiting: dict[int, list[float]] = {}
         self._arrival: dict[int, int] = {}
-        self._newest: list[int | None] = [None, None, None]
+        self._newest: list[int | None] = [None] * self._topics
         self._final: int | None = None
 
     def add(self, topic: int, stamp_ns: int, *values: float) -> list[Sample]:
         """Take one message.
 
         Args:
-            topic: PRESSURE_1, PRESSURE_2 or VALVES.
+            topic: PRESSURE_1, PRESSURE_2, VALVES or ANGLE.
             stamp_ns: its stamp [ns].
-            values: one pressure [Pa], or two voltages [V].
+            values: one pressure [Pa], two voltages [V], or one angle [rad].
 
         Returns:
             The samples that are final now, in the order of their stamps.
@@ -103,13 +110,13 @@ class SamplePairing:
             self.reset()
         sample = self._waiting.get(stamp_ns)
         if sample is None:
-            sample = self._waiting[stamp_ns] = [math.nan, math.nan, math.nan, math.nan, 0.0]
+            sample = self._waiting[stamp_ns] = [math.nan, math.nan, math.nan, math.nan, math.nan, 0.0]
             self._arrival[stamp_ns] = self._clock()
         bit = 1 << topic
-        if int(sample[4]) & bit:
+        if int(sample[_BITS]) & bit:
             self.counts.duplicates += 1
             return []
-        sample[4] += bit
+        sample[_BITS] += bit
         sample[_FIRST[topic] : _FIRST[topic] + len(values)] = values
         self._newest[topic] = stamp_ns
         if len(self._waiting) > _LIMIT:
@@ -155,5 +162,5 @@ class SamplePairing:
         del self._arrival[stamp]
         self._final = stamp
         self.counts.samples += 1
-        self.counts.incomplete += values[4] != 7.0
-        return Sample(stamp, values[0], values[1], values[2], values[3])
+        self.counts.incomplete += values[_BITS] != (1 << self._topics) - 1
+        return Sample(stamp, *values[:_BITS])

@@ -152,6 +152,9 @@ VALVE_OWNER = (
 )
 """What a node that owns the valves, the plant or a bridge, has beside that: see docs/how-to/safety.md."""
 
+ANGLE_SENSORS = ("none", "encoder")
+"""What may measure the angle for the estimator."""
+
 AUTOSTART = Parameter("autostart", True, "whether the node configures and activates itself")
 DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)
 

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.nodes.parameters import FRAME, JOINT, JOINT_NAME, LOCK_ANGLE, RIG, VALVE_OWNER, Parameter
+from pam_antagonist.nodes.parameters import (
+    ANGLE_SENSORS,
+    FRAME,
+    JOINT,
+    JOINT_NAME,
+    LOCK_ANGLE,
+    RIG,
+    VALVE_OWNER,
+    Parameter,
+)
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -18,6 +27,7 @@ or too high (docs/how-to/safety.md).
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only),
+             angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder),
              rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
 services:    ~/stop, ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
@@ -33,6 +43,12 @@ PARAMETERS = (
     Parameter("seed", 0, "seed of the parameters' mismatch and of the sensor noise [-]", 0, 2**31 - 1),
     Parameter("mismatch", 0.0, "relative standard deviation of the parameters from the rig's [-]", 0.0, 0.29),
     Parameter("noise", True, "whether the sensors have noise and steps"),
+    Parameter(
+        "angle_sensor",
+        "none",
+        "encoder: publishes angle_sensor, by the rig file's encoder",
+        choices=ANGLE_SENSORS,
+    ),
     Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),
     Parameter("initial_pressure", [450e3, 450e3], "pressures at the start, absolute [Pa]", 5e4, 2e6),
     Parameter(

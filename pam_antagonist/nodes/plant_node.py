@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from sensor_msgs.msg import FluidPressure, JointState
 
 from pam_antagonist._jit import COMPILING
+from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode
@@ -15,7 +17,7 @@ from pam_antagonist.nodes.plant import PARAMETERS
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import TOPICS
-from pam_antagonist.rig import load_rig
+from pam_antagonist.rig import NO_ENCODER, load_rig
 from pam_antagonist.simulation.plant import Plant
 from pam_antagonist_msgs.msg import ValveCommand
 
@@ -37,17 +39,22 @@ class PlantNode(PamNode):
         options: as :class:`PamNode`.
 
     Attributes:
-        deliver: is called with each sample: stamp [ns], two pressures [Pa], two voltages [V]. None: nobody is.
+        deliver: is called with each sample: stamp [ns], two pressures [Pa], two voltages [V], the encoder's
+            angle [rad], NaN where it publishes none. None: nobody is.
     """
 
-    deliver: Callable[[int, float, float, float, float], None] | None = None
+    deliver: Callable[[int, float, float, float, float, float], None] | None = None
 
     def __init__(self, *, linked: bool = False, **options: Any) -> None:
         self._linked = linked
         super().__init__("plant", PARAMETERS, **options)
 
     def configure(self) -> None:
-        """A joint at rest."""
+        """A joint at rest.
+
+        Raises:
+            BadInput: an encoder that the rig file says nothing of.
+        """
         values = self.values
         COMPILING.tell = self.get_logger().info
         rig = load_rig(values["rig"])
@@ -79,6 +86,13 @@ class PlantNode(PamNode):
         self._valves = wire.Outgoing(self, ValveCommand, TOPICS["valve_state"].relative, "valves", wire.VALVES)
         name = TOPICS["measured_joint_states"].relative
         self._joint = wire.Outgoing(self, JointState, name, values["frame_id"], body)
+        self._encoder: wire.Outgoing | None = None
+        if values["angle_sensor"] == "encoder":
+            if rig.encoder is None:
+                raise BadInput(f"angle_sensor encoder: {NO_ENCODER.format(rig=rig.name)}")
+            body, self._position = wire.joint_position(values["joint_name"])
+            name = TOPICS["angle_sensor"].relative
+            self._encoder = wire.Outgoing(self, JointState, name, values["frame_id"], body)
         self.steady_timer(self._period * 1e-9, self._tick)
         announce(self, rig)
         self.start_diagnostics(values["joint_name"])
@@ -138,8 +152,13 @@ class PlantNode(PamNode):
             output.send(stamp_ns, pressure, self._variance)
         self._valves.send(stamp_ns, *sample.voltage)
         self._joint.send(stamp_ns, *self._joint_values(sample.angle, sample.torque))
+        encoder = math.nan
+        if self._encoder is not None:
+            encoder = sample.encoder
+            self._encoder.send(stamp_ns, *self._position(encoder))
         if self.deliver is not None:
-            self.deliver(stamp_ns, *sample.pressure, *sample.voltage)
+            (p1, p2), (u1, u2) = sample.pressure, sample.voltage
+            self.deliver(stamp_ns, p1, p2, u1, u2, encoder)
 
     def command(self, stamp_ns: int, voltage: tuple[float, float]) -> None:
         """Take a command of the controller in the same process.

@@ -11,6 +11,7 @@ encoding, then the fields in order, each aligned to its size, counted from behin
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -30,6 +31,9 @@ PRESSURE: Body = (("dd", 8),)
 
 VALVES: Body = (("dd", 8),)
 """``pam_antagonist_msgs/ValveCommand``: voltage 1, voltage 2."""
+
+WRENCH: Body = (("6d", 8),)
+"""``geometry_msgs/WrenchStamped``: force and torque, x, y and z each."""
 
 ESTIMATE_VALUES, EXTERNAL_VALUES = 24, 5
 """Numbers (float64) in a JointEstimate before subsystem and flags, and behind them: the torque from outside and its
@@ -65,6 +69,52 @@ def joint_state(name: str, *, velocity: bool) -> tuple[Body, Callable[..., tuple
     if velocity:
         return body, lambda position, speed, effort: (1, len(text), text, 1, position, 1, speed, 1, effort)
     return body, lambda position, effort: (1, len(text), text, 1, position, 0, 1, effort)
+
+
+def joint_position(name: str) -> tuple[Body, Callable[[float], tuple[object, ...]]]:
+    """Layout of a ``sensor_msgs/JointState`` of one joint that has nothing but a position.
+
+    Args:
+        name: of the joint.
+
+    Returns:
+        The body, and a function that puts the position among its constant parts.
+    """
+    text = name.encode() + b"\0"
+    body = (("I", 4), (f"I{len(text)}s", 4), ("I", 4), ("d", 8), ("II", 4))
+    return body, lambda position: (1, len(text), text, 1, position, 0, 0)
+
+
+def position_in(data: bytes, joint: str) -> tuple[int, float]:
+    """Stamp [ns] and position of one joint in a serialised ``sensor_msgs/JointState``.
+
+    Args:
+        data: the message.
+        joint: its name; a message with one position is taken whatever its name is.
+
+    Returns:
+        The stamp, and the position [rad]; NaN where the message has none of this joint.
+    """
+    order = "<" if data[1] & 1 else ">"
+    number = struct.Struct(f"{order}I")
+
+    def count(at: int) -> tuple[int, int]:
+        at += -at % 4
+        return int(number.unpack_from(data, at)[0]), at + 4
+
+    second, nanosecond = struct.unpack_from(f"{order}iI", data, 4)
+    size, at = count(12)
+    many, at = count(at + size)
+    names = []
+    for _ in range(many):
+        size, at = count(at)
+        names.append(data[at : at + size - 1])
+        at += size
+    positions, at = count(at)
+    at += -(at - 4) % 8
+    index = 0 if positions == 1 else names.index(joint.encode()) if joint.encode() in names else positions
+    stamp = second * _SECOND + nanosecond
+    return stamp, struct.unpack_from(f"{order}d", data, at + 8 * index)[0] if index < positions else math.nan
 
 
 @lru_cache(maxsize=64)

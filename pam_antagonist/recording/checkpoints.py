@@ -37,6 +37,7 @@ class RecordedCheckpoint:
         voltage: (2,) [V].
         rejected: samples in a row that the gate refused.
         distances: how many distances between stamps there were, then the last nine of them [ns], (10,).
+        angle_sensor: what was remembered of a measured angle; empty where none was read.
     """
 
     stamp_ns: int
@@ -54,6 +55,7 @@ class RecordedCheckpoint:
     voltage: NDArray[np.float64]
     rejected: int
     distances: NDArray[np.int64]
+    angle_sensor: NDArray[np.float64]
 
 
 def read(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[RecordedCheckpoint, ...]:
@@ -72,7 +74,7 @@ def read(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[RecordedCheckpoint, 
 
 def _fields(group: Group) -> Iterator[tuple[int, dict[str, Any]]]:
     names = [f"added[{k}]" for k in range(group.counts["added"])]
-    columns = group.columns
+    columns, later = group.columns, "angle_sensor" in group.columns
     for place, row in enumerate(group.rows.tolist()):
         yield (
             row,
@@ -83,6 +85,7 @@ def _fields(group: Group) -> Iterator[tuple[int, dict[str, Any]]]:
                 "lock_angle": float(columns["lock_angle"][place]),
                 "rejected": int(columns["rejected"][place]),
                 "distances": np.array(columns["distances"][place], dtype=np.int64),
+                "angle_sensor": np.array(columns["angle_sensor"][place] if later else [], dtype=np.float64),
             },
         )
 
@@ -100,7 +103,8 @@ def messages(checkpoints: Sequence[RecordedCheckpoint], frame_id: str) -> Iterat
     """
     for item in checkpoints:
         columns: dict[str, Any] = {name: getattr(item, name) for name in _TEXTS}
-        columns |= {name: np.asarray(getattr(item, name)).reshape(1, -1) for name in (*_ARRAYS, "distances")}
+        arrays = (*_ARRAYS, "distances", "angle_sensor")
+        columns |= {name: np.asarray(getattr(item, name)).reshape(1, -1) for name in arrays}
         columns |= {name: getattr(item, name) for name in ("lock_angle", "rejected")}
         columns |= {"header.frame_id": frame_id, "added": list(item.added)}
         for path, time_ns in (("header.stamp", item.stamp_ns), ("started", item.started_ns)):

@@ -3,8 +3,8 @@
 The definitions of this project's messages stand here a second time because an offline installation has no
 ``pam_antagonist_msgs``; a test holds them against the ``.msg`` files field for field.
 
-Two messages have grown since the first recordings. Their former definitions stay here too, so that those recordings can
-be read.
+Three messages have grown since the first recordings. Their former definitions stay here too, so that those recordings
+can be read.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ uint8 OUTLIER=8
 uint8 GAP=16
 uint8 REPAIRED=32
 uint8 LATE=64
+uint8 NO_ANGLE=128
 uint8 flags
 float64 external_torque
 float64[4] external_torque_covariance
@@ -75,6 +76,7 @@ float64[] cross
 float64[2] voltage
 uint32 rejected
 int64[10] distances
+float64[] angle_sensor
 """,
     }
 )
@@ -98,8 +100,12 @@ FORMER: Mapping[str, str] = MappingProxyType(
         ),
         "pam_antagonist_msgs/msg/JointEstimate": _without(
             "pam_antagonist_msgs/msg/JointEstimate",
+            "uint8 NO_ANGLE=128",
             "float64 external_torque",
             "float64[4] external_torque_covariance",
+        ),
+        "pam_antagonist_msgs/msg/FilterCheckpoint": _without(
+            "pam_antagonist_msgs/msg/FilterCheckpoint", "float64[] angle_sensor"
         ),
     }
 )

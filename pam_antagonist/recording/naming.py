@@ -10,7 +10,7 @@ from .raw import Channel, RawTopic
 from .storage import RawBag
 from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, TOPICS, Topic, find_topic
 
-READ_TOPICS = tuple(name for name in TOPICS if name not in ("diagnostics", "rig"))
+READ_TOPICS = tuple(name for name in TOPICS if name not in ("diagnostics", "rig", "external_torque"))
 """Logical names of the topics that a recording is made from."""
 
 _LISTED = 12  # topics named in an error message

@@ -134,6 +134,7 @@ def _read(
     angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, joint_name, convert)
     external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
     estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
+    sensor = chosen.get("angle_sensor")
     return Recording(
         path=path,
         stamp_ns=samples,
@@ -142,6 +143,7 @@ def _read(
         angle=angle,
         torque=torque,
         external_torque=None if external is None else _external(bag, external, samples, convert),
+        angle_sensor=None if sensor is None else _angle_sensor(bag, sensor, samples, joint_name),
         estimate=None if estimate is None else _estimate(estimate),
         reference=None if reference is None else _reference(reference),
         received_ns={name: topic.arrival for name, topic in chosen.items()},
@@ -265,6 +267,16 @@ def _measured(
     position, effort = _joint(bag, topic, joint)
     angle = _validation(bag, topic, samples, "position", position, convert)
     return angle, _validation(bag, topic, samples, "effort", effort, convert)
+
+
+def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], joint: str | None) -> Floats:
+    """The encoder's angle at the sample stamps (N,) [rad]: an input, so that nothing is interpolated or corrected."""
+    position, _ = _joint(bag, topic, joint)
+    stamp_ns = topic.arrival.stamp_ns
+    alone = len(stamp_ns) - np.count_nonzero(np.isin(stamp_ns, samples, assume_unique=True))
+    if alone:
+        bag.issues.append(f"{alone} angles on {topic.actual} belong to no sample: left out")
+    return stamps.spread(samples, stamp_ns, position)
 
 
 def _joint(bag: RawBag, topic: _Topic, joint: str | None) -> tuple[Floats, Floats]:

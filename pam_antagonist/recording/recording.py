@@ -178,6 +178,7 @@ class Recording:
         angle: Measured joint angle (N,) [rad], or None where none was recorded.
         torque: Measured joint torque (N,) [N m], or None.
         external_torque: Torque applied from outside (N,) [N m], or None.
+        angle_sensor: What the estimator's encoder read (N,) [rad], as published, or None where none was recorded.
         estimate: Recorded estimator output, or None.
         reference: Recorded references, or None.
         received_ns: Logical topic name -> :class:`Arrival`, for latencies and losses.
@@ -198,6 +199,7 @@ class Recording:
     angle: Floats | None = None
     torque: Floats | None = None
     external_torque: Floats | None = None
+    angle_sensor: Floats | None = None
     estimate: RecordedEstimate | None = None
     reference: RecordedReference | None = None
     received_ns: Mapping[str, Arrival] = field(default_factory=dict)
@@ -218,7 +220,7 @@ class Recording:
         _check_increasing(self.stamp_ns, "stamp_ns")
         for name in ("pressure", "voltage"):
             object.__setattr__(self, name, _frozen(getattr(self, name), np.float64, (size, 2), name))
-        for name in ("angle", "torque", "external_torque"):
+        for name in ("angle", "torque", "external_torque", "angle_sensor"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _frozen(getattr(self, name), np.float64, (size,), name))
         arrivals = {}
@@ -310,7 +312,7 @@ class Recording:
             raise ValueError(f"no sample between {start_s} and {stop_s} s of {self.duration_s:.3f} s in {self.path}")
         arrays: dict[str, Any] = {
             name: None if getattr(self, name) is None else getattr(self, name)[mask]
-            for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque")
+            for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque", "angle_sensor")
         }
         signals = {name: FurtherSignal(values[mask], unit) for name, (values, unit) in self.signals.items()}
         episode_ns = self.episode_ns

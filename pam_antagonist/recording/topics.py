@@ -48,6 +48,12 @@ _TABLE = (
         "pam_antagonist_msgs/msg/ValveCommand",
         "voltages on the valves over the sample that ends at the stamp [V]",
     ),
+    Topic(
+        "angle_sensor",
+        "angle_sensor",
+        "sensor_msgs/msg/JointState",
+        "encoder angle [rad] as an input of the estimator, where it is told to use one (angle_sensor: encoder)",
+    ),
     Topic("valve_command", "valve_command", "pam_antagonist_msgs/msg/ValveCommand", "voltages asked for [V]"),
     Topic(
         "joint_estimate",
@@ -60,6 +66,12 @@ _TABLE = (
         "joint_states",
         "sensor_msgs/msg/JointState",
         "estimated angle [rad], velocity [rad/s], torque [N m] for larger stacks",
+    ),
+    Topic(
+        "external_torque",
+        "external_torque",
+        "geometry_msgs/msg/WrenchStamped",
+        "estimated torque from outside about +z [N m], of a rig with that state",
     ),
     Topic("reference", "reference", "pam_antagonist_msgs/msg/JointReference", "angle [rad] or torque [N m] wanted"),
     Topic(

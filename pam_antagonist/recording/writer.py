@@ -330,6 +330,12 @@ def _blocks(
         nothing = np.empty((np.count_nonzero(there), 0))
         joint = {"name": [frame_id], "position": nothing, "velocity": nothing, "effort": nothing, **fields}
         add("measured_joint_states", stamp_ns[there], joint)
+    if recording.angle_sensor is not None:
+        there = np.isfinite(recording.angle_sensor)
+        nothing = np.empty((np.count_nonzero(there), 0))
+        position = recording.angle_sensor[there, None]
+        fields = {"name": [frame_id], "position": position, "velocity": nothing, "effort": nothing}
+        add("angle_sensor", stamp_ns[there], fields)
     if recording.external_torque is not None:
         there = np.isfinite(recording.external_torque)
         wrench: dict[str, Any] = {f"wrench.{kind}.{axis}": 0.0 for kind in ("force", "torque") for axis in "xyz"}

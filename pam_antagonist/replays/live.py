@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun
-from pam_antagonist.estimation.filter import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE
+from pam_antagonist.estimation.filter import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, NO_ANGLE
 from pam_antagonist.recording import RecordedEstimate, Recording
 
 ENDED = "the recording ended while the live filter ran"
@@ -24,12 +24,14 @@ class LiveInput(NamedTuple):
     Attributes:
         pressure: (N, 2) [Pa], NaN where the live filter had none.
         voltage: (N, 2) [V], NaN where it had none.
+        angle: of its encoder (N,) [rad], NaN where it had none.
         had: which samples it had at all (N,).
         lacked: which samples differ from the recorded ones (N,).
     """
 
     pressure: NDArray[np.float64]
     voltage: NDArray[np.float64]
+    angle: NDArray[np.float64]
     had: NDArray[np.bool_]
     lacked: NDArray[np.bool_]
 
@@ -46,9 +48,10 @@ def as_live(recording: Recording) -> LiveInput:
     """
     pressure, voltage = recording.pressure.copy(), recording.voltage.copy()
     had = np.ones(len(recording.stamp_ns), dtype=bool)
+    angle = np.full(len(had), np.nan) if recording.angle_sensor is None else recording.angle_sensor.copy()
     live = recording.estimate
     if live is None or len(live.stamp_ns) == 0:
-        return LiveInput(pressure, voltage, had, ~had)
+        return LiveInput(pressure, voltage, angle, had, ~had)
     _, at, at_live = np.intersect1d(recording.stamp_ns, live.stamp_ns, return_indices=True)
     between = (recording.stamp_ns > live.stamp_ns[0]) & (recording.stamp_ns < live.stamp_ns[-1])
     had[between] = False
@@ -57,10 +60,13 @@ def as_live(recording: Recording) -> LiveInput:
     for bit, values in ((MISSING_PRESSURE_1, pressure[:, 0]), (MISSING_PRESSURE_2, pressure[:, 1])):
         values[at[(flags & bit) != 0]] = np.nan
     voltage[at[(flags & MISSING_VALVE) != 0]] = np.nan
+    angle[at[(flags & NO_ANGLE) != 0]] = np.nan
     lost = ~had
     for ours, theirs in ((pressure, recording.pressure), (voltage, recording.voltage)):
         lost |= (np.isnan(ours) & np.isfinite(theirs)).any(axis=1)
-    return LiveInput(pressure, voltage, had, lost)
+    if recording.angle_sensor is not None:
+        lost |= np.isnan(angle) & np.isfinite(recording.angle_sensor)
+    return LiveInput(pressure, voltage, angle, had, lost)
 
 
 def same_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:

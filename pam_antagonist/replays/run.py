@@ -53,6 +53,7 @@ def replay(
     read_seconds: float = 0.0,
     progress: Callable[[int], None] | None = None,
     begin_s: float | None = None,
+    angle_sensor: str = "auto",
 ) -> Replay:
     """Run a recording through the estimator and through the model alone, and judge both.
 
@@ -71,6 +72,7 @@ def replay(
         begin_s: time from the first sample from which on there is to be an estimate [s]; None: all of it. The filter
             goes on from the last checkpoint before, or runs from the start where none is of use. The estimates are the
             same as those of the whole.
+        angle_sensor: ``none``, ``encoder``, or ``auto``: as the live filter, where a checkpoint of it tells, else none.
 
     Raises:
         BadInput: a tuning or joint condition that does not exist, no sample to start from, or none from that time on.
@@ -79,7 +81,8 @@ def replay(
     progress = progress or (lambda samples: None)
     begin_ns = None if begin_s is None else _stamp_at(recording, begin_s)
     state = joint_condition(recording, joint, lock_angle)
-    estimator = Estimator(rig, tuning=tuning, joint=state.condition, lock_angle=state.lock_angle)
+    sensor_used = _angle_sensor(recording, angle_sensor)
+    estimator = Estimator(rig, tuning, state.condition, state.lock_angle, sensor_used)
     given = as_live(recording)
     planned = plan(recording, estimator, begin_ns)
     progress(planned.skipped)
@@ -103,6 +106,18 @@ def replay(
         timing=Timing(read_seconds, filtered - begin, modelled - filtered, total),
     )
     return Replay(recording, rig, tuning, state, run, model, report, planned)
+
+
+def _angle_sensor(recording: Recording, wanted: str) -> str:
+    """Which angle sensor the filter is to use."""
+    if wanted == "auto":
+        return "encoder" if any(len(item.angle_sensor) for item in recording.checkpoints) else "none"
+    if wanted == "encoder" and recording.angle_sensor is None:
+        raise BadInput(
+            f"{recording.path}: has no topic angle_sensor; record one (parameter angle_sensor: encoder of plant or "
+            "bridge), or name it by --topic angle_sensor=/NAME"
+        )
+    return wanted
 
 
 def _clock() -> float:
@@ -163,7 +178,7 @@ def _estimate(
         for low in range(segment.first, end, _CHUNK):
             high = min(low + _CHUNK, end)
             kept = low + np.flatnonzero(given.had[low:high])
-            part = estimator.run(stamps[kept], given.pressure[kept], given.voltage[kept])
+            part = estimator.run(stamps[kept], given.pressure[kept], given.voltage[kept], given.angle[kept])
             parts.append(dataclasses.replace(part, index=kept[part.index]))
             progress(high - low)
     if not parts:

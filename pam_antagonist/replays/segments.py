@@ -159,6 +159,7 @@ def of_recorded(recorded: RecordedCheckpoint) -> Checkpoint:
         recorded.voltage,
         recorded.rejected,
         recorded.distances,
+        recorded.angle_sensor,
     )
 
 

@@ -2,9 +2,11 @@
 
 from pam_antagonist.rig.fingerprint import RigIdentity, differences, fingerprint
 from pam_antagonist.rig.load import load_rig, rig_names
-from pam_antagonist.rig.schema import Reading, Rig, Tuning
+from pam_antagonist.rig.schema import NO_ENCODER, Encoder, Reading, Rig, Tuning
 
 __all__ = [
+    "NO_ENCODER",
+    "Encoder",
     "Reading",
     "Rig",
     "RigIdentity",

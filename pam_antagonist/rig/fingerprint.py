@@ -23,7 +23,18 @@ from pam_antagonist.model import muscle
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig.schema import Rig
 
-_WORDS = ("name", "source", "identified", "calibration", "uncertainty", "directions", "priors", "bounds", "tunings")
+_WORDS = (
+    "name",
+    "source",
+    "identified",
+    "encoder",
+    "calibration",
+    "uncertainty",
+    "directions",
+    "priors",
+    "bounds",
+    "tunings",
+)
 """What a rig file says about recordings, the filter, fits, or to people: no part of the joint."""
 _DIGITS = 16
 _LONGEST = 20_000  # of a text that is read [characters]

@@ -186,6 +186,26 @@ class Sensors(Strict):
         return self.reading(quantity).error
 
 
+NO_ENCODER = (
+    "rig {rig} says nothing of an encoder; "
+    "write into its file, in rad: encoder: {{std: 5.0e-4, step: 0.0, offset: 0.0}}"
+)
+"""What to say where one is asked for."""
+
+
+class Encoder(Strict):
+    """A measured angle that the filter may use: noise (one standard deviation), step of the converter, and zero."""
+
+    std: float = Field(ge=0.0, lt=0.2, description="[rad]")
+    step: float = Field(0.0, ge=0.0, lt=0.2, description="[rad], 0: none")
+    offset: float = Field(0.0, ge=-math.pi, le=math.pi, description="so much too high it reads [rad]")
+
+    @property
+    def variance(self) -> float:
+        """Of one reading, noise and converter together [rad²]."""
+        return Reading(self.std, self.step).error ** 2
+
+
 class Calibration(Strict):
     """Zeros, scale and clocks of the recordings, which are corrected by them while they are read; no node uses them."""
 
@@ -274,6 +294,7 @@ class Rig(Strict):
     joint: Joint
     friction: Friction
     sensors: Sensors
+    encoder: Optional[Encoder] = Field(None, description="of angle_sensor: encoder")  # noqa: UP045
     calibration: Calibration = Calibration()
     effects: Dict[str, Dict[str, float]] = Field({}, description="what the paper's model lacks: docs/effects.md")  # noqa: UP006
     uncertainty: Dict[str, float]  # noqa: UP006

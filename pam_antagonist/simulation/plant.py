@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ class PlantSample(NamedTuple):
         voltage: voltages (2,) that were on the valves over the step [V].
         angle: encoder [rad].
         torque: torque meter [N m].
+        encoder: angle as an input of a filter [rad], by the rig's ``encoder``; NaN where the rig has none.
         truth: the state itself (n,), which no sensor shows.
     """
 
@@ -48,6 +50,7 @@ class PlantSample(NamedTuple):
     voltage: np.ndarray
     angle: float
     torque: float
+    encoder: float
     truth: np.ndarray
 
 
@@ -129,6 +132,7 @@ class Plant:
         self._substeps = substeps
         self._sensors = rig.sensors
         self._noise = noise
+        self._encoder, self._encoder_rng = rig.encoder, np.random.default_rng((seed, 1))
         if joint == "locked":
             angle = lock_angle
         else:
@@ -146,6 +150,17 @@ class Plant:
         if not self._noise:
             return value
         value += std * self._rng.standard_normal()
+        return round(value / step) * step if step > 0.0 else value
+
+    def _encoded(self) -> float:
+        """The angle as the rig's encoder reads it; its noise has a source of its own."""
+        if self._encoder is None:
+            return math.nan
+        std, step, offset = self._encoder.std, self._encoder.step, self._encoder.offset
+        value = float(self._x[0]) + offset
+        if not self._noise:
+            return value
+        value += std * self._encoder_rng.standard_normal()
         return round(value / step) * step if step > 0.0 else value
 
     def step(self, voltage: tuple[float, float] | np.ndarray, external_torque: float = 0.0) -> PlantSample:
@@ -180,5 +195,6 @@ class Plant:
             voltage=self._u[:2].copy(),
             angle=self._measured(self._x[0], sensors.angle_std, sensors.angle_step),
             torque=self._measured(dynamics.torque(self._x, self._p), sensors.torque_std, sensors.torque_step),
+            encoder=self._encoded(),
             truth=self._x.copy(),
         )

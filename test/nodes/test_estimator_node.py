@@ -154,3 +154,42 @@ def test_a_topic_that_stays_away_is_waited_for_and_then_left_out(node: Any) -> N
     assert [item["stamp"] for item in node.published[10:]] == [begin + k * MS for k in range(10, 39)]
     assert all(item["flags"] & 2 for item in node.published[10:])
     assert node.health(1)["samples"].values["incomplete"] == 29
+
+
+@pytest.fixture
+def seeing(ros: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A node that uses an encoder, and the torques from outside that it publishes."""
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.parameter import Parameter
+    from rclpy.serialization import deserialize_message
+
+    from pam_antagonist.nodes.estimator_node import EstimatorNode
+
+    chosen = {"rig": "shin2022_external_torque", "angle_sensor": "encoder"}
+    overrides = [Parameter(name, value=value) for name, value in chosen.items()]
+    node = EstimatorNode(parameter_overrides=overrides)
+    node.torques = []
+    node._external._publish = lambda data: node.torques.append(deserialize_message(data, WrenchStamped).wrench.torque.z)
+    yield node
+    node.destroy_node()
+
+
+def test_an_encoder_is_used_and_a_bad_one_is_refused_with_the_correction(seeing: Any) -> None:
+    from rclpy.serialization import serialize_message
+    from sensor_msgs.msg import JointState
+
+    from pam_antagonist.nodes.wire import set_stamp
+
+    begin = seeing.now_ns()
+    for k in range(400):
+        send(seeing, begin + k * MS, 450e3, 450e3, (5.5, 5.5))
+        message = JointState(name=["joint"], position=[1e-6 * k + (0.2 if k >= 200 else 0.0)])
+        set_stamp(message.header.stamp, begin + k * MS)
+        seeing._on_angle(serialize_message(message))
+        if k == 199:
+            assert seeing.health(1)["encoder"].message == "used"
+    assert len(seeing.torques) == 400 and all(map(math.isfinite, seeing.torques))
+    state = seeing.health(2)["encoder"]
+    assert state.message.startswith("refused: the encoder jumped by +11.5°") and "~/reset" in state.message
+    seeing._on_reset(None, type("Response", (), {})())
+    assert seeing._estimator.encoder_complaint == ""

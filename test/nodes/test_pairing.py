@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
+from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
 
 MS = 1_000_000
 TOPICS = (PRESSURE_1, PRESSURE_2, VALVES)
@@ -181,3 +181,16 @@ def test_order_of_topics_within_a_sample_does_not_matter(order):
     clock, pairing = fresh()
     out = run([message(order[i], k) for k in range(50) for i in range(3)], clock, pairing)
     assert same(out, [sample(k) for k in range(50)])
+
+
+def test_a_measured_angle_is_a_fourth_topic_of_a_sample() -> None:
+    clock = Clock()
+    pairing = SamplePairing(0.02, clock, topics=4)
+    assert (
+        pairing.add(PRESSURE_1, MS, 1.0) == pairing.add(PRESSURE_2, MS, 2.0) == pairing.add(VALVES, MS, 3.0, 4.0) == []
+    )
+    assert pairing.add(ANGLE, MS, 0.1) == [Sample(MS, 1.0, 2.0, 3.0, 4.0, 0.1)]
+    for topic, *values in ((PRESSURE_1, 1.0), (PRESSURE_2, 2.0), (VALVES, 3.0, 4.0)):
+        assert pairing.add(topic, 2 * MS, *values) == []
+    assert [s.stamp_ns for s in pairing.add(ANGLE, 3 * MS, 0.2)] == [2 * MS]
+    assert pairing.counts.incomplete == 1

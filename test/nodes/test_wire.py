@@ -126,3 +126,26 @@ def test_names_of_any_length_do_not_fill_the_memory() -> None:
         data = wire.layout(wire.VALVES, length).pack(b"\x00\x01\x00\x00", 1, 2, length, b"x" * length, 3.0, 4.0)
         assert unpack(data) == (10**9 + 2, 3.0, 4.0)
     assert wire.layout.cache_info().currsize <= 64
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_an_encoder_s_message_is_packed_and_read(node: Any, frame: str) -> None:
+    from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
+    from rclpy.serialization import serialize_message
+    from sensor_msgs.msg import JointState
+
+    state = header(JointState(name=["joint"], position=[0.1]), frame)
+    body, values = wire.joint_position("joint")
+    assert_same(wire.Outgoing(node, JointState, "encoder", frame, body).bytes_of(STAMP, *values(0.1)), state)
+    for message, expected in (
+        (state, 0.1),
+        (JointState(name=["a", "joint"], position=[0.3, 0.2], effort=[1.0, 2.0]), 0.2),
+        (JointState(position=[0.4]), 0.4),
+        (JointState(name=["a", "b"], position=[0.3, 0.2]), None),
+        (JointState(name=["joint"], effort=[1.0]), None),
+    ):
+        stamp, angle = wire.position_in(serialize_message(header(message, frame)), "joint")
+        assert stamp == STAMP and (math.isnan(angle) if expected is None else angle == expected)
+    wrench = WrenchStamped(wrench=Wrench(torque=Vector3(z=1.5)))
+    out = wire.Outgoing(node, WrenchStamped, "external", frame, wire.WRENCH)
+    assert_same(out.bytes_of(STAMP, 0.0, 0.0, 0.0, 0.0, 0.0, 1.5), header(wrench, frame))

@@ -31,7 +31,7 @@ class Live(NamedTuple):
 
 def recorded(checkpoint: Checkpoint | None) -> RecordedCheckpoint:
     assert checkpoint is not None
-    names = ("stamp_ns", "started_ns", "state", "voltage", "rejected", "distances")
+    names = ("stamp_ns", "started_ns", "state", "voltage", "rejected", "distances", "angle_sensor")
     return RecordedCheckpoint(
         **{name: getattr(checkpoint, name) for name in names},
         **vars(checkpoint.identity),

@@ -22,11 +22,13 @@ PUBLISHERS = {
     "pressure_1": SOURCES,
     "pressure_2": SOURCES,
     "valve_state": SOURCES,
+    "angle_sensor": SOURCES,
     "measured_joint_states": SOURCES,
     "measured_external_torque": SOURCES,
     "valve_command": {"controller"},
     "joint_estimate": {"estimator"},
     "joint_states": {"estimator"},
+    "external_torque": {"estimator"},
     "filter_checkpoint": {"estimator"},
     "reference": {"operator"},
     "rig": {*SOURCES, "estimator", "controller"},
@@ -87,7 +89,7 @@ def test_who_may_hear() -> None:
     found = rules()
     for node, topics in (
         *((source, {"valve_command"}) for source in SOURCES),
-        ("estimator", {"pressure_1", "pressure_2", "valve_state"}),
+        ("estimator", {"pressure_1", "pressure_2", "valve_state", "angle_sensor"}),
         ("controller", {"joint_estimate", "reference", "valve_state", "rig"}),
     ):
         heard = found[node]["topic", "subscribe"] - {"/clock", "/parameter_events"}

@@ -89,6 +89,8 @@ class AddedState:
         symbol: as in the documentation's equation, in LaTeX.
         rate: its derivative by time; None for a state that stays (a random walk).
         steady_value: its value in a joint that has stood for long; None for 0.
+        prior: the parameter (of this effect) that says how well it is known where nothing is observed, when a filter
+            starts as well; at its neutral value: without bound, and ``initial_std`` at a start.
         lag: time constant [s] with which it follows small changes, where that may be a few milliseconds. It may ask
             for parameters only.
     """
@@ -103,6 +105,7 @@ class AddedState:
     rate: Kernel | None = None
     steady_value: Kernel | None = None
     lag: Kernel | None = None
+    prior: str = ""
 
     @property
     def muscle(self) -> int | None:

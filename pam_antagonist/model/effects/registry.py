@@ -121,7 +121,12 @@ def _wrong_parameter(effect: Effect) -> str:
 
 def _wrong_state(effect: Effect, names: list[str]) -> str:
     for state in effect.states:
-        for name in (state.switch, *state.further, *([state.noise] if isinstance(state.noise, str) else [])):
+        for name in (
+            state.switch,
+            *state.further,
+            *([state.noise] if isinstance(state.noise, str) else []),
+            *filter(None, [state.prior]),
+        ):
             if name not in names:
                 close = difflib.get_close_matches(name, names, 1)
                 return f"state {state.name}: unknown parameter {name!r}" + (f", {close[0]!r}?" if close else "")
