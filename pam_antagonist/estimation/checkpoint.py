@@ -18,18 +18,20 @@ from pam_antagonist.estimation.filter import Memory, Settings
 from pam_antagonist.estimation.stamps import LAST, REJECTED, RUNNING, STARTED
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.external_torque import UNBOUNDED
 
 _DIGITS = 16
 _LATER = {
-    "effects.external_torque.prior": UNBOUNDED,
+    par.INDEX["effects.external_torque.prior"]: UNBOUNDED,
     **{
-        parameter_path(name, item.name): item.neutral
+        par.INDEX[parameter_path(name, item.name)]: item.neutral
         for name in ("friction_by_pressure", "friction_by_signal")
         for item in CATALOGUE[name].parameters
     },
+    **dict.fromkeys(range(par.SIGNAL, par.SIGNAL + SIGNALS), 0.0),
 }
-"""Parameters that came after the first checkpoints, with their neutral values."""
+"""What of the parameter vector came after the first checkpoints: index, and value where it is not used."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,8 @@ def settings_hash(settings: Settings) -> str:
     content = settings._asdict()
     sets = settings.parameter_sets
     # What came later has no part in it where it is not used, so that checkpoints of before stay of use.
-    neutral = [par.INDEX[name] for name, value in _LATER.items() if np.all(sets[:, par.INDEX[name]] == value)]
-    content["parameter_sets"] = np.delete(sets, neutral, axis=1)
+    unused = [index for index, value in _LATER.items() if np.all(sets[:, index] == value)]
+    content["parameter_sets"] = np.delete(sets, unused, axis=1)
     if settings.angle_noise == 0.0:
         for name in ("angle_noise", "angle_offset", "angle_step"):
             del content[name]
