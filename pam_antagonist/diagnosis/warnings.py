@@ -22,6 +22,9 @@ from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.inference.trial import ANGLE, TORQUE
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, Effect
 
+_WITH_VALVES = tuple(effect for effect in CATALOGUE.values() if "valve" in effect.tested_with)
+"""What is tested here: effects of joints with regulators alone are no candidates."""
+
 
 def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
     """Base parameters that had to leave their prior: a wrong number in the rig file, or an effect in disguise."""
@@ -208,9 +211,9 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
     """
     trials = prepared.trials[: prepared.fitted]
     if prepared.angle_driven:
-        hidden = [effect for effect in CATALOGUE.values() if effect.sealed.part is None]
+        hidden = [effect for effect in _WITH_VALVES if effect.sealed.part is None]
         reasons = "; ".join(f"{effect.name} ({effect.sealed.reason})" for effect in hidden)
-        balance = _listed(effect for effect in CATALOGUE.values() if effect.sealed.part == BALANCE)
+        balance = _listed(effect for effect in _WITH_VALVES if effect.sealed.part == BALANCE)
         torque = (
             "The external torque is the one that the drive was commanded to apply, not a measured one. It includes the "
             "drive's friction."
@@ -225,7 +228,7 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
     out = []
     free = [trial for trial in trials if trial.joint == "free"]
     if not free:
-        moving = _listed(effect for effect in CATALOGUE.values() if effect.needs_motion)
+        moving = _listed(effect for effect in _WITH_VALVES if effect.needs_motion)
         out.append(f"The joint was locked throughout: {moving} do not show.")
     if len(free) == len(trials):
         out.append(
@@ -240,7 +243,7 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
     else:
         out.append("No torque was measured: an error of the force shows only in the joint's motion.")
     if free and not any(trial.has(ANGLE) for trial in free):
-        hardly = _listed(effect for effect in CATALOGUE.values() if effect.needs_angle)
+        hardly = _listed(effect for effect in _WITH_VALVES if effect.needs_angle)
         out.append(f"No angle was measured: the motion shows only through the pressures, and {hardly} hardly show.")
     if not any(trial.has(TORQUE) or trial.has(ANGLE) for trial in trials):
         out.append(

@@ -173,11 +173,12 @@ def assumed(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
             ("Errors of the model", noise),
             thresholds,
         )
+    tested = ", ".join(name for name, effect in CATALOGUE.items() if "valve" in effect.tested_with)
     return (
         ("Start", "Each recording begins at rest, and slow effects have settled."),
         ("Base parameters", "Known to 5 % before the fit (the supply to 1 %). Each recording has its own values."),
         ("Sensors", "White noise, estimated from the changes between samples, and the resolution of their converters."),
         ("Errors of the model", noise),
         thresholds,
-        ("Catalogue", f"{', '.join(CATALOGUE)}. Anything else can only be called unexplained."),
+        ("Catalogue", f"{tested}. Anything else can only be called unexplained."),
     )
