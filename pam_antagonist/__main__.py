@@ -57,6 +57,9 @@ COMMANDS: dict[str, Command] = {
     "control_laws": Command(
         "pam_antagonist.validation.control.command:main", "how well the laws of control do, on simulated joints"
     ),
+    "external_torque": Command(
+        "pam_antagonist.validation.pushes.command:main", "how well a torque from outside is told, on simulated joints"
+    ),
     "pamy": Command(
         "pam_antagonist.validation.pamy.command:main", "what close_loop makes of a measured arm with regulators"
     ),

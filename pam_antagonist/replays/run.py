@@ -336,7 +336,8 @@ def _external(recording: Recording, run: EstimateRun) -> ChannelErrors | None:
     """The external torque: what a filter with that state makes of it, against what was applied."""
     if recording.external_torque is None or "external_torque" not in run.added:
         return None
-    return channel_errors(recording.external_torque[run.index], run.added["external_torque"], "nm")
+    variance = run.rows["external_torque_covariance"][:, 3]
+    return channel_errors(recording.external_torque[run.index], run.rows["external_torque"], "nm", variance)
 
 
 def _sealed(recording: Recording, rig: Rig) -> list[str]:

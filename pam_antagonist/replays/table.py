@@ -42,6 +42,9 @@ def columns(replay: Replay) -> dict[str, NDArray[np.generic]]:
         out[f"innovation_{muscle + 1}_Pa"] = rows["innovation"][:, muscle]
     for j, k in ((0, 0), (0, 1), (1, 1)):
         out[f"innovation_covariance_{j + 1}{k + 1}_Pa2"] = rows["innovation_covariance"][:, j, k]
+    if np.isfinite(rows["external_torque"]).any():
+        out["external_torque_Nm"] = rows["external_torque"]
+        out["external_torque_std_Nm"] = np.sqrt(rows["external_torque_covariance"][:, 3])
     out |= {"nis": rows["nis"], "stiffness_Nm_rad": rows["stiffness"]}
     out |= {name: rows[name] for name in ("subsystem", "flags")}
     out |= {f"state_{name}": values for name, values in replay.run.added.items()}

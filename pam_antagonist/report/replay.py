@@ -255,6 +255,7 @@ def errors_table(report: ReplayReport, caption: str = "") -> Table:
     if external:
         out.heading("External torque")
         out.text("  RMSE 𝕀 [N m]", number(external.rmse), "given")
+        out.text("  in the 95 % interval", percent(external.coverage95), MISSING)
     out.heading("Pressure")
     for muscle in (0, 1):
         out.pressures(

@@ -1,0 +1,124 @@
+"""``external_torque``: how well the torque from outside is estimated, on simulated joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from pam_antagonist.cli import common
+from pam_antagonist.cli.progress import counted
+from pam_antagonist.errors import BadInput
+from pam_antagonist.report import terminal
+from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.rig import NO_ENCODER, load_rig
+from pam_antagonist.strict_json import dumps
+from pam_antagonist.validation.pushes import trial
+
+_DESCRIPTION = """\
+Measure the estimate of the torque from outside on simulated joints, by pressures alone and with an encoder. Each seed
+is another joint, whose parameters are off the declared ones by 1 % (one standard deviation), driven by voltage steps
+and pushed by 0.1 to 1.5 N m for 0.1 to 2 s. Detection is judged by pushes of 0.3 N m, with the least threshold that no
+estimate of the same joints exceeds while nobody pushes them.
+
+Status: 0 whether or not a figure is good, 2 bad input.
+"""
+_EXAMPLES = """\
+examples:
+  {run} external_torque --seeds 10
+"""
+_KINDS = ("pushed", "small", "quiet")
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("external_torque", _DESCRIPTION, _EXAMPLES)
+    out.add_argument(
+        "--rig", default="shin2022_external_torque", metavar="RIG",
+        help="a rig with the state external_torque and an encoder (default: shin2022_external_torque)",
+    )  # fmt: skip
+    out.add_argument("--seeds", type=int, default=10, metavar="N", help="joints: seeds 0 to N - 1 (default: 10)")
+    out.add_argument("--seconds", type=float, default=20.0, metavar="S", help="of each course (default: 20)")
+    out.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
+    common.add_new_json(out, "the figures")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    for name, low, high in (("seeds", 1, 10_000), ("seconds", 4, 3600), ("jobs", 1, 1000)):
+        if not low <= getattr(arguments, name) <= high:
+            raise BadInput(f"--{name} {getattr(arguments, name):g}: expected {low} to {high}")
+    results = measure(arguments.rig, arguments.seeds, arguments.seconds, arguments.jobs)
+    with common.json_alone(arguments.json):
+        print(terminal.table(_table(results), indent=""))
+    if arguments.json is not None:
+        common.give_json(arguments.json, dumps(results) + "\n")
+    return common.DONE
+
+
+def measure(rig_name: str, seeds: int, seconds: float, jobs: int) -> dict[str, Any]:
+    """Run the joints.
+
+    Args:
+        rig_name: of the declared rig.
+        seeds: how many joints.
+        seconds: of each course.
+        jobs: processes.
+
+    Returns:
+        Figures by angle sensor, and what they were measured on.
+
+    Raises:
+        BadInput: a rig without the state ``external_torque`` or without an encoder.
+    """
+    from joblib import Parallel, delayed
+
+    rig = load_rig(rig_name)
+    if "external_torque" not in rig.effects:
+        raise BadInput(f"rig {rig.name} does not have the state: write effects: external_torque: into its file")
+    if rig.encoder is None:
+        raise BadInput(NO_ENCODER.format(rig=rig.name))
+    tasks = [(kind, seed) for kind in _KINDS for seed in range(seeds)]
+    found: dict[str, dict[str, list[trial.Run]]] = {kind: {} for kind in _KINDS}
+    with counted(len(tasks), "external_torque") as done:
+        work = (delayed(trial.run)(rig, seed, seconds, kind) for kind, seed in tasks)
+        for (kind, _), runs in zip(tasks, Parallel(n_jobs=jobs, return_as="generator")(work), strict=True):
+            for sensor, one in runs.items():
+                found[kind].setdefault(sensor, []).append(one)
+            done(1)
+    figures = {
+        sensor: trial.errors(runs) | trial.detection(found["small"][sensor], found["quiet"][sensor])
+        for sensor, runs in found["pushed"].items()
+    }
+    return {"rig": rig_name, "seeds": seeds, "seconds": seconds, "mismatch": trial.MISMATCH, "figures": figures}
+
+
+def _table(results: dict[str, Any]) -> Table:
+    columns = list(results["figures"].values())
+
+    def row(title: str, key: str, shown: Any = number) -> tuple[str, ...]:
+        return (title, *(shown(column[key]) for column in columns))
+
+    def milliseconds(value: float) -> str:
+        return f"{value * 1e3:.0f}" if math.isfinite(value) else "never"
+
+    rows = (
+        row("RMSE [N m]", "rmse_nm"),
+        row("in the 95 % interval", "coverage95", percent),
+        row("claimed standard deviation [N m]", "std_nm"),
+        row("delay [ms]", "delay_s", milliseconds),
+        row("threshold without a false alarm [N m]", "threshold_nm"),
+        row("0.3 N m seen within 100 ms", "seen", percent),
+        row("0.3 N m seen after, median [ms]", "median_s", milliseconds),
+    )
+    caption = (
+        f"{results['seeds']} simulated joints of {results['rig']}, {100 * results['mismatch']:.0f} % off, "
+        f"{results['seconds']:g} s each; the threshold is of {columns[0]['quiet_s']:.0f} s without a push"
+    )
+    return Table(("torque from outside", "pressures alone", "with an encoder"), rows, caption)
