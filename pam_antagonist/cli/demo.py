@@ -28,8 +28,9 @@ Run a sensor-less closed loop live and judge it.
 
 Starts a simulated joint, the estimator and the controller as three processes at the rig's sample rate (1 kHz), and a
 recorder. The reference of the joint's angle steps to ±20° and back, or that of its torque to ±2 N m with the joint
-locked at 0°. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the estimator. The
-results are printed as tables and written to DIR/report.html and DIR/report.json.
+locked at 0°. With --mode stiffness the controller's law goes through the model: angle and stiffness step together, in
+smaller steps, for 30 s. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the estimator.
+The results are printed as tables and written to DIR/report.html and DIR/report.json.
 
 The simulated joint differs a little from the rig file (--mismatch), as a real one does. It is a simulator all the
 same: only a recording of a real joint shows how well a real joint does (see replay).
@@ -40,9 +41,20 @@ _EXAMPLES = """\
 examples:
   {run} demo
   {run} demo --mode torque --duration 20 --out torque_demo
+  {run} demo --mode stiffness
 """
 
 _SHARES = (1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0)  # of the largest reference, one a step; a short demo takes the extremes
+_STIFFNESS = (
+    6.0,
+    7.0,
+    6.5,
+    5.0,
+    9.0,
+    4.0,
+    8.0,
+)  # by turns; within reach of the paper's joint [N m/rad]
+_MODES = {"angle": Mode.ANGLE, "torque": Mode.TORQUE, "stiffness": Mode.ANGLE_STIFFNESS}
 _LARGEST = {Mode.ANGLE: math.radians(20.0), Mode.TORQUE: 2.0}  # as in the paper [rad], [N m]
 _STEP = 2.75  # length of a step, about [s]; the slowest settles in 2.1 s
 _REST = 1.0  # at the reference 0 before the first step [s]
@@ -56,10 +68,11 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("demo", _DESCRIPTION, _EXAMPLES)
     add = out.add_argument
-    add("--duration", type=_seconds, default=12.0, metavar="S", help="length of the experiment [s] (default: 12)")
-    add("--mode", choices=("angle", "torque"), default="angle", help="what is controlled (default: angle)")
+    add("--duration", type=_seconds, metavar="S", help="length of the experiment [s] (default: 12, stiffness 30)")
+    add("--mode", choices=tuple(_MODES), default="angle", help="what is controlled (default: angle)")
     gains_help = (
-        "gains of the controller: fast ones (default), or those of the paper, which take 9 s for a step of the angle"
+        "gains of the PI: fast ones (default), or those of the paper, which take 9 s for a step of the angle; the "
+        "mode stiffness has a law of its own"
     )
     add("--gains", choices=tuple(_GAINS), default="fast", help=gains_help)
     rig_help = "a YAML file, or the name of a rig that comes with the package (default: shin2022)"
@@ -102,8 +115,8 @@ def main(argv: list[str] | None = None) -> int:
     return common.run(_main, argv)
 
 
-def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> list[tuple[float, float]]:
-    """The steps of the reference: time [s] and value [rad] or [N m].
+def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> list[tuple[float, float, float]]:
+    """The steps of the reference: time [s], value [rad] or [N m], and stiffness [N m/rad], NaN where none is asked for.
 
     Args:
         mode: what is controlled.
@@ -114,8 +127,15 @@ def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> 
     count = max(2, round((duration - rest) / _STEP))
     length = (duration - rest) / count
     shares = _SHARES if count > 2 else (1.0, -1.0)
-    largest = _LARGEST[mode] if mode is Mode.TORQUE else min(_LARGEST[mode], 0.8 * largest_angle)
-    return [(0.0, 0.0), *((rest + k * length, largest * shares[k % len(shares)]) for k in range(count))]
+    largest = _LARGEST[mode.quantity] if mode is not Mode.ANGLE_STIFFNESS else 0.5 * _LARGEST[Mode.ANGLE]
+    if mode.quantity is Mode.ANGLE:
+        largest = min(largest, 0.8 * largest_angle)
+
+    def stiffness(k: int) -> float:
+        return _STIFFNESS[k % len(_STIFFNESS)] if mode.has_stiffness else math.nan
+
+    steps = ((rest + k * length, largest * shares[k % len(shares)], stiffness(k + 1)) for k in range(count))
+    return [(0.0, 0.0, stiffness(0)), *steps]
 
 
 def _main(argv: Sequence[str] | None) -> int:
@@ -130,7 +150,9 @@ def _main(argv: Sequence[str] | None) -> int:
         (out / "logs").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
-    mode = Mode[arguments.mode.upper()]
+    mode = _MODES[arguments.mode]
+    if arguments.duration is None:
+        arguments.duration = 30.0 if mode.has_stiffness else 12.0
     try:
         _experiment(arguments, rig, mode, out)
     except ProcessFailed as error:
@@ -160,10 +182,11 @@ def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> No
     begin = time.perf_counter()
     recording = read_bag(out / "bag")
     read_seconds = time.perf_counter() - begin
-    joint, lock_angle = ("free", None) if mode is Mode.ANGLE else ("locked", 0.0)
+    joint, lock_angle = ("free", None) if mode.quantity is Mode.ANGLE else ("locked", 0.0)
     with counted(len(recording.stamp_ns), "replay") as advance:
         done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=advance)
-    judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), arguments.gains)
+    gains = "model" if mode.has_stiffness else arguments.gains
+    judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), gains)
     print(f"\n{terminal.render(demo.summary(judged))}\n")
     demo.write_report(out, judged, with_figures=not arguments.no_figures)
     print(f"recording: {out / 'bag'}")
@@ -179,7 +202,9 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     name = str(Path(arguments.rig).resolve()) if arguments.rig.endswith((".yaml", ".yml")) else arguments.rig
     shared: dict[str, object] = {"rig": name}
-    joint: dict[str, object] = {"joint": "free"} if mode is Mode.ANGLE else {"joint": "locked", "lock_angle": 0.0}
+    joint: dict[str, object] = (
+        {"joint": "free"} if mode.quantity is Mode.ANGLE else {"joint": "locked", "lock_angle": 0.0}
+    )
     with Processes(out / "logs") as processes:
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
         processes.start("controller", ros_arguments({**shared, **_gains(arguments.gains, mode)}, {}))
@@ -197,11 +222,15 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
 
 def _gains(name: str, mode: Mode) -> dict[str, object]:
     """Parameters of the controller."""
+    if mode.has_stiffness:
+        return {"law": "model"}
     gains, of = _GAINS[name][mode], mode.name.lower()
     return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
 
 
-def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], duration: float, bag: Path) -> None:
+def _steps(
+    processes: Processes, mode: Mode, steps: list[tuple[float, float, float]], duration: float, bag: Path
+) -> None:
     from tqdm import tqdm
 
     # ROS is imported while the nodes are starting.
@@ -226,8 +255,8 @@ def _steps(processes: Processes, mode: Mode, steps: list[tuple[float, float]], d
             start, shown = time.monotonic(), -1
             while (elapsed := time.monotonic() - start) < duration:
                 processes.check()
-                index = max(k for k, (at, _) in enumerate(steps) if at <= elapsed)
-                watch.send(mode, steps[index][1])
+                index = max(k for k, (at, _, _) in enumerate(steps) if at <= elapsed)
+                watch.send(mode, *steps[index][1:])
                 bar.n = elapsed
                 bar.set_postfix_str(_seen(watch, mode, steps[index][1]), refresh=True)
                 if bar.disable and index != shown and index:
@@ -256,7 +285,7 @@ def _patient(missing: Callable[[], str]) -> Callable[[], str]:
 def _seen(watch: ReferenceClient, mode: Mode, reference: float) -> str:
     """Reference, estimate and measurement now."""
     estimate, measured = watch.read(mode)
-    if mode is Mode.ANGLE:
+    if mode.quantity is Mode.ANGLE:
         return "reference {:+5.1f}°  estimate {:+6.2f}°  measured {:+6.2f}°".format(
             *(math.degrees(value) for value in (reference, estimate, measured))
         )

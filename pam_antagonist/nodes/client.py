@@ -162,14 +162,14 @@ class ReferenceClient(PipelineClient):
         }
         super().__init__("watch", namespace, subscribed, ("reference", JointReference, qos.REFERENCE))
 
-    def send(self, mode: Mode, value: float) -> None:
-        """Publish a reference [rad] or [N m], stamped now."""
-        self._publish(JointReference(mode=int(mode), value=value))
+    def send(self, mode: Mode, value: float, stiffness: float = math.nan) -> None:
+        """Publish a reference [rad] or [N m], with a stiffness [N m/rad] where the mode has one, stamped now."""
+        self._publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=math.nan))
 
     def read(self, mode: Mode) -> tuple[float, float]:
         """Estimate and measurement now, [rad] or [N m]; NaN where nothing has come."""
         estimate, measured = self.latest("joint_estimate"), self.latest("measured_joint_states")
-        if mode is Mode.ANGLE:
+        if mode.quantity is Mode.ANGLE:
             return (
                 estimate.angle if estimate is not None else math.nan,
                 measured.position[0] if measured is not None else math.nan,

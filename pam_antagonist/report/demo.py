@@ -18,17 +18,19 @@ from pam_antagonist.replays.accounting import Accounting, account
 from pam_antagonist.report import html
 from pam_antagonist.report.channels import judged
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles
-from pam_antagonist.report.figure import Figure
+from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.figures import tracking_figure
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay import errors_table
 from pam_antagonist.report.replay import numbers as replay_numbers
 from pam_antagonist.report.replay_figures import time
+from pam_antagonist.report.style import ESTIMATE, MODEL
 from pam_antagonist.report.table import MISSING, Table, number, percent
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance reported there
 _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}
 _SIGN = {Mode.ANGLE: "°", Mode.TORQUE: " N m"}
+_LAWS = {"fast": "fast gains", "published": "published gains", "model": "law through the model"}
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,9 @@ class Demo:
         replay: of its recording.
         mode: what was controlled.
         simulated: what the joint was.
-        gains: of the controller, ``fast`` or ``published``.
+        gains: of the controller, ``fast`` or ``published``; ``model`` for the law through the model.
         tracking: how the reference was followed, in degrees or N m.
+        stiffness: how the stiffness was followed, by the estimate's [N m/rad]; None where none was asked for.
         accounting: what became of the samples; None where a stage is missing in the recording.
     """
 
@@ -62,6 +65,7 @@ class Demo:
     simulated: Simulated
     gains: str
     tracking: Tracking
+    stiffness: Tracking | None
     accounting: Accounting | None
 
     @classmethod
@@ -72,17 +76,19 @@ class Demo:
             replay: of the demo's recording.
             mode: what was controlled.
             simulated: what the joint was.
-            gains: of the controller, ``fast`` or ``published``.
+            gains: of the controller, ``fast``, ``published`` or ``model``.
 
         Raises:
             BadInput: there is no reference, or no measurement, to judge by.
         """
         followed = follow(replay.recording, mode)
-        return cls(replay, mode, simulated, gains, followed, account(replay.recording, replay.rig.sample_period))
+        stiffness = tracking(replay.run.stamp_ns, *_stiffness(replay)) if mode.has_stiffness else None
+        accounting = account(replay.recording, replay.rig.sample_period)
+        return cls(replay, mode, simulated, gains, followed, stiffness, accounting)
 
     def to_json(self) -> dict[str, Any]:
         """The entry of ``report.json``; the unit of what was controlled is part of the keys."""
-        unit, followed = _UNIT[self.mode], self.tracking
+        unit, followed = _UNIT[self.mode.quantity], self.tracking
         return {
             "mode": self.mode.name.lower(),
             "simulated_joint": self.simulated,
@@ -104,6 +110,7 @@ class Demo:
                     for step in followed.steps
                 ],
             },
+            "stiffness": self.stiffness,
             "pipeline": self.accounting,
         }
 
@@ -127,7 +134,7 @@ def document(demo: Demo, with_figures: bool = True) -> Document:
         with_figures: False leaves the figures out.
     """
     replayed = replay_document([demo.replay], with_figures=with_figures)
-    what = demo.mode.name.lower()
+    what = demo.mode.quantity.name.lower()
     lede = (
         f"A simulated joint followed steps of its {what}. The controller had no {what} sensor: it saw only the "
         "estimate from two pressure sensors. All of it ran live at 1 kHz, was recorded, and was replayed for this "
@@ -138,6 +145,7 @@ def document(demo: Demo, with_figures: bool = True) -> Document:
     blocks: list[Block] = [Text(lede, "lede"), Text(_verdict(demo), "verdict")]
     if with_figures:
         blocks.append(_figure(demo))
+        blocks += [_stiffness_figure(demo)] if demo.stiffness is not None else []
     blocks += [
         Tiles(_tiles(demo)),
         Section("Control and pipeline", (control_table(demo),), 2, "loop"),
@@ -154,7 +162,7 @@ def _slowest(demo: Demo) -> float:
 
 
 def _verdict(demo: Demo) -> str:
-    sign, followed, slowest = _SIGN[demo.mode], demo.tracking, _slowest(demo)
+    sign, followed, slowest = _SIGN[demo.mode.quantity], demo.tracking, _slowest(demo)
     steps = len(followed.steps) - 1
     settled = (
         f"Each of the {steps} steps settled within {slowest:.1f} s"
@@ -166,7 +174,7 @@ def _verdict(demo: Demo) -> str:
 
 
 def _tiles(demo: Demo) -> tuple[Tile, ...]:
-    sign, followed, slowest = _SIGN[demo.mode], demo.tracking, _slowest(demo)
+    sign, followed, slowest = _SIGN[demo.mode.quantity], demo.tracking, _slowest(demo)
     settling = f"{slowest:.1f} s" if math.isfinite(slowest) else MISSING
     error = f"{number(followed.worst_steady_error, 2)}{sign}" if math.isfinite(followed.worst_steady_error) else MISSING
     out = [
@@ -192,10 +200,10 @@ def follow(recording: Recording, mode: Mode) -> Tracking:
     Raises:
         BadInput: there is no reference, or no measurement, to judge by.
     """
-    reference, measured = recording.reference, recording.angle if mode is Mode.ANGLE else recording.torque
+    reference, measured = recording.reference, recording.angle if mode.quantity is Mode.ANGLE else recording.torque
     if reference is None or measured is None:
-        raise BadInput(f"{recording.path}: no reference or no measured {mode.name.lower()} was recorded")
-    scale = math.degrees(1.0) if mode is Mode.ANGLE else 1.0
+        raise BadInput(f"{recording.path}: no reference or no measured {mode.quantity.name.lower()} was recorded")
+    scale = math.degrees(1.0) if mode.quantity is Mode.ANGLE else 1.0
     wanted = held(recording.stamp_ns, reference.stamp_ns, np.where(reference.mode == mode, reference.value, np.nan))
     try:
         return tracking(recording.stamp_ns, wanted * scale, measured * scale)
@@ -205,7 +213,7 @@ def follow(recording: Recording, mode: Mode) -> Tracking:
 
 def control_table(demo: Demo) -> Table:
     """Control and pipeline in one table."""
-    sign, followed, report = _SIGN[demo.mode], demo.tracking, demo.replay.report
+    sign, followed, report = _SIGN[demo.mode.quantity], demo.tracking, demo.replay.report
     steady = f"{number(followed.worst_steady_error)}{sign} (range of the references: {number(followed.range)}{sign})"
     slowest = _slowest(demo)
     rows = [
@@ -217,9 +225,12 @@ def control_table(demo: Demo) -> Table:
         ("Worst steady-state error", steady),
         (
             "Steady-state performance",
-            f"{percent(followed.performance)} (paper, its rig and gains: {percent(_PAPER[demo.mode])})",
+            f"{percent(followed.performance)} (paper, its rig and gains: {percent(_PAPER[demo.mode.quantity])})",
         ),
     ]
+    if demo.stiffness is not None:
+        stiff = f"{number(demo.stiffness.worst_steady_error)} N m/rad (range: {number(demo.stiffness.range)} N m/rad)"
+        rows.append(("Worst steady-state error of the stiffness, estimated", stiff))
     rows += [
         (f"Measured {item.channel.name} within the 95 % interval", percent(item.coverage)) for item in judged(report)
     ]
@@ -246,12 +257,12 @@ def _pipeline(accounting: Accounting | None) -> list[tuple[str, str]]:
 
 
 def _definitions(demo: Demo) -> str:
-    what = demo.mode.name.lower()
+    what = demo.mode.quantity.name.lower()
     return (
         "The joint was this package's simulator. Its parameters differ from the rig's by "
         f"{100.0 * demo.simulated.mismatch:.1f} % (standard deviation, seed {demo.simulated.seed}). Only a recording "
         "of a real joint shows how well a real joint does. "
-        f"The controller had the {demo.gains} gains. Steady-state performance is defined as in the paper: 1 minus the "
+        f"The controller had the {_LAWS[demo.gains]}. Steady-state performance is defined as in the paper: 1 minus the "
         f"largest |reference − measured {what}| in steady state over the range of the references. The steady part is "
         f"the last {100.0 * STEADY_PART:.0f} % of every step of {SHORTEST_STEP:g} s or more. The measurement comes "
         "from a validation sensor with noise, which estimator and controller do not get. Latency counts from the "
@@ -261,7 +272,7 @@ def _definitions(demo: Demo) -> str:
 
 def _figure(demo: Demo) -> Figure:
     """Reference, measurement and estimate over time, and the tracking error below."""
-    replay, mode = demo.replay, demo.mode
+    replay, mode = demo.replay, demo.mode.quantity
     recording, rows = replay.recording, replay.run.rows
     scale, sign = (math.degrees(1.0), "°") if mode is Mode.ANGLE else (1.0, "N m")
     name = mode.name.lower()
@@ -278,3 +289,19 @@ def _figure(demo: Demo) -> Figure:
         signals,
         replay.name,
     )
+
+
+def _stiffness(replay: Replay) -> tuple[FloatArray, FloatArray]:
+    """Stiffness asked for and estimated (N,), at the estimates [N m/rad]."""
+    reference = replay.recording.reference
+    assert reference is not None  # follow() has looked
+    return held(replay.run.stamp_ns, reference.stamp_ns, reference.stiffness), -replay.run.rows["stiffness"]
+
+
+def _stiffness_figure(demo: Demo) -> Figure:
+    wanted, estimated = _stiffness(demo.replay)
+    x = time(demo.replay)
+    lines = (Line("UKF", x, estimated, ESTIMATE), Line("reference", x, wanted, MODEL, dash="dash"))
+    about = "−∂τ/∂ψ of the joint by the estimate; nothing measures it."
+    return Figure("Stiffness: reference and estimate", about, (Panel(TIME, Axis("Stiffness [N m/rad]"), lines, 250),),
+                  demo.replay.name)  # fmt: skip

@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 
 from pam_antagonist.cli import demo
-from pam_antagonist.control import PI_MODES, Mode
+from pam_antagonist.control import PI_MODES, Box, Mode, Reachable
 from pam_antagonist.recording import read_bag
+from pam_antagonist.rig import load_rig
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
@@ -148,14 +149,23 @@ def test_output_folder_that_exists_is_left_alone(tmp_path: Path, capsys: pytest.
 @pytest.mark.parametrize("duration", [1.0, 5.0, 30.0, 600.0])
 def test_references_are_steps_within_the_paper_s_ranges(mode: Mode, duration: float) -> None:
     steps = demo.references(mode, duration)
-    times = [at for at, _ in steps]
-    assert steps[0] == (0.0, 0.0)
+    times = [at for at, _, _ in steps]
+    assert steps[0][:2] == (0.0, 0.0) and all(math.isnan(stiffness) for _, _, stiffness in steps)
     assert times == sorted(times) and times[-1] < duration
-    largest = max(abs(value) for _, value in steps)
+    largest = max(abs(value) for _, value, _ in steps)
     assert largest == pytest.approx(math.radians(20.0) if mode is Mode.ANGLE else 2.0)
-    assert min(value for _, value in steps) == -largest
+    assert min(value for _, value, _ in steps) == -largest
 
 
 def test_references_stay_within_what_the_joint_can_reach() -> None:
     steps = demo.references(Mode.ANGLE, 30.0, math.radians(10.0))
-    assert max(abs(value) for _, value in steps) == pytest.approx(math.radians(8.0))
+    assert max(abs(value) for _, value, _ in steps) == pytest.approx(math.radians(8.0))
+
+
+def test_references_of_angle_and_stiffness_are_within_reach_of_the_paper_s_joint() -> None:
+    rig = load_rig("shin2022")
+    reach = Reachable(rig.parameters(), Box.of(rig.parameters()))
+    steps = demo.references(Mode.ANGLE_STIFFNESS, 30.0, rig.joint.stop)
+    assert len({stiffness for _, _, stiffness in steps}) > 3
+    for _, value, stiffness in steps:
+        assert reach.nearest(Mode.ANGLE_STIFFNESS, value, stiffness) == (value, stiffness, "")

@@ -49,6 +49,23 @@ def test_the_report_holds_replay_and_control(rig: Rig, recording: Recording, tmp
     assert "in the 95 % interval" in shown
 
 
+def test_a_stiffness_that_was_asked_for_is_judged_by_the_estimate(
+    rig: Rig, recording: Recording, changed: Changed, tmp_path: Path
+) -> None:
+    assert recording.reference is not None
+    mode = np.full(2, int(Mode.ANGLE_STIFFNESS), dtype=np.uint8)
+    stiffness = np.array([6.0, 7.0])
+    asked = RecordedReference(
+        recording.reference.stamp_ns, mode, recording.reference.value, stiffness, np.full(2, np.nan)
+    )
+    demo = Demo.of(replay(changed(recording, reference=asked), rig), Mode.ANGLE_STIFFNESS, Simulated(0.02, 7), "model")
+    write_report(tmp_path, demo)
+    written = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demo"]["stiffness"]
+    assert [step["reference"] for step in written["steps"]] == [6.0, 7.0]
+    assert written["rmse"] > 0.0
+    assert "Worst steady-state error of the stiffness" in terminal.render(summary(demo))
+
+
 def test_without_a_reference_there_is_nothing_to_judge(rig: Rig, free: Recording) -> None:
     with pytest.raises(BadInput, match="no reference"):
         Demo.of(replay(free, rig), Mode.ANGLE, Simulated(0.0, 0))

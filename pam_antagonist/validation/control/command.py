@@ -194,7 +194,7 @@ def _limits(found: Sequence[Mapping[str, Any]]) -> Table:
     rows.append(("held back", percent(float(np.mean([seed["with"]["held_back"] for seed in found]))), "", "", ""))
     header = ("", "governor: samples", "references", "none: samples", "references")
     about = (
-        f"{total} references at random of 0.2 to 1 s (a fifth of them without the governor), pushes of up to "
+        f"{total} references at random of 0.2 to 0.6 s (a fifth of them without the governor), pushes of up to "
         f"{trials.PUSH:g} N m, level {trials.LEVEL:g}"
     )
     return Table(header, tuple(rows), about)

@@ -16,7 +16,7 @@ from pam_antagonist.validation.control.loop import Course, Floats, held, make_la
 
 STEP = {Mode.ANGLE: math.radians(20.0), Mode.TORQUE: 2.0}
 """Height of the steps, from minus to plus half of it and back [rad] or [N m]."""
-HOLD_S = {("pi", Mode.ANGLE): 40.0, ("model", Mode.ANGLE): 6.0, ("pi", Mode.TORQUE): 20.0, ("model", Mode.TORQUE): 6.0}
+HOLD_S = {("pi", Mode.ANGLE): 15.0, ("model", Mode.ANGLE): 5.0, ("pi", Mode.TORQUE): 8.0, ("model", Mode.TORQUE): 4.0}
 """How long each step is held [s]: the published PI takes long."""
 STIFFNESS = 6.0  # of the steps [N m/rad]
 GRID = ((-15.0, 5.0), (-10.0, 7.5), (0.0, 4.0), (0.0, 9.0), (10.0, 4.5), (10.0, 8.0), (15.0, 5.5))
@@ -110,7 +110,7 @@ def limits(rig: Rig, seed: int, count: int, governed: bool) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 7])
     period = rig.sample_period
     parts, pushes = [], []
-    for seconds in rng.uniform(0.2, 1.0, count):
+    for seconds in rng.uniform(0.2, 0.6, count):
         parts.append((float(seconds), float(rng.uniform(-0.45, 0.45)), float(rng.uniform(1.0, 13.0))))
         push = np.zeros(math.ceil(float(seconds) / period - 1e-9))
         if rng.random() < 0.5:
