@@ -51,6 +51,7 @@ NAVIGATION = {
     "Explanation": [
         "explanation/model",
         "explanation/estimator",
+        "explanation/control",
         "explanation/identification",
         "explanation/close_loop",
         "architecture",
