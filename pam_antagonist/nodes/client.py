@@ -163,7 +163,13 @@ class ReferenceClient(PipelineClient):
         super().__init__("watch", namespace, subscribed, ("reference", JointReference, qos.REFERENCE))
 
     def send(self, mode: Mode, value: float, stiffness: float = math.nan) -> None:
-        """Publish a reference [rad] or [N m], with a stiffness [N m/rad] where the mode has one, stamped now."""
+        """Publish a reference, stamped now.
+
+        Args:
+            mode: what the value is.
+            value: [rad] or [N m].
+            stiffness: [N m/rad], for the modes that have one; NaN: not asked.
+        """
         self._publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=math.nan))
 
     def read(self, mode: Mode) -> tuple[float, float]:
