@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.bootstrap import Interval, drawn, ratio, rmse
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
 
@@ -23,13 +23,8 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 FIFTH = 5
-BLOCK = 10
-"""Episodes that are drawn together: neighbouring ones err alike where a rig drifts."""
-DRAWS = 1000
 MOST = 6
 """Effects at most; each signal that friction goes with counts as one."""
-CHANCE = 0.05
-"""Chance that any of the effects that were offered is taken although it is not there."""
 LEAST_OF_ALL = 0.01
 """Share of the squared error without effects that an effect removes at least. What is left at the end may be due to the
 form of the others: on a simulated joint, creep that was not there removed 5 % of what was nearly nothing."""
@@ -39,20 +34,6 @@ _FITTED, _SCORED, _USED = 300, 400, 600
 """Episodes in a fit of the search, in its judgement, and in a final fit: more tell hardly more and take longer."""
 _REFITTED = 3
 """Candidates of a round that are fitted: those with the best scores."""
-
-
-class Interval(NamedTuple):
-    """A value and its 95 % interval.
-
-    Attributes:
-        value: the value.
-        low: lower end.
-        high: upper end.
-    """
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -156,47 +137,6 @@ def thinned(episodes: Indices, most: int) -> Indices:
     if len(episodes) <= most:
         return episodes
     return episodes[np.linspace(0, len(episodes) - 1, most).round().astype(int)]
-
-
-def drawn(episodes: int, seed: int = 0) -> Indices:
-    """Episodes of each draw of a bootstrap of blocks (DRAWS, about E).
-
-    Args:
-        episodes: how many there are.
-        seed: of the draws.
-    """
-    blocks = max(1, round(episodes / BLOCK))
-    edges = np.linspace(0, episodes, blocks + 1).round().astype(int)
-    size = int(np.min(np.diff(edges)))
-    which = np.random.default_rng(seed).integers(0, blocks, (DRAWS, blocks))
-    return np.asarray((edges[which][:, :, None] + np.arange(size)).reshape(DRAWS, -1))
-
-
-def rmse(sums: Floats, counts: Floats) -> Interval:
-    """Root mean square error [deg] with its 95 % interval by episode.
-
-    Args:
-        sums: squared errors of each episode (E,) [rad²].
-        counts: values in each (E,).
-    """
-    draws = drawn(len(sums))
-    spread = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
-    low, high = np.quantile(spread, [0.025, 0.975])
-    return Interval(*(float(np.degrees(value)) for value in (np.sqrt(sums.sum() / counts.sum()), low, high)))
-
-
-def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
-    """Ratio of two sums over the same episodes, with an interval by episode.
-
-    Args:
-        first: of each episode (E,).
-        second: likewise.
-        offered: ratios among which this one was chosen: the interval is wider for it.
-    """
-    draws = drawn(len(first))
-    spread = first[draws].sum(axis=1) / second[draws].sum(axis=1)
-    low, high = np.quantile(spread, [0.5 * CHANCE / offered, 1.0 - 0.5 * CHANCE / offered])
-    return Interval(float(first.sum() / second.sum()), float(low), float(high))
 
 
 def diagnose(

@@ -6,7 +6,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Interval, Row
+from pam_antagonist.diagnosis.bootstrap import Interval
+from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Row
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel

@@ -17,7 +17,8 @@ import pytest
 
 from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.episodes import diagnose, drawn, held_out, ratio, search
+from pam_antagonist.diagnosis.bootstrap import drawn, ratio
+from pam_antagonist.diagnosis.episodes import diagnose, held_out, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.pressure_driven import angles

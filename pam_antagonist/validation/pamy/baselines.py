@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.episodes import Held, Row, last, rmse
+from pam_antagonist.diagnosis.bootstrap import rmse
+from pam_antagonist.diagnosis.episodes import Held, Row, last
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import available
 

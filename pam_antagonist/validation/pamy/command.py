@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from pam_antagonist.cli import common
-from pam_antagonist.diagnosis.episodes import Held, Interval, diagnose, held_out, rmse, thinned
+from pam_antagonist.diagnosis.bootstrap import Interval, rmse
+from pam_antagonist.diagnosis.episodes import Held, diagnose, held_out, thinned
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import regulator
 from pam_antagonist.identification.regulator import Regulator

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Interval, Row
+from pam_antagonist.diagnosis.bootstrap import Interval
+from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Row
 from pam_antagonist.identification.regulator import Regulator
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report import episodes as report
