@@ -34,12 +34,12 @@ def test_angle_and_stiffness_of_one_joint_are_near_what_was_asked_for() -> None:
 
 def test_the_command_measures_limits_and_writes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "limits.json"
-    arguments = ["--only", "limits", "--seeds", "1", "--references", "12", "--jobs", "1", "--json", str(file)]
+    arguments = ["--only", "limits", "--seeds", "1", "--references", "60", "--jobs", "1", "--json", str(file)]
     assert main(arguments) == 0
     assert "pressure beyond its limit" in capsys.readouterr().out
     (found,) = json.loads(file.read_text())["limits"]
-    assert found["with"]["references"] == 12 and found["with"]["beyond"]["pressure"] == 0.0
-    assert found["without"]["beyond"]["pressure"] > 0.0
+    assert found["with"]["references"] == 60 and found["with"]["beyond"]["pressure"] == 0.0
+    assert max(found["without"]["beyond"].values()) > 0.0
 
 
 @pytest.mark.parametrize("option", ["--seeds", "--references", "--jobs"])
