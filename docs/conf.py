@@ -52,6 +52,7 @@ NAVIGATION = {
         "explanation/model",
         "explanation/estimator",
         "explanation/control",
+        "observability",
         "explanation/identification",
         "explanation/close_loop",
         "architecture",

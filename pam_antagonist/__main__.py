@@ -60,6 +60,9 @@ COMMANDS: dict[str, Command] = {
     "external_torque": Command(
         "pam_antagonist.validation.pushes.command:main", "how well a torque from outside is told, on simulated joints"
     ),
+    "observability": Command(
+        "pam_antagonist.validation.observability.command:main", "which sensor tells angle and torque from outside"
+    ),
     "pamy": Command(
         "pam_antagonist.validation.pamy.command:main", "what close_loop makes of a measured arm with regulators"
     ),
