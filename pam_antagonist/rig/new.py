@@ -259,7 +259,7 @@ def _content(facts: Facts) -> dict[str, Any]:
         },
         "tunings": {
             "default": {
-                "initial": (1e-4, 1e-4, 1e6, 1e6), "process": (1e-9, 1e-6, 1e4, 1e4),
+                "initial": (1e-4, 1e-4, 1e6, 1e6), "process": (1e-12, 1e-6, 1e4, 1e4),
                 "measurement": (variance, variance),
                 "kappa": 0.5, "consider": True, "gate": 6.0,
             }

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import START_NS, trial
 
+from pam_antagonist import simulate
 from pam_antagonist.estimation import Estimator, simulate_model
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import load_rig
@@ -92,3 +93,13 @@ def test_the_published_tuning_is_as_bad_as_the_notes_say() -> None:
     filtered = np.sqrt(np.mean((published["angle"] - recording.truth[:, 0]) ** 2))
     assert np.nanmean(published["nis"]) < 0.05
     assert filtered > 5.0 * alone
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_an_angle_at_rest_stays_where_friction_holds_it(seed: int) -> None:
+    """With a process noise of the angle, sigma points are shaken out of stiction and slide to another rest."""
+    recording = simulate(RIG, np.full((45_000, 2), 5.5), seed=seed, mismatch=0.01)
+    rows = Estimator(RIG).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+    error, std = rows["angle"] - recording.angle, np.sqrt(rows["covariance"][:, 0, 0])
+    assert np.mean(np.abs(error[5000:]) < 1.96 * std[5000:]) > 0.95
+    assert std[-1] == pytest.approx(std[5000], rel=0.1)
