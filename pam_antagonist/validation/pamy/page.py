@@ -9,6 +9,7 @@ from pam_antagonist.diagnosis.bootstrap import Interval
 from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Row
 from pam_antagonist.identification.regulator import Regulator
 from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report.table import Table, number, percent
 
@@ -84,7 +85,11 @@ def markdown(result: ArmResult) -> str:
     notes = "\n".join(f"- {item.text}" for item in report.findings(found, result.joint))
     all_rows = [found.rows[0], *result.baselines, *found.rows[1:]]
     errors = report.errors_table(_with_rows(found, all_rows))
-    trees = "" if result.trees else "scikit-learn was not installed: boosted trees are left out.\n"
+    trees = (
+        ""
+        if result.trees
+        else f"Boosted trees are left out: scikit-learn is not installed; to get it: {install('compare')}.\n"
+    )
     forecasts = Table(
         ("Last episodes fitted", "RMSE on those that follow [°]"),
         tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
