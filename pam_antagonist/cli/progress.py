@@ -172,6 +172,7 @@ class Steady:
         passed = now - self._at
         self._shown -= passed * min(self._shown / max(estimate, 1e-9), 1.0)
         self._shown -= max(self._shown - estimate, 0.0) * -math.expm1(-passed / self._fades)
+        self._shown = max(self._shown, 0.0)
         self._at = now
         return self._shown if estimate <= _BEHIND * max(self._shown, 1.0) else math.nan
 
@@ -239,11 +240,12 @@ class _Shown:
         terminal = sys.stderr.isatty()
         while not self._stop.wait(_TICK):
             elapsed = self.elapsed()
-            done = min(self._state.fraction(elapsed), 0.99)  # 100 % is for the end
+            counted = self._state.fraction(elapsed)
+            done = min(counted, 0.99)  # 100 % is for the end
             estimate = self._state.left(elapsed)
             left = self._steady.left(elapsed, estimate)
             late = "" if math.isnan(estimate) else "longer than expected"
-            rest = late if math.isnan(left) else f"about {roughly(left)} left"
+            rest = late if math.isnan(left) else "finishing" if counted >= 1.0 else f"about {roughly(left)} left"
             if not (done or self._state.text):  # compiling, most likely: there is nothing to say yet
                 self._line = elapsed + _LINES
             if terminal and elapsed >= _DELAY:

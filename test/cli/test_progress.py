@@ -171,3 +171,10 @@ def test_a_time_that_is_left_is_told_roughly() -> None:
     assert told[0] == "1 s" and told[-1] == "2 min" and len(set(told)) == 11
     assert [roughly(left) for left in (38.0, 41.0, 44.0)] == ["45 s"] * 3
     assert [roughly(left) for left in (107.0, 130.0, 200.0, 9000.0)] == ["2 min", "2 min", "3 min", "2.5 h"]
+
+
+def test_a_time_left_that_is_over_stays_over() -> None:
+    steady = Steady()
+    shown = [steady.left(now, max(30.0 - now, 0.0)) for now in np.arange(0.0, 200.0, 0.37)]
+    assert np.all(np.diff(shown) <= 0.0)
+    assert shown[-1] == 0.0
