@@ -33,8 +33,7 @@ Status: 0 done, 2 bad input (one line says what and where).
 _EXAMPLES = """\
 examples:
   {run} new_rig --out my_rig.yaml
-  {run} new_rig --out my_rig.yaml --radius 36.5mm --muscle DMSP-10 --nominal-length 175mm --length 165mm \\
-      --supply 6bar --valve MPYE-5-M5 --inertia 4.3e-4 --mass 256g --stop 25deg
+  {run} new_rig --out my_rig.yaml --radius 36.5mm --muscle DMSP-10 --supply 6bar --valve MPYE-5-M5
 """
 _OWN = "own"
 _NUMBER = re.compile(r"\s*([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*)\s*")

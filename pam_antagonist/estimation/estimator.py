@@ -54,8 +54,8 @@ class Counts:
     gaps: int
     repaired: int
     restarts: int
-    angles_used: int
-    angles_refused: int
+    angles_used: int = 0
+    angles_refused: int = 0
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,14 @@ def test_a_volume_that_grows_with_length_is_doubted(tables, tmp_path, capsys):
 def test_the_report_shows_every_form_and_loads_nothing(tables, tmp_path):
     assert main(arguments(tables, tmp_path / "out")) == 0
     page = (tmp_path / "out" / "report.html").read_text()
-    for text in ("hildebrandt", "sarosi", "polynomial", "Force over pressure", "Volume over length", "95 % interval"):
+    for text in (
+        "hildebrandt",
+        "sarosi",
+        "polynomial",
+        "Force over pressure",
+        "Volume over length",
+        "95\xa0% interval",
+    ):
         assert text in page
     assert page.count('class="plot"') == 3 and 'src="http' not in page
 

@@ -122,7 +122,7 @@ def _parent(pid: int) -> int:
         (["--tuning", "no_such"], "tuning 'no_such'"),
         (["--duration", "0"], "--duration"),
         (["--duration", "inf"], "--duration"),
-        (["--mode", "stiffness"], "--mode"),
+        (["--mode", "position"], "--mode"),
         (["--mismatch", "1"], "--mismatch"),
         (["--seed", "-1"], "--seed"),
         (["bag"], "bag"),

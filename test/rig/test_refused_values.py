@@ -98,10 +98,10 @@ CASES = {
         ["uncertainty", "friction.shaft"],
     ),
     "no default tuning": (("  default:\n", "  other:\n"), ["tunings", "'default'"]),
-    "negative variance": (("[1.0e-9, 1.0e-6", "[-1.0e-9, 1.0e-6"), ["tunings.default"]),
+    "negative variance": (("[1.0e-12, 1.0e-6", "[-1.0e-12, 1.0e-6"), ["tunings.default"]),
     "no measurement noise": (("[3.65e+5, 3.65e+5]", "[3.65e+5, 0.0]"), ["tunings.default", "measurement"]),
     "three variances": (
-        ("process: [1.0e-9, 1.0e-6, 1.0e+4, 1.0e+4]", "process: [1.0e-9, 1.0e-6, 1.0e+4]"),
+        ("process: [1.0e-12, 1.0e-6, 1.0e+4, 1.0e+4]", "process: [1.0e-12, 1.0e-6, 1.0e+4]"),
         ["tunings.default.process"],
     ),
     "neither yes nor no": (("consider: true", "consider: maybe"), ["tunings.default.consider"]),
@@ -122,7 +122,7 @@ PLACES = {
     "friction.shaft": "shaft: 0.2 ",
     "sensors.torque_std": "torque_std: 0.010",
     "uncertainty.friction.shaft": "friction.shaft: 0.004",
-    "tunings.default.process": "process: [1.0e-9",
+    "tunings.default.process": "process: [1.0e-12",
     "valve_1.curve.voltage": "voltage:   [0.0",
     "valve_1.curve.open_rate": "open_rate: [0.0",
 }

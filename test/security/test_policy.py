@@ -181,7 +181,8 @@ def check_node(name: str, has: Rules) -> None:
     allowed = rules()[name]
     for key, there in has.items():
         assert there <= allowed[key], (name, key)
-    optional = {"/pam/measured/external_torque"}
+    # What a rig or a parameter has to ask for.
+    optional = {"/pam/measured/external_torque", "/pam/angle_sensor", "/pam/external_torque"}
     assert not allowed["topic", "publish"] - has["topic", "publish"] - optional
 
 

@@ -14,7 +14,6 @@ from battery_outcomes import CREEP, DROOP, LEAK, outcome
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.validation.battery import command, outcomes, remainders, scores
 from pam_antagonist.validation.battery.draw import NOTHING_FROM, cases
 from pam_antagonist.validation.battery.plants import JOINTS, Case
@@ -299,4 +298,3 @@ def test_help_teaches(capsys) -> None:
     assert run("--help") == 0
     text = capsys.readouterr().out
     assert "examples:" in text and "--shard" in text and "--docs" in text
-    assert len(CATALOGUE) == 15
