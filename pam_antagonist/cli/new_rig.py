@@ -37,7 +37,6 @@ examples:
 """
 _OWN = "own"
 _NUMBER = re.compile(r"\s*([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*)\s*")
-_MASS = {"kg": 1.0, "g": 1e-3}
 
 
 @dataclass(frozen=True)
@@ -69,14 +68,12 @@ def _quantity(quantity: str, low: float, high: float) -> Callable[[str], float]:
     """Reads a number with its unit; the bounds are in SI units."""
 
     def read(text: str) -> float:
-        units = UNITS.get(quantity, _MASS)
+        units = UNITS[quantity]
         example = {"length": "36.5mm", "pressure": "6bar", "force": "120N", "angle": "25deg", "voltage": "10V"}
         found = _NUMBER.fullmatch(text)
         if found is None or not found[2]:
             raise BadInput(f"{text!r}: expected a number and its unit, such as {example.get(quantity, '250g')}")
-        unit = canonical(repr(text), quantity, found[2]) if quantity in UNITS else found[2].strip()
-        if unit not in units:
-            raise BadInput(f"{text!r}: unknown unit {unit!r}, expected one of {', '.join(units)}")
+        unit = canonical(repr(text), quantity, found[2])
         value = float(found[1]) * units[unit]
         if not low <= value <= high:
             raise BadInput(f"{text!r}: expected {low / units[unit]:g} to {high / units[unit]:g} {unit}")
@@ -246,9 +243,10 @@ def _main(argv: Sequence[str] | None) -> int:
     if path.exists():
         raise BadInput(f"--out {path}: exists; expected a new file, nothing is overwritten")
     values, assumed = _answers(vars(arguments))
-    rig = starting_point(_facts(values))
+    facts = _facts(values)
+    rig = starting_point(facts)
     try:
-        write_rig(rig, path, _remarks(values, assumed))
+        write_rig(rig, path, _remarks(facts, assumed))
     except OSError as error:
         raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from None
     load_rig(path)
@@ -351,7 +349,7 @@ def _facts(values: Mapping[str, Any]) -> Facts:
     )
 
 
-def _remarks(values: Mapping[str, Any], assumed: Sequence[_Question]) -> list[str]:
+def _remarks(facts: Facts, assumed: Sequence[_Question]) -> list[str]:
     """The head of the file: which numbers come from where."""
     lines = [
         "A starting point by new_rig: identify finds what yours really is.",
@@ -362,8 +360,7 @@ def _remarks(values: Mapping[str, Any], assumed: Sequence[_Question]) -> list[st
     ]
     if assumed:
         lines.append(f"Default answers were taken for: {', '.join(question.option for question in assumed)}.")
-    valve = None if values["valve"] == _OWN else named("valve", values["valve"], valve_parts())
-    if valve is not None and valve.closed_centre:
+    if facts.valve.closed_centre:
         lines.append(
             "Attention: this valve lets no air pass at its middle voltage. Equation (5) has no such place: steady"
         )

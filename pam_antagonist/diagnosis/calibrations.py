@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -310,9 +311,15 @@ def found(
         weighed: all calibrations that were tried.
         rivals: for each that was taken, what the recordings cannot tell from it.
     """
+
+    @cache
+    def well(number: int, r: int) -> Fitted:
+        """A recording's fit with its standard deviations, worked out once for all of its calibrations."""
+        return well_known(experiments[r], models[number].fits[r])
+
     out = []
     for name in calibrations_of(models[-1]):
-        model, seen = next((one, values) for one in models if (values := _seen(one, name)))
+        number, seen = next((m, values) for m, model in enumerate(models) if (values := _seen(model, name)))
         gain = next(item.delta_bic or 0.0 for item in weighed if item.effect == name and item.taken)
         # A stamp is off by a part of a sample, whatever a fit says.
         stamped = {r: experiments[r].trial.dt * _STAMP_STD if name.startswith("delay_") else 0.0 for r in seen}
@@ -320,10 +327,7 @@ def found(
         # One that was taken before an effect was found that begins late may turn out to have been a part of that.
         if abs(value) < thresholds.CERTAIN_SIZE * std:
             continue
-        errors = {
-            r: float(np.hypot(_value(well_known(experiments[r], model.fits[r]), calibration.path(name))[1], stamped[r]))
-            for r in seen
-        }
+        errors = {r: float(np.hypot(_value(well(number, r), calibration.path(name))[1], stamped[r])) for r in seen}
         by_recording = {experiments[r].trial.name: (own, errors[r]) for r, (own, _) in seen.items()}
         # What is not known of the rig is the same in all recordings: they are not better together than one of them.
         std = max(_mean(list(by_recording.values()))[1], min(errors.values()))

@@ -24,6 +24,7 @@ _TABLE = {
     "voltage": {"V": 1.0, "mV": 1e-3},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254},
     "volume": {"m3": 1.0, "dm3": 1e-3, "l": 1e-3, "cm3": 1e-6, "ml": 1e-6, "mm3": 1e-9},
+    "mass": {"kg": 1.0, "g": 1e-3},
     "force": {"N": 1.0, "kN": 1e3, "kgf": 9.80665, "lbf": _POUND_FORCE},
 }  # fmt: skip
 

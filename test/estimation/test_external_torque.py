@@ -95,15 +95,12 @@ def test_without_a_prior_it_is_the_random_walk_of_before() -> None:
 
 def test_settings_keep_the_hash_of_recorded_checkpoints() -> None:
     """As it was written before there were a prior and an angle sensor: of these settings, by commit edefdd3's code."""
-    from pam_antagonist.estimation.checkpoint import take
-
     recording = driven("still")
     for name, known in (("shin2022", "fdb4f2161ec7a0ec"), ("sealed_joint", "56f929969598def4")):
         estimator = Estimator(load_rig(name))
         estimator.run(recording.stamp_ns[:3], recording.pressure[:3], recording.voltage[:3])
         checkpoint = estimator.checkpoint()
         assert checkpoint is not None and checkpoint.identity.settings == known
-    assert take  # the function that makes them
 
 
 def test_an_encoder_tells_a_push_and_the_angle() -> None:
