@@ -17,7 +17,7 @@ from pam_antagonist.report import terminal
 from pam_antagonist.rig import load_rig
 from pam_antagonist.strict_json import dumps, write_json
 from pam_antagonist.validation.battery import outcomes, page, remainders
-from pam_antagonist.validation.battery.draw import cases
+from pam_antagonist.validation.battery.draw import LARGE, cases
 from pam_antagonist.validation.battery.plants import DURATION, RIG, Case
 
 _DESCRIPTION = """\
@@ -39,6 +39,7 @@ examples:
   {run} battery --out result --shard 1/2 &   {run} battery --out result --shard 2/2
   {run} battery --out result --count 80 --nothing 100 --docs docs/battery.md
   {run} battery --out result --count 0 --nothing 100
+  {run} battery --out result --count 40 --effect friction
   {run} battery --out result --remainders
 """
 
@@ -53,6 +54,11 @@ def parser() -> common.Parser:
     )
     out.add_argument(
         "--calibrations", type=int, default=0, metavar="N", help="further cases whose only fault is a zero or a clock"
+    )
+    out.add_argument(
+        "--effect",
+        metavar="NAME",
+        help=f"all cases are of this effect, in its forms in turn, {LARGE:g} noises or more (default: all kinds)",
     )
     out.add_argument("--seed", type=int, default=1, metavar="S", help="of the battery (default: 1)")
     out.add_argument(
@@ -93,7 +99,7 @@ def _main(argv: Sequence[str] | None) -> int:
         raise BadInput("--json: expected without --remainders and --bags, which make no summary.json")
     if arguments.remainders:
         return _remainders(_folder(arguments.out))
-    every = cases(arguments.seed, arguments.count, arguments.nothing, arguments.calibrations)
+    every = cases(arguments.seed, arguments.count, arguments.nothing, arguments.calibrations, arguments.effect)
     first, shards = arguments.shard
     mine = every[first - 1 :: shards]
     if arguments.bags is not None:
@@ -108,8 +114,15 @@ def _main(argv: Sequence[str] | None) -> int:
     done = [outcomes.load(folder, k, case, arguments.duration) for k, case in every]
     known = {**remainders.known(), **remainders.load(folder / remainders.FILE)}
     finished = [outcome for outcome in done if outcome is not None]
-    asked = arguments.seed, arguments.count, arguments.nothing, arguments.calibrations, arguments.duration
-    _report(page.Run(*asked, finished, known), arguments)
+    asked = (
+        arguments.seed,
+        arguments.count,
+        arguments.nothing,
+        arguments.calibrations,
+        arguments.duration,
+        arguments.effect,
+    )
+    _report(page.Run(*asked, done=finished, remainders=known), arguments)
     return common.DONE
 
 

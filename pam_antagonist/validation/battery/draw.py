@@ -37,7 +37,9 @@ _OTHER_OF = 4
 Item = TypeVar("Item")
 
 
-def cases(seed: int, count: int, nothing: int = 0, calibrations: int = 0) -> list[tuple[int, Case]]:
+def cases(
+    seed: int, count: int, nothing: int = 0, calibrations: int = 0, effect: str | None = None
+) -> list[tuple[int, Case]]:
     """A battery: half of it single effects, the rest pairs, nothing at all, and what is in no catalogue.
 
     Three quarters of the single effects and both of every pair are in forms that the catalogue's law cannot imitate
@@ -48,13 +50,16 @@ def cases(seed: int, count: int, nothing: int = 0, calibrations: int = 0) -> lis
         count: how many cases; a longer battery of the same seed begins with the shorter one.
         nothing: how many further cases with nothing wrong.
         calibrations: how many further cases whose only fault is a zero or late stamps.
+        effect: if given, the cases are all of this effect, in all its forms in turn and in sizes that count.
 
     Returns:
         Each case with its number.
 
     Raises:
-        BadInput: a negative seed, or numbers of cases that make no battery.
+        BadInput: a negative seed, numbers of cases that make no battery, or an effect that has no forms.
     """
+    if effect is not None and effect not in EFFECTS:
+        raise BadInput(f"battery: no forms of an effect {effect!r}; expected one of {', '.join(EFFECTS)}")
     numbers = count, nothing, calibrations
     if seed < 0 or min(numbers) < 0 or count > NOTHING_FROM or sum(numbers) < 1:
         raise BadInput(
@@ -65,6 +70,9 @@ def cases(seed: int, count: int, nothing: int = 0, calibrations: int = 0) -> lis
     done = {kind: 0 for kind, _ in _KIND_SHARES}
     out = []
     for number in range(count):
+        if effect is not None:
+            out.append((number, _case(number, "single", [draw.form_of(effect)], seed, draw, LARGE)))
+            continue
         # The kind that is furthest behind its share.
         kind = max(_KIND_SHARES, key=lambda item: item[1] * (number + 1) - done[item[0]])[0]
         done[kind] += 1
@@ -85,7 +93,7 @@ def _misread(case: Case, draw: _Draw) -> Case:
     )
 
 
-def _case(number: int, kind: str, forms: Sequence[Form], seed: int, draw: _Draw) -> Case:
+def _case(number: int, kind: str, forms: Sequence[Form], seed: int, draw: _Draw, least: float = 0.0) -> Case:
     effects = [(form.effect, int(draw.rng.integers(1, 3)) if form.by_muscle else None) for form in forms]
     words = " + ".join(f"{effect} {muscle}" if muscle else effect for effect, muscle in effects) or "none"
     return Case(
@@ -94,7 +102,7 @@ def _case(number: int, kind: str, forms: Sequence[Form], seed: int, draw: _Draw)
         effects=tuple(effects),
         form=tuple(form.name for form in forms),
         seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0]),
-        sizes=tuple(draw.size(kind, form) for form in forms),
+        sizes=tuple(draw.size(kind, form, least) for form in forms),
         exact=True,
     )
 
@@ -121,9 +129,14 @@ class _Draw:
         rest = tuple(name for name in EFFECTS if name != effect)
         return [self._form(effect, always=True), self._form(str(self.rng.choice(rest)), always=True)]
 
-    def size(self, kind: str, form: Form) -> float:
+    def form_of(self, effect: str) -> Form:
+        """The form of the next case of an effect, whether or not the catalogue can imitate it."""
+        return self._next((effect, "form"), tuple(form for form in SINGLE if form.effect == effect))
+
+    def size(self, kind: str, form: Form, least: float = 0.0) -> float:
         """The size of a form in the next case of a kind."""
-        levels = LEVELS if kind == "single" else tuple(level for level in LEVELS if level >= LARGE)
+        least = least if kind == "single" else LARGE
+        levels = tuple(level for level in LEVELS if level >= least)
         return self._next((kind, form.effect if kind == "single" else "size", "size"), levels)
 
     def calibration(self) -> tuple[str, float]:

@@ -36,6 +36,7 @@ class Run:
         nothing: how many further ones with nothing wrong.
         calibrations: how many further ones whose only fault is a calibration.
         duration: of a recording [s].
+        effect: that all cases are of; None for all kinds.
         done: outcomes of the cases that are finished.
         remainders: of the forms, by name.
     """
@@ -45,6 +46,7 @@ class Run:
     nothing: int
     calibrations: int
     duration: float
+    effect: str | None
     done: Sequence[Outcome]
     remainders: Mapping[str, Remainder]
 
@@ -200,6 +202,7 @@ def as_json(run: Run) -> dict[str, Any]:
         "nothing": run.nothing,
         "calibrations": run.calibrations,
         "duration": run.duration,
+        "effect": run.effect,
         "finished": len(run.done),
         "code": codes(run),
         "scores": [
@@ -324,6 +327,7 @@ def _command(run: Run) -> str:
     command = f"./run battery --out DIR --count {run.count} --seed {run.seed}"
     command += f" --nothing {run.nothing}" if run.nothing else ""
     command += f" --calibrations {run.calibrations}" if run.calibrations else ""
+    command += f" --effect {run.effect}" if run.effect else ""
     return command + (f" --duration {run.duration:g}" if run.duration != DURATION else "")
 
 

@@ -172,6 +172,17 @@ def test_half_of_the_cases_are_in_forms_that_the_law_cannot_imitate() -> None:
     assert set(known()) == {form.name for form in SINGLE if CATALOGUE[form.effect].deterministic}
 
 
+def test_a_battery_of_one_effect_takes_its_forms_in_turn() -> None:
+    forms = [form.name for form in SINGLE if form.effect == "friction"]
+    battery = [case for _, case in cases(1, 3 * len(forms), effect="friction")]
+    assert {case.effects for case in battery} == {(("friction", None),)}
+    assert {case.kind for case in battery} == {"single"}
+    assert sorted(case.form[0] for case in battery) == sorted(3 * forms)
+    assert {case.sizes[0] for case in battery} == {level for level in LEVELS if level >= LARGE}
+    with pytest.raises(BadInput, match="no forms of an effect 'frictoin'; expected one of hysteresis"):
+        cases(1, 1, effect="frictoin")
+
+
 def test_further_cases_with_nothing_wrong() -> None:
     battery = cases(1, 5, 100)
     assert battery[:5] == cases(1, 5)

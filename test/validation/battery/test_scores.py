@@ -63,7 +63,7 @@ def test_intervals_are_those_of_clopper_and_pearson() -> None:
     assert scores.Share(38, 40).interval == pytest.approx((0.8308, 0.9939), abs=1e-4)
     assert scores.Share(0, 12).interval == pytest.approx((0.0, 0.2646), abs=1e-4)
     assert scores.Share(0, 0).interval is None and scores.Share(0, 0).value is None
-    run = page.Run(1, 2, 0, 0, 60.0, [outcome("single", [LEAK], "effect", [LEAK])], {})
+    run = page.Run(1, 2, 0, 0, 60.0, None, [outcome("single", [LEAK], "effect", [LEAK])], {})
     (first, *_) = page.figures_table(run).rows
     assert first[:4] == ("single effect: the right one first", "100.0 %", "2.5 to 100.0 %", "1")
 
