@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig, corrections
-from pam_antagonist.diagnosis import Diagnosis, calibrations
+from pam_antagonist.diagnosis import Diagnosis, found_calibrations
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.optional import needs
@@ -223,7 +223,7 @@ def diagnose(
 
 def _calibrated(rig: Rig, typed: Corrections, found: Mapping[str, float]) -> Rig:
     """A rig that knows how its recordings are corrected: as they were read, and by what was found in them."""
-    corrected = typed.followed_by(calibrations.corrections(found))
+    corrected = typed.followed_by(found_calibrations.corrections(found))
     return rig.replaced(calibration=Calibration(**corrected.calibration()))
 
 

@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import calibrations, thresholds
+from pam_antagonist.diagnosis import found_calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
@@ -86,10 +86,10 @@ def distinguishing_experiments(
     out = {}
     for other in ambiguous:
         if other in CALIBRATIONS:
-            out[other] = calibrations.experiment(other)
+            out[other] = found_calibrations.experiment(other)
             continue
         if not found and calibrated:
-            out[other] = calibrations.experiment(calibrated[0])
+            out[other] = found_calibrations.experiment(calibrated[0])
             continue
         effect = CATALOGUE[other]
         if DRIVEN in conditions:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import explained, far_calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, evidence
+from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
@@ -26,35 +25,11 @@ from pam_antagonist.inference.gauss_newton import (
 )
 from pam_antagonist.inference.likelihood import solve
 from pam_antagonist.inference.standard_errors import well_known
-from pam_antagonist.recording.corrections import Corrections
 
 _IMITATED = ("torque_scale",)
 """Calibrations that base parameters imitate exactly: muscles, inertia and friction that are as much larger."""
 _STAMP_STD = 12.0**-0.5
 """[sample periods] A stamp tells within which sample something was: its error is uniform over one."""
-
-
-@dataclass(frozen=True)
-class FoundCalibration:
-    """A calibration that recordings need.
-
-    Attributes:
-        name: in :data:`~pam_antagonist.inference.calibration.CALIBRATIONS`.
-        value: in SI units.
-        std: its standard deviation, with that of the rig's parameters.
-        unit: of both.
-        delta_bic: evidence for it.
-        by_recording: value and standard deviation in each recording that shows it, by its name.
-        rivals: effects and calibrations that the recordings cannot tell from it.
-    """
-
-    name: str
-    value: float
-    std: float
-    unit: str
-    delta_bic: float
-    by_recording: Mapping[str, tuple[float, float]]
-    rivals: tuple[str, ...] = ()
 
 
 def tried(
@@ -103,14 +78,14 @@ def tried(
 
 
 def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: int) -> list[TriedCandidate]:
-    """Calibrations that the base parameters of a model at the noise have bent to, the best first.
+    """Calibrations that the parameters of a model at the noise have bent to, the best first.
 
     The residual is noise, so that every block of it counts, or as many as its memory leaves. The evidence is that of
     the posterior: base parameters that need not bend gain what their priors charged.
 
     Args:
         experiments: the recordings.
-        model: without effects, at the noise.
+        model: at the noise, with or without effects.
         number: of the round.
         jobs: threads.
 
@@ -334,108 +309,6 @@ def found(
         unit = calibration.CALIBRATIONS[name].unit
         out.append(FoundCalibration(name, value, std, unit, gain, by_recording, rivals.get(name, ())))
     return tuple(out)
-
-
-def differences(found: Sequence[FoundCalibration]) -> list[str]:
-    """Calibrations in which recordings contradict each other.
-
-    Args:
-        found: the calibrations.
-    """
-    out = []
-    for item in found:
-        values, stds = np.array(list(item.by_recording.values())).T
-        if np.ptp(values) > thresholds.SIZES_DIFFER_STD * np.hypot.reduce(stds) and np.ptp(values) > (
-            thresholds.SIZES_DIFFER * abs(item.value)
-        ):
-            each = "; ".join(
-                f"{name}: {in_words(replace(item, value=value, std=std))}"
-                for name, (value, std) in item.by_recording.items()
-            )
-            out.append(f"the recordings differ in their calibration ({each}): correct each by itself")
-    return out
-
-
-def corrections(values: Mapping[str, float]) -> Corrections:
-    """What undoes calibrations, to be typed.
-
-    Args:
-        values: by name.
-    """
-    return Corrections(
-        encoder_zero=values.get("encoder_zero", 0.0),
-        torque_zero=values.get("torque_zero", 0.0),
-        torque_scale=1.0 + values.get("torque_scale", 0.0),
-        delay_voltage=values.get("delay_voltage", 0.0),
-        delay_angle=values.get("delay_angle", 0.0),
-        delay_torque=values.get("delay_torque", 0.0),
-        delay_pressure=values.get("delay_pressure", 0.0),
-    )
-
-
-def in_words(found: FoundCalibration) -> str:
-    """What a calibration means.
-
-    Args:
-        found: the calibration.
-    """
-    wording = _WORDS[found.name]
-    size, std = abs(found.value) * wording.factor, found.std * wording.factor
-    # A standard deviation has one digit, or two that begin with 1; the value has no more than these.
-    magnitude = float(np.log10(max(std, 1e-6)))
-    digits = max(0, -int(np.floor(magnitude)) + (magnitude % 1.0 < np.log10(2.0)))
-    number = f"{size:.{digits}f} ± {std:.{digits}f} {wording.unit}".replace(" °", "°")
-    return f"{wording.who} {number} too {wording.ways[int(found.value > 0.0)]}"
-
-
-def experiment(name: str) -> str:
-    """What to do to know a calibration without a model.
-
-    Args:
-        name: of the calibration.
-    """
-    return _EXPERIMENTS.get(name, _CLOCK)
-
-
-def alternative(name: str) -> str:
-    """What a report says of a calibration that does as well as what was found.
-
-    Args:
-        name: of the calibration.
-    """
-    what = {"encoder_zero": "a zero of the encoder", "torque_zero": "a zero of the torque meter"}
-    clock = f"stamps of the {name.removeprefix('delay_')} that are early or late"
-    return what.get(name, "another scale of the torque meter" if name == "torque_scale" else clock)
-
-
-class _Words(NamedTuple):
-    """How a calibration is said: of what, with which verb, in which unit, and how a negative and a positive one are."""
-
-    who: str
-    ways: tuple[str, str]
-    unit: str
-    factor: float
-
-
-_STAMPED = ("late", "early")
-_CLOCK = (
-    "stamp everything by one clock, or record a step of a voltage at 1 kHz: late stamps shift the whole answer, what "
-    "is slow rounds its beginning"
-)
-_EXPERIMENTS = {
-    "encoder_zero": "hold the joint at an angle that is known without the encoder (a gauge block, a stop), and read it",
-    "torque_zero": "read the torque meter with both muscles vented and nothing on the joint",
-    "torque_scale": "hang a known weight on the joint and read the torque meter",
-}
-_WORDS = {
-    "encoder_zero": _Words("the encoder reads", ("low", "high"), "°", 180.0 / np.pi),
-    "torque_zero": _Words("the torque meter reads", ("low", "high"), "N m", 1.0),
-    "torque_scale": _Words("the torque meter reads", ("little", "much"), "%", 100.0),
-    "delay_voltage": _Words("the voltages are stamped", _STAMPED, "ms", 1e3),
-    "delay_angle": _Words("the angle is stamped", _STAMPED, "ms", 1e3),
-    "delay_torque": _Words("the torque is stamped", _STAMPED, "ms", 1e3),
-    "delay_pressure": _Words("the pressures are stamped", _STAMPED, "ms", 1e3),
-}
 
 
 def _seen(model: Model, name: str) -> dict[int, tuple[float, float]]:

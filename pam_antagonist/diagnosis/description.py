@@ -9,12 +9,12 @@ from typing import TypeVar
 
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import ambiguity, calibrations, held_out, splits, warnings
+from pam_antagonist.diagnosis import ambiguity, found_calibrations, held_out, splits, warnings
 from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
-from pam_antagonist.diagnosis.calibrations import FoundCalibration
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.findings import profile_sizes
+from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings
 from pam_antagonist.diagnosis.remaining import describe as describe_remaining
 from pam_antagonist.diagnosis.result import (
@@ -90,7 +90,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         sentence=sentence(
             verdict,
             _in_words(prepared, judged, effects),
-            [calibrations.in_words(item) for item in calibrated],
+            [found_calibrations.in_words(item) for item in calibrated],
             splits.in_words({name: firm for j in judged for name, firm in j.firmness.items()}),
             ambiguous,
             share,
@@ -372,7 +372,7 @@ def sentence(
 
 def _instead(name: str) -> str:
     if name in CALIBRATIONS:
-        return f"{calibrations.alternative(name)} would do as well"
+        return f"{found_calibrations.alternative(name)} would do as well"
     effect = CATALOGUE[name]
     return effect.sealed.instead or f"{effect.title} would do as well"
 

@@ -12,7 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import calibrations, residual_statistics
+from pam_antagonist.diagnosis import found_calibrations, residual_statistics
 from pam_antagonist.diagnosis.agreement import common_point, own_rig, with_tuning
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.errors import Errors, Innovations, ModelErrors, Sliding, errors_of, total_of
@@ -239,7 +239,7 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
 def _calibrated(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
     """A recording as the sensors of a model, once calibrated, would have shown it; as read, and on its even grid."""
     point = part.points[model]
-    corrections = calibrations.corrections(calibration.values_of(point.effects))
+    corrections = found_calibrations.corrections(calibration.values_of(point.effects))
     return corrections.applied(recording), part.experiment.corrected(point)[0]
 
 

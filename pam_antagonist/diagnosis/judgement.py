@@ -11,6 +11,7 @@ from pam_antagonist.diagnosis import (
     disturbance_search,
     explained,
     findings,
+    found_calibrations,
     held_out,
     onset,
     splits,
@@ -38,7 +39,7 @@ def judge(prepared: Prepared, group: Group, selection: Selection, settings: Sett
     found = calibrations.found(
         group.experiments, (judged.model, selection.model), selection.calibrations, selection.rivals
     )
-    notes = (*calibrations.differences(found), *warnings.at_bounds(judged.group.experiments, judged.model))
+    notes = (*found_calibrations.differences(found), *warnings.at_bounds(judged.group.experiments, judged.model))
     return replace(judged, calibrations=found, warnings=(*judged.warnings, *notes))
 
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
-from pam_antagonist.diagnosis.calibrations import FoundCalibration
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
+from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import ResidualRow

@@ -101,7 +101,7 @@ def select(
     first = before or explained.remaining_residuals(experiments, base.fits)
     while (number := len(model.effects) + begin) <= most:
         if explained.at_noise(experiments, model):
-            certain = calibrations.hidden(experiments, model, number, jobs) if calibrate and not model.effects else []
+            certain = calibrations.hidden(experiments, model, number, jobs) if calibrate else []
             weighed += [replace(candidate, taken=candidate is certain[0]) for candidate in certain]
             if not certain or certain[0].model is None:
                 break

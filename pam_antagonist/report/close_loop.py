@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from pam_antagonist.diagnosis import calibrations, thresholds
-from pam_antagonist.diagnosis.calibrations import FoundCalibration
+from pam_antagonist.diagnosis import found_calibrations, thresholds
 from pam_antagonist.diagnosis.errors import ModelErrors
+from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.result import (
     Ambiguity,
@@ -57,7 +57,7 @@ class Calibration:
     def of(cls, found: FoundCalibration) -> Calibration:
         """The entry of a calibration."""
         each = {name: Size(value, std, found.unit) for name, (value, std) in found.by_recording.items()}
-        words = calibrations.in_words(found)
+        words = found_calibrations.in_words(found)
         return cls(found.name, found.value, found.std, found.unit, words, found.delta_bic, each, found.rivals)
 
 
@@ -195,7 +195,7 @@ def report(
         holdout: share of each recording that was held out, or names of the recordings that were.
         typed: corrections with which the recordings were read; default: none.
     """
-    further = calibrations.corrections({item.name: item.value for item in found.calibrations})
+    further = found_calibrations.corrections({item.name: item.value for item in found.calibrations})
     return CloseLoopReport(
         verdict=found.verdict,
         sentence=found.sentence,
