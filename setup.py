@@ -64,6 +64,7 @@ setup(
         "PyYAML>=6",
         "rosbags>=0.11.9,<0.12",
         "scipy>=1.11",
+        "threadpoolctl>=3.8",
         "tqdm>=4.64",
         "typing_extensions>=4.5",
     ],

@@ -17,10 +17,11 @@ API = set(pam_antagonist.__all__) - {"__version__"}
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "pam_antagonist"
 
-BASE = "base"  # errors, optional, program, _jit: what every module may use
+BASE = "base"  # errors, optional, blas, program, _jit: what every module may use
 FILES = "files"  # paths, output, strict_yaml, strict_json, software: reading and writing files
 PLACES = {
     "errors": BASE,
+    "blas": BASE,
     "optional": BASE,
     "program": BASE,
     "_jit": BASE,
@@ -64,7 +65,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
 """Layer -> the layers that it may import. A layer imports only layers that stand before it."""
 
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    BASE: ("numba",),
+    BASE: ("numba", "threadpoolctl"),
     "model": ("numpy", "numba"),
     "control": ("numpy",),
     "safety": (),

@@ -56,6 +56,8 @@ ROSDEP = {
     "pyarrow": None,
     "shtab": None,
     "sklearn": None,
+    # Without it a fit takes longer.
+    "threadpoolctl": None,
     # These come with rosbags.
     "backports": "python3-rosbags-pip",
     "lz4": "python3-rosbags-pip",

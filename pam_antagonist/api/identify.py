@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig
+from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed import SealedIdentified, identify_sealed
 from pam_antagonist.identification.session import Identified, Options
@@ -123,6 +124,7 @@ class IdentifyResult:
             write_rig(named, folder / f"rig_{index + 1}.yaml", [*about, remark])
 
 
+@one_blas_thread
 def identify(
     recordings: Bag | Sequence[Bag],
     rig: RigGiven,

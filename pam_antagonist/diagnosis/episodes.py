@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.bootstrap import Interval, drawn, ratio, rmse
 from pam_antagonist.inference.free_parameters import Candidate
@@ -139,6 +140,7 @@ def thinned(episodes: Indices, most: int) -> Indices:
     return episodes[np.linspace(0, len(episodes) - 1, most).round().astype(int)]
 
 
+@one_blas_thread
 def diagnose(
     joint: PressureDriven, share: float, later: PressureDriven | None = None,
     progress: Callable[[str], None] = lambda text: None,

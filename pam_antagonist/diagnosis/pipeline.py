@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis.agreement import check_same_rig
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.description import describe
@@ -16,6 +17,7 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
 
+@one_blas_thread
 def diagnose(
     recordings: Sequence[Recording],
     rig: Rig,
