@@ -16,6 +16,7 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.control import FAST_GAINS, PUBLISHED_GAINS, Mode
 from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain, ros_arguments
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.rig import Rig, load_rig
@@ -29,8 +30,10 @@ Run a sensor-less closed loop live and judge it.
 Starts a simulated joint, the estimator and the controller as three processes at the rig's sample rate (1 kHz), and a
 recorder. The reference of the joint's angle steps to ±20° and back, or that of its torque to ±2 N m with the joint
 locked at 0°. With --mode stiffness the controller's law goes through the model: angle and stiffness step together, in
-smaller steps, for 30 s. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the estimator.
-The results are printed as tables and written to DIR/report.html and DIR/report.json.
+smaller steps, for 30 s. With --mode impedance somebody pushes the joint by up to 1 N m, which yields as a spring and
+damper; it knows the torque by its estimate alone, for 30 s. Everything is recorded into a rosbag2 bag (MCAP), which is
+then replayed through the estimator. The results are printed as tables and written to DIR/report.html and
+DIR/report.json.
 
 The simulated joint differs a little from the rig file (--mismatch), as a real one does. It is a simulator all the
 same: only a recording of a real joint shows how well a real joint does (see replay).
@@ -42,6 +45,7 @@ examples:
   {run} demo
   {run} demo --mode torque --duration 20 --out torque_demo
   {run} demo --mode stiffness
+  {run} demo --mode impedance
 """
 
 _SHARES = (1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0)  # of the largest reference, one a step; a short demo takes the extremes
@@ -54,7 +58,13 @@ _STIFFNESS = (
     4.0,
     8.0,
 )  # by turns; within reach of the paper's joint [N m/rad]
-_MODES = {"angle": Mode.ANGLE, "torque": Mode.TORQUE, "stiffness": Mode.ANGLE_STIFFNESS}
+_SOFT, _DAMPING = (6.0, 4.0, 8.0), 0.5  # of the spring that yields, one after the other [N m/rad], [N m s/rad]
+_PUSHES, _PUSH = (1.0, 0.0, -1.0, 0.0, 0.6, 0.0, -0.6, 0.0), 2.5  # by turns [N m]; each as long [s]
+_MODES = {
+    "angle": Mode.ANGLE, "torque": Mode.TORQUE, "stiffness": Mode.ANGLE_STIFFNESS, "impedance": Mode.IMPEDANCE,
+}  # fmt: skip
+_RIGS = {Mode.IMPEDANCE: "shin2022_external_torque"}
+"""Rigs of modes for which shin2022 will not do: the torque from outside has to be estimated."""
 _LARGEST = {Mode.ANGLE: math.radians(20.0), Mode.TORQUE: 2.0}  # as in the paper [rad], [N m]
 _STEP = 2.75  # length of a step, about [s]; the slowest settles in 2.1 s
 _REST = 1.0  # at the reference 0 before the first step [s]
@@ -68,15 +78,23 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("demo", _DESCRIPTION, _EXAMPLES)
     add = out.add_argument
-    add("--duration", type=_seconds, metavar="S", help="length of the experiment [s] (default: 12, stiffness 30)")
+    add(
+        "--duration",
+        type=_seconds,
+        metavar="S",
+        help="length of the experiment [s] (default: 12, stiffness and impedance 30)",
+    )
     add("--mode", choices=tuple(_MODES), default="angle", help="what is controlled (default: angle)")
     gains_help = (
-        "gains of the PI: fast ones (default), or those of the paper, which take 9 s for a step of the angle; the "
-        "mode stiffness has a law of its own"
+        "gains of the PI: fast ones (default), or those of the paper, which take 9 s for a step of the angle; "
+        "stiffness and impedance have a law of their own"
     )
     add("--gains", choices=tuple(_GAINS), default="fast", help=gains_help)
-    rig_help = "a YAML file, or the name of a rig that comes with the package (default: shin2022)"
-    add("--rig", default="shin2022", metavar="RIG", help=rig_help)
+    rig_help = (
+        "a YAML file, or the name of a rig that comes with the package (default: shin2022; for impedance "
+        "shin2022_external_torque)"
+    )
+    add("--rig", metavar="RIG", help=rig_help)
     add("--tuning", default="default", metavar="NAME", help="filter tuning of the rig (default: default)")
     add("--seed", type=_seed, default=0, metavar="N", help="seed of the joint's mismatch and sensor noise (default: 0)")
     mismatch_help = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
@@ -118,11 +136,15 @@ def main(argv: list[str] | None = None) -> int:
 def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> list[tuple[float, float, float]]:
     """The steps of the reference: time [s], value [rad] or [N m], and stiffness [N m/rad], NaN where none is asked for.
 
+    A joint that yields is asked for one angle all the time, with one stiffness after the other.
+
     Args:
         mode: what is controlled.
         duration: of the experiment [s].
         largest_angle: what the joint can reach [rad]; larger steps are scaled down to four fifths of it.
     """
+    if mode is Mode.IMPEDANCE:
+        return [(k * duration / len(_SOFT), 0.0, stiffness) for k, stiffness in enumerate(_SOFT)]
     rest = min(_REST, 0.1 * duration)
     count = max(2, round((duration - rest) / _STEP))
     length = (duration - rest) / count
@@ -138,19 +160,38 @@ def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> 
     return [(0.0, 0.0, stiffness(0)), *steps]
 
 
+def pushes(mode: Mode, duration: float) -> list[tuple[float, float]]:
+    """When somebody pushes the joint [s], and by how much from then on [N m].
+
+    Args:
+        mode: what is controlled; nobody pushes but where the joint is to yield.
+        duration: of the experiment [s].
+    """
+    if mode is not Mode.IMPEDANCE:
+        return []
+    count = math.ceil((duration - _REST) / _PUSH)
+    return [(0.0, 0.0), *((_REST + k * _PUSH, _PUSHES[k % len(_PUSHES)]) for k in range(count))]
+
+
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     needs_ros("demo")
     common.only_available_figures(arguments)
+    mode = _MODES[arguments.mode]
+    arguments.rig = arguments.rig or _RIGS.get(mode, "shin2022")
     rig = load_rig(arguments.rig)
     rig.tuning(arguments.tuning)
+    if mode is Mode.IMPEDANCE and DISTURBANCE not in rig.effects:
+        raise BadInput(
+            f"--mode impedance: rig {rig.name} does not have the state {DISTURBANCE}; leave --rig out, or see "
+            "docs/interaction.md for what to write into its file"
+        )
     out: Path = arguments.out or Path(datetime.now().strftime("demo-%Y%m%d-%H%M%S"))
     common.check_output(out)
     try:
         (out / "logs").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
-    mode = _MODES[arguments.mode]
     if arguments.duration is None:
         arguments.duration = 30.0 if mode.has_stiffness else 12.0
     try:
@@ -212,7 +253,7 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
         processes.start("plant", ros_arguments({**shared, **joint, **simulated}, {}))
         try:
             steps = references(mode, arguments.duration, rig.joint.stop or math.inf)
-            _steps(processes, mode, steps, arguments.duration, out / "bag")
+            _steps(processes, mode, steps, pushes(mode, arguments.duration), arguments.duration, out / "bag")
         finally:
             # From the source to the sink, so that every sample that was sent is estimated, commanded and recorded.
             processes.stop("plant")
@@ -229,7 +270,12 @@ def _gains(name: str, mode: Mode) -> dict[str, object]:
 
 
 def _steps(
-    processes: Processes, mode: Mode, steps: list[tuple[float, float, float]], duration: float, bag: Path
+    processes: Processes,
+    mode: Mode,
+    steps: list[tuple[float, float, float]],
+    pushed: list[tuple[float, float]],
+    duration: float,
+    bag: Path,
 ) -> None:
     from tqdm import tqdm
 
@@ -245,7 +291,7 @@ def _steps(
                     return "the controller does not listen"
                 # The plant waits for the recorder. So the recording does not begin while a node compiles.
                 processes.start("record", ["--out", str(bag)])
-            return watch.missing()
+            return watch.missing() or ("" if not pushed or watch.may_push() else "nobody can push the joint")
 
         processes.wait(_patient(missing))
         took = f"plant, estimator and controller are running after {time.monotonic() - begin:.1f} s"
@@ -256,7 +302,9 @@ def _steps(
             while (elapsed := time.monotonic() - start) < duration:
                 processes.check()
                 index = max(k for k, (at, _, _) in enumerate(steps) if at <= elapsed)
-                watch.send(mode, *steps[index][1:])
+                watch.send(mode, *steps[index][1:], damping=_DAMPING if mode is Mode.IMPEDANCE else math.nan)
+                while pushed and pushed[0][0] <= elapsed:
+                    watch.push(pushed.pop(0)[1])
                 bar.n = elapsed
                 bar.set_postfix_str(_seen(watch, mode, steps[index][1]), refresh=True)
                 if bar.disable and index != shown and index:

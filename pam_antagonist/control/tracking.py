@@ -80,6 +80,25 @@ def held(stamp_ns: Stamps, reference_stamp_ns: Stamps, value: Floats) -> Floats:
     return np.where(last >= 0, np.asarray(value, dtype=np.float64)[np.maximum(last, 0)], np.nan)
 
 
+def yielded(torque: Floats, equilibrium: Floats, stiffness: Floats, damping: Floats, period: float) -> Floats:
+    """Where a spring and damper is that a torque moves from rest, D dψ/dt + K (ψ − ψ_0) = d (N,) [rad].
+
+    Args:
+        torque: d (N,) [N m].
+        equilibrium: ψ_0 (N,) [rad]; NaN where nothing is asked for.
+        stiffness: K (N,) [N m/rad].
+        damping: D (N,) [N m s/rad].
+        period: between two samples [s].
+    """
+    out, before = np.full(len(torque), np.nan), np.nan
+    for k in np.flatnonzero(np.isfinite(torque + equilibrium + stiffness + damping)):
+        viscous = damping[k] / period
+        before = equilibrium[k] if np.isnan(before) else before
+        before = (viscous * before + stiffness[k] * equilibrium[k] + torque[k]) / (viscous + stiffness[k])
+        out[k] = before
+    return out
+
+
 def tracking(stamp_ns: Stamps, reference: Floats, measured: Floats) -> Tracking:
     """Judge how a measured angle or torque followed its reference.
 

@@ -12,7 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 import rclpy
 from numpy.typing import NDArray
+from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
@@ -161,16 +163,32 @@ class ReferenceClient(PipelineClient):
             "valve_command": ValveCommand,
         }
         super().__init__("watch", namespace, subscribed, ("reference", JointReference, qos.REFERENCE))
+        self._plant = self._node.create_client(SetParameters, "plant/set_parameters")
 
-    def send(self, mode: Mode, value: float, stiffness: float = math.nan) -> None:
+    def send(self, mode: Mode, value: float, stiffness: float = math.nan, damping: float = math.nan) -> None:
         """Publish a reference, stamped now.
 
         Args:
             mode: what the value is.
             value: [rad] or [N m].
             stiffness: [N m/rad], for the modes that have one; NaN: not asked.
+            damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none.
         """
-        self._publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=math.nan))
+        self._publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=damping))
+
+    def may_push(self) -> bool:
+        """Whether the simulated joint is there to be pushed."""
+        self._check()
+        return bool(self._plant.service_is_ready())
+
+    def push(self, torque: float) -> None:
+        """Push the simulated joint from now on, until told otherwise.
+
+        Args:
+            torque: about +z [N m].
+        """
+        self._check()
+        self._plant.call_async(SetParameters.Request(parameters=[Parameter("push", value=torque).to_parameter_msg()]))
 
     def read(self, mode: Mode) -> tuple[float, float]:
         """Estimate and measurement now, [rad] or [N m]; NaN where nothing has come."""

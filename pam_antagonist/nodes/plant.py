@@ -28,7 +28,8 @@ or too high (docs/how-to/safety.md).
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only),
              angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder),
-             rig (std_msgs/String)
+             measured/external_torque (geometry_msgs/WrenchStamped: push, for validation only; of a rig with the state
+             external_torque), rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
 services:    ~/stop, ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
@@ -48,6 +49,14 @@ PARAMETERS = (
         "none",
         "encoder: publishes angle_sensor, by the rig file's encoder",
         choices=ANGLE_SENSORS,
+    ),
+    Parameter(
+        "push",
+        0.0,
+        "torque with which somebody pushes the joint, about +z [N m]",
+        -10.0,
+        10.0,
+        read_only=False,
     ),
     Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),
     Parameter("initial_pressure", [450e3, 450e3], "pressures at the start, absolute [Pa]", 5e4, 2e6),

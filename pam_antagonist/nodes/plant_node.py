@@ -6,10 +6,13 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import SetParametersResult
 from sensor_msgs.msg import FluidPressure, JointState
 
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode
@@ -93,9 +96,30 @@ class PlantNode(PamNode):
             body, self._position = wire.joint_position(values["joint_name"])
             name = TOPICS["angle_sensor"].relative
             self._encoder = wire.Outgoing(self, JointState, name, values["frame_id"], body)
+        self._push: float = values["push"]
+        self._pushed: wire.Outgoing | None = None
+        if DISTURBANCE in rig.effects:
+            name = TOPICS["measured_external_torque"].relative
+            self._pushed = wire.Outgoing(self, WrenchStamped, name, values["frame_id"], wire.WRENCH)
+        self.add_on_set_parameters_callback(self._on_parameters)
         self.steady_timer(self._period * 1e-9, self._tick)
         announce(self, rig)
         self.start_diagnostics(values["joint_name"])
+
+    def cleanup(self) -> None:
+        """Nobody can push it any more."""
+        self.remove_on_set_parameters_callback(self._on_parameters)
+
+    def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
+        """Push the joint from the next sample on."""
+        entry = next(item for item in PARAMETERS if item.name == "push")
+        try:
+            for parameter in changed:
+                if parameter.name == entry.name:
+                    self._push = float(entry.check(parameter.value))  # type: ignore[arg-type]
+        except BadInput as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def activate(self) -> None:
         """Take commands, let time pass, and tell of it."""
@@ -143,7 +167,8 @@ class PlantNode(PamNode):
 
     def _sample(self, stamp_ns: int) -> None:
         """Advance by one period, which ends at the stamp, and publish."""
-        sample = self._plant.step(self.port.output(stamp_ns).voltage)
+        push = self._push
+        sample = self._plant.step(self.port.output(stamp_ns).voltage, push)
         self.port.supervise(stamp_ns, *sample.pressure)
         self._samples += 1
         if not self.active:
@@ -152,6 +177,8 @@ class PlantNode(PamNode):
             output.send(stamp_ns, pressure, self._variance)
         self._valves.send(stamp_ns, *sample.voltage)
         self._joint.send(stamp_ns, *self._joint_values(sample.angle, sample.torque))
+        if self._pushed is not None:
+            self._pushed.send(stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0, push)
         encoder = math.nan
         if self._encoder is not None:
             encoder = sample.encoder

@@ -17,6 +17,7 @@ from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import Accounting, account
 from pam_antagonist.report import html
 from pam_antagonist.report.channels import judged
+from pam_antagonist.report.demo_yielding import Yielding, spring_and_damper
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles
 from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.figures import tracking_figure
@@ -57,6 +58,7 @@ class Demo:
         gains: of the controller, ``fast`` or ``published``; ``model`` for the law through the model.
         tracking: how the reference was followed, in degrees or N m.
         stiffness: how the stiffness was followed, by the estimate's [N m/rad]; None where none was asked for.
+        yielding: how the joint yielded to pushes; None where it was not to.
         accounting: what became of the samples; None where a stage is missing in the recording.
     """
 
@@ -66,6 +68,7 @@ class Demo:
     gains: str
     tracking: Tracking
     stiffness: Tracking | None
+    yielding: Yielding | None
     accounting: Accounting | None
 
     @classmethod
@@ -81,10 +84,11 @@ class Demo:
         Raises:
             BadInput: there is no reference, or no measurement, to judge by.
         """
+        yielding = Yielding.of(replay) if mode is Mode.IMPEDANCE else None
         followed = follow(replay.recording, mode)
         stiffness = tracking(replay.run.stamp_ns, *_stiffness(replay)) if mode.has_stiffness else None
         accounting = account(replay.recording, replay.rig.sample_period)
-        return cls(replay, mode, simulated, gains, followed, stiffness, accounting)
+        return cls(replay, mode, simulated, gains, followed, stiffness, yielding, accounting)
 
     def to_json(self) -> dict[str, Any]:
         """The entry of ``report.json``; the unit of what was controlled is part of the keys."""
@@ -111,6 +115,7 @@ class Demo:
                 ],
             },
             "stiffness": self.stiffness,
+            "yielding": self.yielding,
             "pipeline": self.accounting,
         }
 
@@ -135,8 +140,9 @@ def document(demo: Demo, with_figures: bool = True) -> Document:
     """
     replayed = replay_document([demo.replay], with_figures=with_figures)
     what = demo.mode.quantity.name.lower()
+    task = "yielded to pushes" if demo.yielding is not None else f"followed steps of its {what}"
     lede = (
-        f"A simulated joint followed steps of its {what}. The controller had no {what} sensor: it saw only the "
+        f"A simulated joint {task}. The controller had no {what} sensor: it saw only the "
         "estimate from two pressure sensors. All of it ran live at 1 kHz, was recorded, and was replayed for this "
         "report."
     )
@@ -162,6 +168,8 @@ def _slowest(demo: Demo) -> float:
 
 
 def _verdict(demo: Demo) -> str:
+    if demo.yielding is not None:
+        return demo.yielding.sentence
     sign, followed, slowest = _SIGN[demo.mode.quantity], demo.tracking, _slowest(demo)
     steps = len(followed.steps) - 1
     settled = (
@@ -181,6 +189,8 @@ def _tiles(demo: Demo) -> tuple[Tile, ...]:
         Tile("Slowest step settled after", settling, f"to {100.0 * SETTLED:.0f} % of its height"),
         Tile("Largest steady-state error", error, f"references span {number(followed.range)}{sign}"),
     ]
+    if demo.yielding is not None:
+        out = demo.yielding.tiles()
     if demo.accounting is not None:
         out.append(Tile("Pressure to command", f"{demo.accounting.latency.median:.2f} ms", "median latency"))
     live = demo.replay.report.live_equal
@@ -205,6 +215,8 @@ def follow(recording: Recording, mode: Mode) -> Tracking:
         raise BadInput(f"{recording.path}: no reference or no measured {mode.quantity.name.lower()} was recorded")
     scale = math.degrees(1.0) if mode.quantity is Mode.ANGLE else 1.0
     wanted = held(recording.stamp_ns, reference.stamp_ns, np.where(reference.mode == mode, reference.value, np.nan))
+    if mode is Mode.IMPEDANCE:
+        wanted = spring_and_damper(recording, damped=False)
     try:
         return tracking(recording.stamp_ns, wanted * scale, measured * scale)
     except ValueError as error:
@@ -228,6 +240,9 @@ def control_table(demo: Demo) -> Table:
             f"{percent(followed.performance)} (paper, its rig and gains: {percent(_PAPER[demo.mode.quantity])})",
         ),
     ]
+    if demo.yielding is not None:
+        steady = f"{number(followed.worst_steady_error)}{sign}"
+        rows = [*demo.yielding.rows(), ("Worst steady-state difference from the spring alone", steady)]
     if demo.stiffness is not None:
         stiff = f"{number(demo.stiffness.worst_steady_error)} N m/rad (range: {number(demo.stiffness.range)} N m/rad)"
         rows.append(("Worst steady-state error of the stiffness, estimated", stiff))
@@ -275,12 +290,15 @@ def _figure(demo: Demo) -> Figure:
     replay, mode = demo.replay, demo.mode.quantity
     recording, rows = replay.recording, replay.run.rows
     scale, sign = (math.degrees(1.0), "°") if mode is Mode.ANGLE else (1.0, "N m")
+    about = "The controller sees the estimate, never the measurement."
     name = mode.name.lower()
     measured = replay.measured_angle if mode is Mode.ANGLE else replay.measured_torque
     assert recording.reference is not None and measured is not None  # follow() has looked
     wanted = held(replay.run.stamp_ns, recording.reference.stamp_ns, recording.reference.value)
+    if demo.yielding is not None:
+        wanted = spring_and_damper(recording)[replay.run.index]
+        about += " The reference is where spring and damper would be, by the torque that was applied."
     signals = (measured * scale, rows[name] * scale, wanted * scale)
-    about = "The controller sees the estimate, never the measurement."
     return tracking_figure(
         f"{name.capitalize()}: reference, measurement and estimate",
         about,

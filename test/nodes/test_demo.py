@@ -75,6 +75,23 @@ def test_torque_demo_ends_with_tables_and_reports(tmp_path: Path, domain: None) 
 
 @pytest.mark.ros
 @pytest.mark.realtime
+def test_a_joint_that_is_pushed_yields_as_a_spring_and_damper(tmp_path: Path, domain: None) -> None:
+    out = tmp_path / "out"
+    process = start("--mode", "impedance", "--duration", "6", "--no-figures", "--out", str(out))
+    said, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert "spring and damper" in said
+    report = json.loads((out / "report.json").read_text())
+    yielding, live = report["demo"]["yielding"], report["live_equal"]
+    assert yielding["moved_deg"] > 4.0
+    assert yielding["rmse_deg"] < 0.4 * yielding["moved_deg"]
+    assert live["equal"] == live["compared"] > 5000, live
+    recording = read_bag(out / "bag")
+    assert recording.external_torque is not None and set(recording.external_torque) == {0.0, 1.0}
+
+
+@pytest.mark.ros
+@pytest.mark.realtime
 def test_ctrl_c_stops_every_process_and_keeps_a_whole_bag(tmp_path: Path, domain: None) -> None:
     out = tmp_path / "out"
     process = start("--duration", "60", "--out", str(out))
@@ -123,6 +140,7 @@ def _parent(pid: int) -> int:
         (["--duration", "0"], "--duration"),
         (["--duration", "inf"], "--duration"),
         (["--mode", "position"], "--mode"),
+        (["--mode", "impedance", "--rig", "shin2022"], "does not have the state external_torque"),
         (["--mismatch", "1"], "--mismatch"),
         (["--seed", "-1"], "--seed"),
         (["bag"], "bag"),
@@ -160,6 +178,15 @@ def test_references_are_steps_within_the_paper_s_ranges(mode: Mode, duration: fl
 def test_references_stay_within_what_the_joint_can_reach() -> None:
     steps = demo.references(Mode.ANGLE, 30.0, math.radians(10.0))
     assert max(abs(value) for _, value, _ in steps) == pytest.approx(math.radians(8.0))
+
+
+def test_somebody_pushes_a_joint_that_is_to_yield_and_lets_go_in_between() -> None:
+    pushed = demo.pushes(Mode.IMPEDANCE, 30.0)
+    times, torques = zip(*pushed, strict=True)
+    assert list(times) == sorted(times) and times[-1] < 30.0
+    assert torques[0] == 0.0 and max(torques) == -min(torques) == 1.0
+    assert all(0.0 in pair for pair in zip(torques[1:], torques[2:], strict=False))
+    assert demo.pushes(Mode.ANGLE, 30.0) == []
 
 
 def test_references_of_angle_and_stiffness_are_within_reach_of_the_paper_s_joint() -> None:

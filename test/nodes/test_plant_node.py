@@ -189,8 +189,8 @@ def test_a_sick_pressure_stops_the_valves_until_it_is_well_and_cleared(
     node = make(safe_voltage=[5.0, 5.2])
     step, state = node._plant.step, {"sick": False, "k": 0}
 
-    def measure(voltage: tuple[float, float]) -> Any:
-        sample = step(voltage)
+    def measure(voltage: tuple[float, float], push: float) -> Any:
+        sample = step(voltage, push)
         state["k"] += 1
         second = sick(state["k"], sample.pressure[1]) if state["sick"] else sample.pressure[1]
         return sample._replace(pressure=(sample.pressure[0], second))
@@ -281,3 +281,26 @@ def test_simulated_time_drives_the_samples(domain: None) -> None:
     assert len(stamps) > 60
     assert np.all(np.diff(stamps) == MS)
     assert 100 * 10**9 <= stamps[0] and stamps[-1] <= 100 * 10**9 + 99 * MS
+
+
+def test_it_is_pushed_while_it_runs_and_says_so(make: Callable[..., Any]) -> None:
+    from rclpy.parameter import Parameter
+
+    node = make(rig="shin2022_external_torque", noise=False)
+    pushed = node._pushed._publish = Sent(node._pushed.publisher.msg_type)
+    moved = []
+    for torque in (0.0, 1.0):
+        (result,) = node.set_parameters([Parameter("push", value=torque)])
+        assert result.successful
+        for _ in range(200):
+            node._sample(node.time)
+            node.time += MS
+        moved.append(node.sent["joint"][-1].position[0])
+        assert pushed[-1].wrench.torque.z == torque and stamp(pushed[-1]) == stamp(node.sent["joint"][-1])
+    assert abs(moved[0]) < math.radians(0.1) and moved[1] > math.radians(3.0)
+    (result,) = node.set_parameters([Parameter("push", value=100.0)])
+    assert not result.successful and "push" in result.reason
+
+
+def test_of_a_rig_without_that_state_it_publishes_no_push(make: Callable[..., Any]) -> None:
+    assert make()._pushed is None

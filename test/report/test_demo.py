@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -9,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pam_antagonist.api.simulate import simulate
 from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import RecordedReference, Recording
 from pam_antagonist.replays import replay
 from pam_antagonist.report import terminal
 from pam_antagonist.report.demo import Demo, Simulated, summary, write_report
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig, load_rig
 
 Changed = Callable[..., Recording]
 
@@ -64,6 +66,28 @@ def test_a_stiffness_that_was_asked_for_is_judged_by_the_estimate(
     assert [step["reference"] for step in written["steps"]] == [6.0, 7.0]
     assert written["rmse"] > 0.0
     assert "Worst steady-state error of the stiffness" in terminal.render(summary(demo))
+
+
+def test_a_joint_that_yields_is_judged_by_the_spring_and_damper_asked_for(tmp_path: Path) -> None:
+    """A recording that does just that, but for the noise of the encoder."""
+    rig, count, stiffness, damping = load_rig("shin2022_external_torque"), 3000, 6.0, 0.6
+    made = simulate(rig, np.full((count, 2), 5.5), seed=1)
+    time = 1e-3 * np.arange(1, count + 1)
+    push, since = np.where(time > 1.0, 0.9, 0.0), np.maximum(time - 1.0, 0.0)
+    angle = 0.9 / stiffness * (1.0 - np.exp(-since * stiffness / damping)) + 1e-3 * np.sin(50.0 * time)
+    asked = RecordedReference(
+        made.stamp_ns[[0]], np.array([Mode.IMPEDANCE], np.uint8), *np.array([[0.0], [stiffness], [damping]])
+    )
+    recording = dataclasses.replace(made, angle=angle, external_torque=push, reference=asked)
+    demo = Demo.of(replay(recording, rig), Mode.IMPEDANCE, Simulated(0.0, 1), "model")
+    write_report(tmp_path, demo)
+    found = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demo"]
+    assert found["yielding"]["rmse_deg"] == pytest.approx(np.degrees(1e-3 / np.sqrt(2.0)), rel=0.05)
+    assert found["yielding"]["within"] == 1.0
+    assert [step["reference_deg"] for step in found["tracking"]["steps"]] == pytest.approx([0.0, np.degrees(0.15)])
+    assert "that of spring and damper" in terminal.render(summary(demo))
+    with pytest.raises(BadInput, match="external_torque"):
+        Demo.of(replay(dataclasses.replace(recording, external_torque=None), rig), Mode.IMPEDANCE, Simulated(0.0, 1))
 
 
 def test_without_a_reference_there_is_nothing_to_judge(rig: Rig, free: Recording) -> None:
