@@ -27,7 +27,7 @@ from pam_antagonist.estimation.factor import factorise
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1
 
-_rk4_step, _torque = dynamics.rk4_step, dynamics.torque
+_rk4_step, _torque = dynamics.rk4_step_within, dynamics.torque
 OUTPUTS = 2
 
 
@@ -40,6 +40,7 @@ class Work(NamedTuple):
         scratch: (n, n).
         gain: K (n, 2).
         torques: torque of each sigma point (1 + 2 m + 2 n,) [N m].
+        stages: of a Runge-Kutta step (STAGES + 1, n).
     """
 
     points: np.ndarray
@@ -47,6 +48,7 @@ class Work(NamedTuple):
     scratch: np.ndarray
     gain: np.ndarray
     torques: np.ndarray
+    stages: np.ndarray
 
 
 def make_work(states: int, considered: int) -> Work:
@@ -57,7 +59,14 @@ def make_work(states: int, considered: int) -> Work:
         considered: m.
     """
     n, points = states, 1 + 2 * (states + considered)
-    return Work(np.zeros((points, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, 2)), np.zeros(points))
+    return Work(
+        points=np.zeros((points, n)),
+        lower=np.zeros((n, n)),
+        scratch=np.zeros((n, n)),
+        gain=np.zeros((n, 2)),
+        torques=np.zeros(points),
+        stages=np.zeros((dynamics.STAGES + 1, n)),
+    )
 
 
 @in_place
@@ -151,7 +160,7 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
     spread_points(x, cross, lower, reach, points)
     for k in range(1 + 2 * m + 2 * n):
         which = k if k <= 2 * m else 0
-        _rk4_step(points[k], u, parameter_sets[which], dt, points[k])
+        _rk4_step(points[k], u, parameter_sets[which], dt, points[k], work.stages)
     centre_weight = kappa / spread
     weight = 0.5 / spread
     for i in range(n):

@@ -47,7 +47,8 @@ _FORCE = 10.0
 """[N] By so much the forces of two muscles of one make may differ."""
 _VISCOUS = 0.02
 """[N m s/rad] So much more viscous friction than configured is no surprise; ten times as much looks like Coulomb's."""
-_rk4_step, _torque_needed = dynamics.rk4_step, dynamics.torque_needed
+_STAGES = dynamics.STAGES
+_rk4_step, _torque_needed = dynamics.rk4_step_within, dynamics.torque_needed
 
 
 @kernel
@@ -58,13 +59,14 @@ def _driven(x0, angle, velocity, acceleration, direction, p, dt, substeps):  # t
     u = np.zeros(3)
     pressure = np.empty((samples, 2))
     needed = np.empty(samples)
+    scratch = np.empty((_STAGES + 1, x.shape[0]))
     for k in range(samples):
         if k > 0:
             # Held over a step at its middle, of second order: the joint of p is locked, its air sees the velocity.
             x[1] = (angle[k] - angle[k - 1]) / dt
             for j in range(substeps):
                 x[0] = 0.5 * (angle[k] + angle[k - 1]) + ((j + 0.5) / substeps - 0.5) * (angle[k] - angle[k - 1])
-                _rk4_step(x, u, p, dt / substeps, x)
+                _rk4_step(x, u, p, dt / substeps, x, scratch)
         x[0] = angle[k]
         x[1] = velocity[k]
         needed[k] = _torque_needed(x, acceleration[k], direction[k], p)

@@ -52,7 +52,8 @@ _STICKS = 0.02
 paper's friction have 0.04 to 0.25."""
 _PROBE = 1e3
 """[Pa] Of the differences by which the pressures' noise becomes one of the torque."""
-_step, _needed, _torque = dynamics.rk4_step, dynamics.torque_needed, dynamics.torque
+_STAGES = dynamics.STAGES
+_step, _needed, _torque = dynamics.rk4_step_within, dynamics.torque_needed, dynamics.torque
 
 
 @kernel
@@ -63,6 +64,7 @@ def _along(x0, voltage, angle, velocity, acceleration, direction, p, dt, substep
     torques, lacking = np.empty(samples), np.empty(samples)
     x = x0.copy()
     u = np.zeros(voltage.shape[1])
+    scratch = np.empty((_STAGES + 1, x.shape[0]))
     for k in range(samples):
         if k > 0:
             for i in range(voltage.shape[1]):
@@ -72,7 +74,7 @@ def _along(x0, voltage, angle, velocity, acceleration, direction, p, dt, substep
             for j in range(substeps):
                 # Held over a step at its middle, of second order.
                 x[0] = angle[k - 1] + (j + 0.5) / substeps * moved
-                _step(x, u, p, dt / substeps, x)
+                _step(x, u, p, dt / substeps, x, scratch)
         x[0], x[1] = angle[k], velocity[k]
         torques[k] = _torque(x, p)
         if direction[k] != 0.0:

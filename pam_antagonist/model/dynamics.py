@@ -25,6 +25,8 @@ from pam_antagonist.model.parameters import (
 )
 
 ANGLE, VELOCITY, PRESSURE_1, PRESSURE_2 = 0, 1, 2, 3
+STAGES = 4
+"""Stages of a Runge-Kutta step; a step with added states needs a row of scratch for each, and one more."""
 FIRST, SECOND = np.int64(0), np.int64(1)
 """The muscles. numba would compile whatever is given a bare 0 or 1 once for each."""
 
@@ -278,13 +280,14 @@ def _stop(x, p):
 
 
 @in_place
-def _extended_stages(x, u, p, dt, result, slopes, point):
-    """:func:`rk4_step` with any number of states, on scratch arrays (4, n) and (n,)."""
+def _extended_step(x, u, p, dt, result, scratch):
+    """:func:`rk4_step_within` with any number of states."""
     n = x.shape[0]
+    slopes, point = scratch[:STAGES], scratch[STAGES]
     wanted_1, wanted_2 = _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p)
     _rows(x, u, wanted_1, wanted_2, p, slopes[0])
-    for stage in range(1, 4):
-        reach = dt if stage == 3 else 0.5 * dt
+    for stage in range(1, STAGES):
+        reach = dt if stage == STAGES - 1 else 0.5 * dt
         for i in range(n):
             point[i] = x[i] + reach * slopes[stage - 1, i]
         _rows(point, u, wanted_1, wanted_2, p, slopes[stage])
@@ -294,17 +297,9 @@ def _extended_stages(x, u, p, dt, result, slopes, point):
     _stop(result, p)
 
 
-@kernel
-def _extended_step(x, u, p, dt, result):
-    """:func:`rk4_step` with any number of states."""
-    # One piece of memory: to ask for it takes as long as a good part of the step.
-    memory = np.empty((5, x.shape[0]))
-    _extended_stages(x, u, p, dt, result, memory[:4], memory[4])
-
-
 @inlined
 def _scalar_step(x, u, p, dt, result, plain):
-    """:func:`rk4_step` without added states."""
+    """:func:`rk4_step_within` without added states."""
     alpha_1 = _open_rate(FIRST, u[0], p)
     alpha_2 = _open_rate(SECOND, u[1], p)
     e = _external_torque(u)
@@ -324,12 +319,12 @@ def _scalar_step(x, u, p, dt, result, plain):
 
 @in_place
 def _optional_step(x, u, p, dt, result):
-    """:func:`rk4_step` with options or effects, but without added states."""
+    """:func:`rk4_step_within` with options or effects, but without added states."""
     _scalar_step(x, u, p, dt, result, False)
 
 
 @in_place
-def rk4_step(x, u, p, dt, result):
+def rk4_step_within(x, u, p, dt, result, scratch):
     """One step of the fourth-order Runge-Kutta method with the input held, then the mechanical stop.
 
     Args:
@@ -338,13 +333,28 @@ def rk4_step(x, u, p, dt, result):
         p: parameter vector.
         dt: step [s].
         result: state after the step (n,).
+        scratch: (STAGES + 1, n), used where there are added states.
     """
     if p[PLAIN] != 0.0:
         _scalar_step(x, u, p, dt, result, True)
     elif x.shape[0] == BASE_STATES:
         _optional_step(x, u, p, dt, result)
     else:
-        _extended_step(x, u, p, dt, result)
+        _extended_step(x, u, p, dt, result, scratch)
+
+
+@kernel
+def rk4_step(x, u, p, dt, result):
+    """:func:`rk4_step_within` with scratch of its own; in a loop, to ask for memory takes as long as the step.
+
+    Args:
+        x: state (n,), not changed unless it is also ``result``.
+        u: valve voltages [V] over the step, and where it is known the torque from outside [N m]; (2,) or (3,).
+        p: parameter vector.
+        dt: step [s].
+        result: state after the step (n,).
+    """
+    rk4_step_within(x, u, p, dt, result, np.empty((STAGES + 1, x.shape[0])))
 
 
 @inlined
@@ -380,6 +390,17 @@ def substeps_of(period: float, longest: float = LONGEST_STEP) -> int:
     return max(1, math.ceil(period / longest - 0.1))
 
 
+@in_place
+def _course(x, voltage, p, dt, substeps, states, torques, scratch):
+    for k in range(states.shape[0]):
+        if k > 0:
+            for _ in range(substeps):
+                rk4_step_within(x, voltage[k], p, dt / substeps, x, scratch)
+        for i in range(x.shape[0]):
+            states[k, i] = x[i]
+        torques[k] = torque(x, p)
+
+
 @kernel
 def course(x0, voltage, p, dt, substeps):
     """The model alone, driven by recorded voltages: states and torques, which is all that a fit compares.
@@ -395,16 +416,9 @@ def course(x0, voltage, p, dt, substeps):
     Returns:
         States (N, n) and torques (N,) [N m].
     """
-    samples = voltage.shape[0]
-    states = np.empty((samples, x0.shape[0]))
-    torques = np.empty(samples)
-    x = x0.copy()
-    for k in range(samples):
-        if k > 0:
-            for _ in range(substeps):
-                rk4_step(x, voltage[k], p, dt / substeps, x)
-        states[k] = x
-        torques[k] = torque(x, p)
+    samples, n = voltage.shape[0], x0.shape[0]
+    states, torques = np.empty((samples, n)), np.empty(samples)
+    _course(x0.copy(), voltage, p, dt, substeps, states, torques, np.empty((STAGES + 1, n)))
     return states, torques
 
 

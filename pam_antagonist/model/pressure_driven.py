@@ -12,10 +12,10 @@ import numpy as np
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.model import dynamics, equilibrium
-from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, STAGES, VELOCITY
 from pam_antagonist.model.parameters import FRICTION_STEP, POLYTROPIC_VOLUME, SIGNAL, VALVE, VALVE_SIZE
 
-_rk4_step, _initial_state = dynamics.rk4_step, equilibrium.initial_state
+_rk4_step, _initial_state = dynamics.rk4_step_within, equilibrium.initial_state
 
 
 @kernel
@@ -46,6 +46,7 @@ def angles(first, start, time, pressure, signals, p, longest):
             p[SIGNAL + j] = signals[begin, j]
         x = _initial_state(start[e, 0], pressure[begin, 0], pressure[begin, 1], u, p)
         x[VELOCITY] = start[e, 1]
+        scratch = np.empty((STAGES + 1, x.shape[0]))
         out[begin] = x[ANGLE]
         for k in range(begin + 1, first[e + 1]):
             dt = time[k] - time[k - 1]
@@ -59,6 +60,6 @@ def angles(first, start, time, pressure, signals, p, longest):
                 x[PRESSURE_2] = pressure[k - 1, 1] + late * (pressure[k, 1] - pressure[k - 1, 1])
                 for j in range(signals.shape[1]):
                     p[SIGNAL + j] = signals[k - 1, j] + late * (signals[k, j] - signals[k - 1, j])
-                _rk4_step(x, u, p, h, x)
+                _rk4_step(x, u, p, h, x, scratch)
             out[k] = x[ANGLE]
     return out

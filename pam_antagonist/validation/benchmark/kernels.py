@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pam_antagonist._jit import kernel
+from pam_antagonist._jit import in_place
 from pam_antagonist.estimation import Estimator, simulate_model, ukf
 from pam_antagonist.estimation.estimator import parameter_sets
 from pam_antagonist.model import dynamics
@@ -18,26 +18,27 @@ _SAMPLES_FILTERPY = 1000
 _REFERENCE_NINE_STEPS = 8.0e-6
 """[s] What nine Runge-Kutta steps take on the machine that the bound on the default tuning speaks of."""
 
-_rk4_step = dynamics.rk4_step
+_rk4_step = dynamics.rk4_step_within
 _predict, _innovate, _update = ukf.predict, ukf.innovate, ukf.update
 
 
-@kernel
-def _bare_steps(states, voltages, parameter_sets, points, dt):
+@in_place
+def _bare_steps(states, voltages, parameter_sets, points, dt, scratch):
     """As many Runge-Kutta steps a sample as a filter has sigma points, from states around the sample's."""
     sets = parameter_sets.shape[0]
     for k in range(states.shape[0]):
         for j in range(points.shape[0]):
             for i in range(points.shape[1]):
                 points[j, i] = states[k, i] * (1.0 + 1e-4 * (j - 4))
-            _rk4_step(points[j], voltages[k], parameter_sets[j if j < sets else 0], dt, points[j])
+            _rk4_step(points[j], voltages[k], parameter_sets[j if j < sets else 0], dt, points[j], scratch)
 
 
-@kernel
-def _filter_steps(pressures, voltages, x, covariance, cross, parameter_sets, dt, process, measurement, kappa, work):
+@in_place
+def _filter_steps(
+    pressures, voltages, x, covariance, cross, parameter_sets, dt, process, measurement, kappa, work, innovation,
+    innovation_covariance,
+):  # fmt: skip
     """Predict and update, and nothing else."""
-    innovation = np.empty(2)
-    innovation_covariance = np.empty((2, 2))
     for k in range(voltages.shape[0]):
         _predict(x, covariance, cross, voltages[k], parameter_sets, dt, process, kappa, work)
         _innovate(x, covariance, pressures[k], measurement, innovation, innovation_covariance)
@@ -64,7 +65,9 @@ class _Case:
 
     def bare(self) -> None:
         """2n+1 Runge-Kutta steps a sample."""
-        _bare_steps(self.states, self.voltage, self.parameter_sets, self._points, self.rig.sample_period)
+        _bare_steps(
+            self.states, self.voltage, self.parameter_sets, self._points, self.rig.sample_period, self._work.stages
+        )
 
     def filter(self) -> None:
         """Predict and update."""
@@ -80,6 +83,8 @@ class _Case:
             np.array(self.tuning.measurement),
             self.tuning.kappa,
             self._work,
+            np.empty(2),
+            np.empty((2, 2)),
         )
 
     def sample(self) -> None:
@@ -171,7 +176,7 @@ def _against_filterpy(rig: Rig, case: _Case) -> Figure:
 
     def advance(x: np.ndarray, dt: float, u: np.ndarray) -> np.ndarray:
         result = np.empty(STATES)
-        _rk4_step(x, u, p, dt, result)
+        dynamics.rk4_step(x, u, p, dt, result)
         return result
 
     def observe(x: np.ndarray) -> np.ndarray:
