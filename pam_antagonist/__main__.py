@@ -27,6 +27,7 @@ COMMANDS: dict[str, Command] = {
     "new_rig": Command(
         "pam_antagonist.cli.new_rig:main", "the rig file of a new joint, by ruler, scale and data sheet"
     ),
+    "excite": Command("pam_antagonist.cli.excite:main", "drive a joint so that its recording tells most"),
     "check": Command("pam_antagonist.cli.check:main", "is this a recording of this rig, in the right units?"),
     "replay": Command(
         "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"
@@ -62,6 +63,9 @@ COMMANDS: dict[str, Command] = {
     ),
     "observability": Command(
         "pam_antagonist.validation.observability.command:main", "which sensor tells angle and torque from outside"
+    ),
+    "excitation": Command(
+        "pam_antagonist.validation.excitation.command:main", "how much more a designed excitation tells than steps"
     ),
     "pamy": Command(
         "pam_antagonist.validation.pamy.command:main", "what close_loop makes of a measured arm with regulators"

@@ -54,13 +54,14 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "inference": _OFFLINE,
     "identification": (*_OFFLINE, "inference"),
     "diagnosis": (*_OFFLINE, "inference", "identification"),
+    "design": (*_OFFLINE, "inference", "identification", "diagnosis"),
     "report": (*_RESULTS, "control"),
     "nodes": (*_OFFLINE, "simulation", "control", "safety", "hardware"),
     "api": (*_RESULTS, "simulation", "checks", "report"),
     "__init__": (BASE, "rig", "estimation", "recording", "api"),  # the names of the Python API
-    "cli": (*_RESULTS, *_ONLINE, "checks", "report", "api"),
+    "cli": (*_RESULTS, *_ONLINE, "design", "checks", "report", "api"),
     "__main__": (BASE,),  # it names the executables and imports the one that is asked for
-    "validation": (*_RESULTS, *_ONLINE, "checks", "report", "api", "cli", "__main__"),
+    "validation": (*_RESULTS, *_ONLINE, "design", "checks", "report", "api", "cli", "__main__"),
 }
 """Layer -> the layers that it may import. A layer imports only layers that stand before it."""
 

@@ -39,7 +39,7 @@ def parser() -> common.Parser:
     """The arguments."""
     from pam_antagonist.hardware.line_faults import KINDS
 
-    kinds = "\n".join(f"  {kind.ljust(8)} {meaning}" for kind, meaning in KINDS.items())
+    kinds = "\n".join(f"  {kind.ljust(12)} {meaning}" for kind, meaning in KINDS.items())
     out = common.Parser("device_emulator", _DESCRIPTION, _EXAMPLES + kinds)
     common.add_rig(out)
     common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")

@@ -20,6 +20,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter
 from pam_antagonist.hardware.firmware import Firmware, Readings
 from pam_antagonist.hardware.line_faults import FaultPlan
+from pam_antagonist.hardware.miswired import Miswired
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.simulation.plant import Plant
 
@@ -168,7 +169,7 @@ class Emulator:
         open_port: Callable[[], Port],
         clock: DeviceClock | None = None,
     ) -> None:
-        self._plant = plant
+        self._joint = Miswired(plant, faults)
         self._converter = converter
         self._firmware = firmware
         self._faults = faults
@@ -235,7 +236,7 @@ class Emulator:
             data = self._faults.damaged(self._port.wait(0.0))
             if data:
                 self._send(firmware.receive(data, now_us))
-        sample = self._plant.step(firmware.voltage)
+        sample = self._joint.step(firmware.voltage)
         pressures = (float(sample.pressure[0]), float(sample.pressure[1]))
         first, second, counts, torque = self._converter.readings(pressures, float(sample.angle), float(sample.torque))
         fault = overrun | (Status.STOPPED if self._faults.has("stop") else Status(0))

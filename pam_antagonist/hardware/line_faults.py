@@ -1,4 +1,4 @@
-"""What goes wrong with a device and its line, on purpose and at chosen times."""
+"""What goes wrong with a device, its line and its wiring, on purpose and at chosen times."""
 
 from __future__ import annotations
 
@@ -23,11 +23,17 @@ KINDS = {
     "stall": "the device stands still, as while its program is debugged",
     "stop": "the emergency stop at the device is pressed",
     "restart": "the device restarts once, as after a loss of power",
+    "swap_valves": "valve 1 is at muscle 2, and valve 2 at muscle 1",
+    "swap_sensors": "pressure sensor 1 is at muscle 2, and 2 at muscle 1",
+    "flip_encoder": "the encoder counts the other way round",
+    "no_supply": "the supply is off",
+    "leak": "the fitting of muscle 1 or 2 is not tight",
+    "stuck": "valve 1 or 2 stays where it is",
 }
 """Name -> what happens."""
 
 _PROBABILITIES = ("flip", "drop")
-_CHANNELS = ("freeze", "nan", "broken")
+_CHANNELS = ("freeze", "nan", "broken", "leak", "stuck")
 
 
 @dataclass(frozen=True)

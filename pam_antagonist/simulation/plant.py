@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -145,6 +146,18 @@ class Plant:
     def parameters(self) -> np.ndarray:
         """The true parameter vector (a copy)."""
         return self._p.copy()
+
+    def named(self, names: Sequence[str]) -> dict[str, float]:
+        """True values of parameters, by dotted path."""
+        return {name: float(self._p[par.INDEX[name]]) for name in names}
+
+    def change(self, values: Mapping[str, float]) -> None:
+        """Change true parameters from now on; none that brings a state.
+
+        Args:
+            values: by dotted path.
+        """
+        self._p = par.changed(self._p, values)
 
     def _measured(self, value: float, std: float, step: float) -> float:
         if not self._noise:

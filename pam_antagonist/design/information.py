@@ -1,0 +1,202 @@
+"""What an experiment tells of a model's parameters: Fisher information along a simulated course.
+
+The model and its neighbours, one for each parameter that is moved a little, run side by side from block to block. Their
+differences are the derivatives of what the sensors show. With means over blocks of samples and the sensors' noise they
+make the information matrix ``J' R⁻¹ J`` of the parameters, to which a prior adds 1 in units of its standard deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.free_parameters import Direction, free_parameters
+from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, TORQUE
+from pam_antagonist.model import dynamics, equilibrium, sensor
+from pam_antagonist.model import parameters as par
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+STEP = 2e-3
+"""[s] Of the integration. Derivatives need no finer one."""
+_SHARE = 1e-3
+"""Of a standard deviation: how far a neighbour lies from the model."""
+
+
+def block_noise(rig: Rig) -> Floats:
+    """Standard deviations of the channels' block means by the rig's sensors (4,), in the order of ``CHANNELS``.
+
+    Args:
+        rig: with its sensors.
+    """
+    sensors, size = rig.sensors, max(1, round(BLOCK_S / rig.sample_period))
+    pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0)))
+    raw = np.array([sensors.error("angle"), sensors.error("torque"), pressure, pressure])
+    return np.asarray(np.maximum(raw / np.sqrt(size), [1e-5, 1e-4, 10.0, 10.0]))
+
+
+def unknowns(rig: Rig) -> tuple[Direction, ...]:
+    """The parameters that ``identify`` moves, each by one standard deviation of its prior.
+
+    Args:
+        rig: start values and priors.
+    """
+    return tuple(Direction(item.name, {item.name: item.prior_std}) for item in free_parameters(rig))
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A piece of a simulated experiment.
+
+    Attributes:
+        states: of the model (N, n).
+        shown: what its sensors show (N, 4), in the order of ``CHANNELS``.
+        slopes: derivatives of these by each direction's amount (N, 4, K).
+        rate_slopes: of the angle's rate (N, K).
+        ends: last state of the model and of each neighbour (1 + 2 K or 1 + K of them).
+    """
+
+    states: Floats
+    shown: Floats
+    slopes: Floats
+    rate_slopes: Floats
+    ends: tuple[Floats, ...]
+
+
+class Information:
+    """A model with its neighbours, and what their differences tell.
+
+    Args:
+        rig: the model.
+        directions: what is moved, one standard deviation each (K).
+        joint: ``free`` or ``locked``.
+        lock_angle: [rad], of a locked joint.
+        central: whether neighbours lie on both sides: twice the work, and errors that cancel.
+        channels: what is measured, indices of ``CHANNELS``; default: all that shows.
+        step: of the integration [s].
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        directions: Sequence[Direction],
+        joint: str = "free",
+        lock_angle: float = 0.0,
+        central: bool = False,
+        channels: Sequence[int] | None = None,
+        step: float = STEP,
+    ) -> None:
+        self.directions = tuple(directions)
+        self.dt = step
+        self._central = central
+        self._locked_at = lock_angle if joint == "locked" else None
+        usual = range(len(CHANNELS)) if joint == "free" else (TORQUE, PRESSURE_1, PRESSURE_1 + 1)
+        self.channels = tuple(usual if channels is None else channels)
+        self._noise = block_noise(rig)[list(self.channels)]
+        base = rig.parameters(joint, lock_angle)
+        base[par.FRICTION_STEP] = step
+        signs = (1.0, -1.0) if central else (1.0,)
+        self.vectors = [base]
+        for direction in self.directions:
+            for sign in signs:
+                moved = base.copy()
+                for name, change in direction.changes.items():
+                    moved[par.INDEX[name]] += sign * _SHARE * change
+                self.vectors.append(moved)
+
+    def start(self, pressure: tuple[float, float], voltage: Floats) -> tuple[Floats, ...]:
+        """States of a joint that has stood for long, of the model and of each neighbour.
+
+        Args:
+            pressure: of both muscles [Pa].
+            voltage: on the valves (2,) [V].
+        """
+        out = []
+        for p in self.vectors:
+            angle = equilibrium.rest_angle(*pressure, p) if self._locked_at is None else self._locked_at
+            out.append(np.asarray(equilibrium.initial_state(angle, *pressure, voltage, p)))
+        return tuple(out)
+
+    def along(self, starts: Sequence[Floats], voltage: Floats) -> Course:
+        """Simulate a piece of an experiment.
+
+        Args:
+            starts: states (n,) at its beginning, of the model and of each neighbour.
+            voltage: (N, 2) [V], a row a step.
+        """
+        given = np.concatenate([voltage[:1], voltage])
+        runs = [dynamics.course(x, given, p, self.dt, 1) for x, p in zip(starts, self.vectors, strict=True)]
+        shown = [
+            np.column_stack([states[1:, 0], torque[1:], sensor.readings(states[1:, 2:4], p)])
+            for (states, torque), p in zip(runs, self.vectors, strict=True)
+        ]
+        rates = [states[1:, 1] for states, _ in runs]
+        return Course(
+            runs[0][0][1:], shown[0], self._slopes(shown), self._slopes(rates), tuple(states[-1] for states, _ in runs)
+        )
+
+    def _slopes(self, values: Sequence[Floats]) -> Floats:
+        if not self.directions:
+            return np.zeros((*values[0].shape, 0))
+        if self._central:
+            pairs = zip(values[1::2], values[2::2], strict=True)
+            return np.stack([(one - other) / (2.0 * _SHARE) for one, other in pairs], axis=-1)
+        return np.stack([(one - values[0]) / _SHARE for one in values[1:]], axis=-1)
+
+    def matrix(self, course: Course, count: int | None = None) -> Floats:
+        """Information of a piece about the first directions (count, count), in units of their standard deviations.
+
+        Args:
+            course: the piece; whole blocks of it count.
+            count: how many directions; default: all.
+        """
+        size = max(1, round(BLOCK_S / self.dt))
+        blocks = len(course.slopes) // size
+        kept = course.slopes[: blocks * size, list(self.channels), :count]
+        means = kept.reshape(blocks, size, len(self.channels), -1).mean(axis=1) / self._noise[:, None]
+        flat = means.reshape(-1, means.shape[-1])
+        return np.asarray(flat.T @ flat)
+
+
+def predicted_std(course: Course, spread: Floats) -> Floats:
+    """Standard deviations of angle, rate and pressures along a course (N, 4), by what is uncertain.
+
+    Args:
+        course: the piece.
+        spread: independent ways (K, U) in which the directions' amounts may be off by one standard deviation.
+    """
+    slopes = np.stack(
+        [course.slopes[:, ANGLE], course.rate_slopes, course.slopes[:, PRESSURE_1], course.slopes[:, PRESSURE_1 + 1]],
+        axis=1,
+    )
+    return np.asarray(np.sqrt(np.sum((slopes @ spread) ** 2, axis=2)))
+
+
+def standard_errors(
+    rig: Rig,
+    voltage: Floats,
+    period: float,
+    joint: str = "free",
+    lock_angle: float = 0.0,
+    pressure: tuple[float, float] = (450e3, 450e3),
+) -> dict[str, float]:
+    """Standard errors of the parameters that ``identify`` moves, as shares of their priors.
+
+    Args:
+        rig: the true joint.
+        voltage: (N, 2) [V], a row a period.
+        period: [s].
+        joint: ``free`` or ``locked``.
+        lock_angle: [rad], of a locked joint.
+        pressure: of both muscles at the start [Pa].
+    """
+    free = unknowns(rig)
+    work = Information(rig, free, joint, lock_angle, central=True, step=min(period, STEP))
+    rows = np.repeat(voltage, max(1, round(period / work.dt)), axis=0)
+    course = work.along(work.start(pressure, rows[0]), rows)
+    covariance = np.linalg.inv(work.matrix(course) + np.eye(len(free)))
+    return {item.name: float(np.sqrt(value)) for item, value in zip(free, np.diag(covariance), strict=True)}

@@ -1,0 +1,237 @@
+"""A D-optimal excitation: block by block, the voltages that add most to the determinant of the information.
+
+An experiment is a row of blocks. In each, both valves switch between two pairs of voltages at some pace: one step, or a
+quick to and fro. The pairs and the pace are chosen by differential evolution (scipy) so that
+
+    log det(I + M_before + M_block)
+
+is largest, with the information M in units of the priors. A block is allowed only if the joint stays within the limits
+in it, and in the rest that may follow it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution
+from scipy.stats import qmc
+
+from pam_antagonist.design.information import Information, predicted_std, unknowns
+from pam_antagonist.design.limits import Limits, uncertainty_of
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.valve_curve import steady_open_rate
+from pam_antagonist.model import flow
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+BLOCK = 2.0
+"""[s] Length of a block, about."""
+REST = 1.5
+"""[s] At rest before the first block and after the last one."""
+SHORTEST = 6.0
+"""[s] Of an experiment."""
+_PACES = (1, 2, 3, 5, 8, 14)
+"""How many times a block holds one of its pairs."""
+_TAIL = 0.4
+"""[s] After a block the resting voltages follow in the check: by then a joint has swung out."""
+_STEP = 4e-3
+"""[s] Of the integration while designing; the errors that a plan promises are worked out in finer steps."""
+_POPULATION, _GENERATIONS = 16, 3
+_FORBIDDEN = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """An experiment that was designed.
+
+    Attributes:
+        voltage: (N, 2) [V], a row a sample period.
+        period: [s].
+        joint: ``free`` or ``locked``.
+        lock_angle: [rad], of a locked joint.
+        limits: that it keeps.
+        pressure: of both muscles at rest, where it begins and ends [Pa].
+        rest: voltages of both valves for that [V].
+    """
+
+    voltage: Floats
+    period: float
+    joint: str
+    lock_angle: float
+    limits: Limits
+    pressure: float
+    rest: tuple[float, float]
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return len(self.voltage) * self.period
+
+
+class Design:
+    """The search for an excitation.
+
+    Args:
+        rig: what is known of the joint.
+        limits: that the experiment has to keep.
+        joint: ``free`` or ``locked``.
+        lock_angle: [rad], of a locked joint.
+        seed: of the search.
+
+    Attributes:
+        pressure: of both muscles at rest [Pa].
+        rest: voltages of both valves for that [V].
+        step: time between two rows of voltages [s].
+
+    Raises:
+        BadInput: a joint that is not within the limits even at rest.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        limits: Limits,
+        joint: str = "free",
+        lock_angle: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self._rig, self._limits = rig, limits
+        sought = unknowns(rig)
+        self._count = len(sought)
+        further, self._open = uncertainty_of(rig, sought)
+        self._work = Information(rig, (*sought, *further), joint, lock_angle, step=_STEP)
+        self._rng = np.random.default_rng(seed)
+        self.pressure = 0.5 * (limits.pressure[0] + limits.pressure[1])
+        self.rest = steady_voltage(rig, self.pressure)
+        self.step = self._work.dt
+        self._rest = np.array(self.rest)
+        self._states = self._work.start((self.pressure, self.pressure), self._rest)
+        self._information = np.eye(self._count)
+        tail = self._work.along(self._states, self._rows(self._rest[None], _TAIL))
+        if limits.excess(tail.states, predicted_std(tail, self._open)) > 0.0:
+            raise BadInput(
+                "the joint may leave the limits at rest already, by what the rig file leaves open: expected wider "
+                "limits, or a rig file that is known better (identify)"
+            )
+
+    def _rows(self, pairs: Floats, seconds: float) -> Floats:
+        """Voltages (N, 2) of pairs that follow one another in equal times."""
+        steps = round(seconds / self._work.dt)
+        index = np.minimum(np.arange(steps) * len(pairs) // steps, len(pairs) - 1)
+        return np.asarray(pairs[index])
+
+    def _block(self, choice: Floats, seconds: float) -> Floats:
+        pace = _PACES[min(int(choice[0] * len(_PACES)), len(_PACES) - 1)]
+        pairs = choice[1:].reshape(2, 2)
+        return self._rows(np.array([pairs[k % 2] for k in range(pace)]), seconds)
+
+    def _merit(self, rows: Floats) -> float:
+        """What a block adds, negative, so that less is better; far above 0 where it leaves the limits."""
+        tail = self._rows(self._rest[None], _TAIL)
+        course = self._work.along(self._states, np.concatenate([rows, tail]))
+        over = self._limits.excess(course.states, predicted_std(course, self._open))
+        if over > 0.0:
+            return _FORBIDDEN * (1.0 + over)
+        inside = self._work.matrix(replace(course, slopes=course.slopes[: len(rows)]), self._count)
+        before, after = (np.linalg.slogdet(matrix)[1] for matrix in (self._information, self._information + inside))
+        return float(before - after)
+
+    def _first(self, low: float, high: float) -> Floats:
+        """Choices that the search begins with (16, 5): spread evenly, and to stay at rest, which is always allowed."""
+        spread = qmc.Sobol(5, rng=self._rng).random(_POPULATION)
+        spread[:, 1:] = low + (high - low) * spread[:, 1:]
+        spread[0] = [0.0, *self._rest, *self._rest]
+        return np.asarray(spread)
+
+    def add(self, seconds: float = BLOCK) -> Floats:
+        """Choose one more block.
+
+        Args:
+            seconds: its length [s].
+
+        Returns:
+            Its voltages (N, 2) [V], a row a step.
+        """
+        low, high = self._limits.voltage
+        bounds = [(0.0, 1.0 - 1e-9)] + 4 * [(low, high)]
+        found = differential_evolution(
+            lambda choice: self._merit(self._block(choice, seconds)),
+            bounds, init=self._first(low, high), maxiter=_GENERATIONS, polish=False, tol=0.0, rng=self._rng,
+        )  # fmt: skip
+        if found.fun >= _FORBIDDEN:
+            return self.at_rest(seconds)
+        return self._taken(self._block(found.x, seconds))
+
+    def at_rest(self, seconds: float) -> Floats:
+        """Let the joint rest for a while.
+
+        Args:
+            seconds: how long [s].
+
+        Returns:
+            The voltages (N, 2) [V], a row a step.
+        """
+        return self._taken(self._rows(self._rest[None], seconds))
+
+    def _taken(self, rows: Floats) -> Floats:
+        course = self._work.along(self._states, rows)
+        self._information = self._information + self._work.matrix(course, self._count)
+        self._states = course.ends
+        return rows
+
+
+def steady_voltage(rig: Rig, pressure: float) -> tuple[float, float]:
+    """Voltages under which both muscles keep a pressure, by the valves' law (5).
+
+    Args:
+        rig: the joint.
+        pressure: wanted one [Pa].
+    """
+    p = rig.parameters()
+    alpha = float(steady_open_rate(np.array([pressure]), p)[0])
+    first, second = (float(flow.voltage_for(i, alpha, p)) for i in (0, 1))
+    return first, second
+
+
+def designed(
+    rig: Rig,
+    limits: Limits,
+    seconds: float,
+    joint: str = "free",
+    lock_angle: float = 0.0,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Plan:
+    """An excitation of a given length: a rest, blocks that tell most, and a rest.
+
+    Args:
+        rig: what is known of the joint.
+        limits: that it keeps.
+        seconds: length [s].
+        joint: ``free`` or ``locked``.
+        lock_angle: [rad], of a locked joint.
+        seed: of the search.
+        progress: takes how many seconds more are designed.
+
+    Raises:
+        BadInput: too short, or a joint that may leave the limits even at rest.
+    """
+    if seconds < SHORTEST:
+        raise BadInput(f"{seconds:g} s: expected {SHORTEST:g} s or more")
+    search = Design(rig, limits, joint, lock_angle, seed)
+    rows = [search.at_rest(REST)]
+    left = seconds - 2.0 * REST
+    count = max(1, round(left / BLOCK))
+    for _ in range(count):
+        rows.append(search.add(left / count))
+        if progress is not None:
+            progress(seconds / count)
+    rows.append(search.at_rest(REST))
+    chosen = np.concatenate(rows)
+    samples = np.arange(round(seconds / rig.sample_period)) * rig.sample_period
+    index = np.minimum((samples / search.step + 1e-6).astype(np.int64), len(chosen) - 1)
+    return Plan(chosen[index], rig.sample_period, joint, lock_angle, limits, search.pressure, search.rest)
