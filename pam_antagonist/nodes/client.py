@@ -106,7 +106,7 @@ class PipelineClient:
             parts.append(f"nobody listens to {TOPICS[self._published].relative}")
         return ", ".join(parts)
 
-    def _publish(self, message: Any) -> None:
+    def publish(self, message: Any) -> None:
         """Publish a message, stamped now."""
         self._check()
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -126,7 +126,7 @@ class VoltageClient(PipelineClient):
 
     def send(self, voltage: NDArray[np.float64]) -> None:
         """Command two voltages [V] now."""
-        self._publish(ValveCommand(voltage=[float(value) for value in voltage]))
+        self.publish(ValveCommand(voltage=[float(value) for value in voltage]))
 
     def follow(
         self, voltage: NDArray[np.float64], period: float, check: Callable[[], None], progress: Callable[[float], None]
@@ -174,7 +174,7 @@ class ReferenceClient(PipelineClient):
             stiffness: [N m/rad], for the modes that have one; NaN: not asked.
             damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none.
         """
-        self._publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=damping))
+        self.publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=damping))
 
     def may_push(self) -> bool:
         """Whether the simulated joint is there to be pushed."""

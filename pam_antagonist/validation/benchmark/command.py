@@ -31,6 +31,8 @@ Measure what the package costs on this machine.
 
   joints    six simulated joints in one process at 500 Hz, and at 1 kHz, with a recorder of all (needs ROS 2): losses,
             memory, processor time; only where it is asked for by --only
+  interaction  the pipeline with the torque from outside, the law through the model and the governor (needs ROS 2): the
+            round trip against that of a pipeline that passes messages through; only by --only
   watch     the pipeline with the live page's process, in turns of some 10 s with a page open and without (needs
             ROS 2): the round trip with, against that without, and what the page takes of a core; only by --only
 
@@ -43,7 +45,7 @@ Status: 0 whether or not a bound holds, 2 bad input.
 """
 PARTS = ("kernels", "replay", "pipeline")
 """What is measured unless something else is asked for."""
-_ALL = (*PARTS, "joints", "watch")
+_ALL = (*PARTS, "joints", "interaction", "watch")
 
 
 def parser() -> common.Parser:
@@ -75,7 +77,7 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.soak is not None:
         return _soak(arguments)
     parts = [part for part in _ALL if part in (arguments.only or PARTS)]
-    for part in ("pipeline", "joints", "watch"):
+    for part in ("pipeline", "joints", "interaction", "watch"):
         if part in parts:
             needs_ros(f"benchmark --only {part}")
     figures: list[Figure] = []
@@ -93,6 +95,10 @@ def _main(argv: Sequence[str] | None) -> int:
                 from pam_antagonist.validation.benchmark import joints
 
                 figures += joints.measure(rig, arguments.duration)
+            elif part == "interaction":
+                from pam_antagonist.validation.benchmark import interaction
+
+                figures += interaction.measure(rig, arguments.duration)
             elif part == "watch":
                 from pam_antagonist.validation.benchmark import watch
 

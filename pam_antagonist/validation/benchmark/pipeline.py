@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,8 +26,16 @@ NODES = ("plant", "estimator", "controller")
 
 
 @dataclass(frozen=True)
-class _Run:
-    """One run: what became of its samples, and what each node took."""
+class Run:
+    """One run.
+
+    Attributes:
+        account: what became of its samples.
+        drift_ms: of the samples against the machine's clock.
+        resident_mb: memory of each node.
+        growth_mb: of it over the run.
+        cpu_percent: what each node took of a core.
+    """
 
     account: Accounting
     drift_ms: float
@@ -48,8 +57,8 @@ def measure(rig: str, duration: float) -> list[Figure]:
     period = load_rig(rig).sample_period
     path = str(Path(rig).resolve()) if rig.endswith((".yaml", ".yml")) else rig
     try:
-        empty = _run(_start_passthrough(period), duration, period)
-        real = _run(start_real(path), duration, period)
+        empty = run(start_passthrough(period), duration, period)
+        real = run(start_real(path), duration, period)
     except ProcessFailed as error:
         raise BadInput(f"pipeline: {error}") from None
     lost = sum(real.account.lost.values())
@@ -125,6 +134,12 @@ def measure(rig: str, duration: float) -> list[Figure]:
     ]
 
 
+@contextlib.contextmanager
+def nobody() -> Iterator[Callable[[float], None]]:
+    """Nobody sends references."""
+    yield lambda elapsed: None
+
+
 def start_real(rig: str) -> Callable[[Processes], None]:
     """What starts the three nodes.
 
@@ -141,7 +156,13 @@ def start_real(rig: str) -> Callable[[Processes], None]:
     return start
 
 
-def _start_passthrough(period: float) -> Callable[[Processes], None]:
+def start_passthrough(period: float) -> Callable[[Processes], None]:
+    """What starts three nodes that pass messages through.
+
+    Args:
+        period: of the samples [s].
+    """
+
     def start(processes: Processes) -> None:
         for role in ("estimator", "controller", "plant"):
             processes.start(role, ros_arguments({"sample_period": period}, {}), module=_PASSTHROUGH)
@@ -149,25 +170,44 @@ def _start_passthrough(period: float) -> Callable[[Processes], None]:
     return start
 
 
-def _run(start: Callable[[Processes], None], duration: float, period: float) -> _Run:
+def run(
+    start: Callable[[Processes], None],
+    duration: float,
+    period: float,
+    drive: Callable[[], contextlib.AbstractContextManager[Callable[[float], None]]] = nobody,
+) -> Run:
+    """Run a pipeline with the recorder.
+
+    Args:
+        start: starts its nodes.
+        duration: of the run [s].
+        period: of the samples [s].
+        drive: gives what is called twice a second with the time since the start [s].
+
+    Raises:
+        BadInput: the recording lacks a stage of the pipeline.
+        ProcessFailed: a node does not start, or ends.
+    """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     from pam_antagonist.nodes.client import ReferenceClient
 
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as name:
         folder = Path(name)
-        with Processes(folder) as processes:
+        with Processes(folder) as processes, contextlib.ExitStack() as clients:
             processes.start("record", ["--out", str(folder / "bag")])
             start(processes)
             with ReferenceClient() as watch:
                 processes.wait(watch.missing)
             time.sleep(_SETTLE)
+            act = clients.enter_context(drive())
             nodes = {node: processes.running[node] for node in NODES}
             before = {node: resident_mb(process) for node, process in nodes.items()}
             cpu_before = {node: cpu_seconds(process) for node, process in nodes.items()}
             begin = time.monotonic()
             while (elapsed := time.monotonic() - begin) < duration:
                 processes.check()
+                act(elapsed)
                 time.sleep(min(0.5, duration - elapsed))
             elapsed = time.monotonic() - begin
             resident = {node: resident_mb(process) for node, process in nodes.items()}
@@ -184,7 +224,7 @@ def _run(start: Callable[[Processes], None], duration: float, period: float) -> 
     tenth = max(1, len(lag) // 10)
     # The quickest deliveries of the first and of the last tenth: a busy machine delays samples, it does not drift.
     quickest = [float(np.percentile(part, 1.0)) for part in (lag[:tenth], lag[-tenth:])]
-    return _Run(
+    return Run(
         account=accounting,
         drift_ms=(quickest[1] - quickest[0]) * 1e-6,
         resident_mb=resident,
