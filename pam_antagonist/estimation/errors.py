@@ -26,6 +26,7 @@ class ChannelErrors:
         ratio: `largest` over the range of the measured signal.
         coverage95: share of the measured values in the filter's 95 % interval; None of a model without one.
         width: half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
+        delay_s: by how much the estimate of a torque from outside is behind [s]; None of other channels.
     """
 
     unit: Literal["deg", "nm"]
@@ -34,11 +35,12 @@ class ChannelErrors:
     ratio: float
     coverage95: float | None = None
     width: float | None = None
+    delay_s: float | None = None
 
     def to_json(self) -> dict[str, float]:
         """``rmse_deg`` or ``rmse_nm``, and so on."""
         out = {f"rmse_{self.unit}": self.rmse, f"max_{self.unit}": self.largest, "q": self.ratio}
-        shown = {"coverage95": self.coverage95, "interval_over_rmse": self.width}
+        shown = {"coverage95": self.coverage95, "interval_over_rmse": self.width, "delay_s": self.delay_s}
         return out | {name: value for name, value in shown.items() if value is not None}
 
 

@@ -104,6 +104,30 @@ def _quantiles(level: float) -> tuple[FloatArray, FloatArray]:
     return ratio, 0.5 * (low + high)
 
 
+LONGEST_DELAY = 0.2
+"""[s] Over which a delay is looked for."""
+
+
+def delay(signal: ArrayLike, estimate: ArrayLike, period: float) -> float:
+    """By how much an estimate is behind: the shift by which it fits a signal best, in the mean square.
+
+    Args:
+        signal: as it was (N,), in any unit.
+        estimate: of it (N,), in the same unit.
+        period: between two values [s].
+
+    Returns:
+        0 to ``LONGEST_DELAY`` [s], NaN where the signal never changes.
+    """
+    true, seen = np.asarray(signal, dtype=np.float64), np.asarray(estimate, dtype=np.float64)
+    known = true[np.isfinite(true)]
+    if known.size == 0 or not np.ptp(known) > 0.0:
+        return float("nan")
+    lags = range(min(round(LONGEST_DELAY / period) + 1, len(true)))
+    apart = [_finite(seen[lag:] - true[: len(true) - lag]) for lag in lags]
+    return int(np.argmin([float(np.mean(z * z)) if z.size else math.inf for z in apart])) * period
+
+
 def interval_half_width(variance: ArrayLike, reference: Reading = EXACT, level: float = 0.95) -> FloatArray:
     """Half width of the interval in which a *measured* value is expected around the estimate.
 

@@ -337,7 +337,12 @@ def _external(recording: Recording, run: EstimateRun) -> ChannelErrors | None:
     if recording.external_torque is None or "external_torque" not in run.added:
         return None
     variance = run.rows["external_torque_covariance"][:, 3]
-    return channel_errors(recording.external_torque[run.index], run.rows["external_torque"], "nm", variance)
+    applied, estimate = recording.external_torque[run.index], run.rows["external_torque"]
+    errors = channel_errors(applied, estimate, "nm", variance)
+    late = (
+        metrics.delay(applied, estimate, float(np.median(np.diff(run.stamp_ns))) * 1e-9) if len(run.rows) > 1 else None
+    )
+    return None if errors is None else dataclasses.replace(errors, delay_s=late)
 
 
 def _sealed(recording: Recording, rig: Rig) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -256,6 +257,8 @@ def errors_table(report: ReplayReport, caption: str = "") -> Table:
         out.heading("External torque")
         out.text("  RMSE 𝕀 [N m]", number(external.rmse), "given")
         out.text("  in the 95 % interval", percent(external.coverage95), MISSING)
+        late = external.delay_s
+        out.text("  delay [ms]", MISSING if late is None or math.isnan(late) else f"{1e3 * late:.0f}", MISSING)
     out.heading("Pressure")
     for muscle in (0, 1):
         out.pressures(

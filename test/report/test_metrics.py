@@ -45,6 +45,17 @@ def test_ratio_of_a_signal_without_range_is_not_known() -> None:
     assert math.isnan(metrics.estimation_ratio([1.0, 2.0], [5.0, 5.0]))
 
 
+def test_delay_is_the_shift_that_fits_best() -> None:
+    rng = np.random.default_rng(1)
+    signal = np.repeat(rng.normal(size=20), 100)
+    late = np.concatenate([np.zeros(30), signal[:-30]]) + 0.1 * rng.normal(size=2000)
+    assert metrics.delay(signal, late, 1e-3) == pytest.approx(0.030)
+    assert metrics.delay(signal, 0.5 * signal, 2e-3) == 0.0
+    signal[5::7] = np.nan
+    assert metrics.delay(signal, late, 1e-3) == pytest.approx(0.030)
+    assert np.isnan(metrics.delay(np.zeros(50), np.ones(50), 1e-3))
+
+
 def test_interval_counts_the_reference_sensors_noise_in() -> None:
     # A 3-4-5 triangle: the deviations add in squares.
     half = metrics.interval_half_width([9.0], Reading(4.0))

@@ -26,8 +26,8 @@ ROUND_TRIP = 1.3
 _PUSHED = {"noise": 1.0, "prior": 0.7}
 """What a rig without that state is given: see config/rigs/shin2022_external_torque.yaml."""
 _REFERENCES = ((math.radians(18.0), 6.0), (math.radians(-18.0), 7.0))
-"""Sent by turns, twice a second [rad], [N m/rad]: too far apart for the limits below to let the joint get there, so that
-the governor predicts at each sample."""
+"""Sent by turns, twice a second [rad], [N m/rad]: too far apart for the limits below to let the joint get there, so
+that the governor predicts at each sample."""
 _LIMITS = {"governor_push": 0.1, "max_velocity": 0.5, "max_contraction": 0.06, "max_extension": 0.06}
 
 

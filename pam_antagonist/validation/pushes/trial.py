@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.estimator import ANGLE_SENSORS
+from pam_antagonist.estimation.metrics import delay
 from pam_antagonist.rig import Rig
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
@@ -23,8 +24,6 @@ SETTLED = 0.5
 """[s] After the start, before which nothing is judged."""
 SMALL = 0.3
 """[N m] The push whose detection is judged."""
-_LONGEST_DELAY = 0.2
-"""[s] Over which the delay is looked for."""
 
 
 class Run(NamedTuple):
@@ -111,24 +110,18 @@ def run(rig: Rig, seed: int, seconds: float, kind: str) -> dict[str, Run]:
 def errors(runs: list[Run]) -> dict[str, float]:
     """Root mean square error [N m], coverage of the 95 % interval [-], claimed standard deviation [N m], delay [s].
 
-    The delay is the shift by which the estimates fit best to what was applied.
+    The delay is the median of the joints'.
 
     Args:
         runs: of several joints.
     """
     error = np.concatenate([one.estimate - one.applied for one in runs])
     std = np.concatenate([one.std for one in runs])
-    period = runs[0].period
-    lags = np.arange(round(_LONGEST_DELAY / period))
-    apart = [
-        sum(float(np.sum((one.estimate[lag:] - one.applied[: len(one.applied) - lag]) ** 2)) for one in runs)
-        for lag in lags
-    ]
     return {
         "rmse_nm": float(np.sqrt(np.mean(error**2))),
         "coverage95": float(np.mean(np.abs(error) <= 1.96 * std)),
         "std_nm": float(np.sqrt(np.mean(std**2))),
-        "delay_s": float(lags[int(np.argmin(apart))] * period),
+        "delay_s": float(np.median([delay(one.applied, one.estimate, one.period) for one in runs])),
     }
 
 
