@@ -106,7 +106,7 @@ class PipelineClient:
             parts.append(f"nobody listens to {TOPICS[self._published].relative}")
         return ", ".join(parts)
 
-    def publish(self, message: Any) -> None:
+    def _publish(self, message: Any) -> None:
         """Publish a message, stamped now."""
         self._check()
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -126,7 +126,7 @@ class VoltageClient(PipelineClient):
 
     def send(self, voltage: NDArray[np.float64]) -> None:
         """Command two voltages [V] now."""
-        self.publish(ValveCommand(voltage=[float(value) for value in voltage]))
+        self._publish(ValveCommand(voltage=[float(value) for value in voltage]))
 
     def follow(
         self, voltage: NDArray[np.float64], period: float, check: Callable[[], None], progress: Callable[[float], None]
@@ -154,14 +154,16 @@ class ReferenceClient(PipelineClient):
 
     Args:
         namespace: of the pipeline.
+        listening: False: it publishes alone, and costs the pipeline no delivery of its messages.
     """
 
-    def __init__(self, namespace: str = DEFAULT_NAMESPACE) -> None:
+    def __init__(self, namespace: str = DEFAULT_NAMESPACE, listening: bool = True) -> None:
         subscribed = {
             "joint_estimate": JointEstimate,
             "measured_joint_states": JointState,
             "valve_command": ValveCommand,
         }
+        subscribed = subscribed if listening else {}
         super().__init__("watch", namespace, subscribed, ("reference", JointReference, qos.REFERENCE))
         self._plant = self._node.create_client(SetParameters, "plant/set_parameters")
 
@@ -174,7 +176,7 @@ class ReferenceClient(PipelineClient):
             stiffness: [N m/rad], for the modes that have one; NaN: not asked.
             damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none.
         """
-        self.publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=damping))
+        self._publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=damping))
 
     def may_push(self) -> bool:
         """Whether the simulated joint is there to be pushed."""

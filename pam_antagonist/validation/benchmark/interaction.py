@@ -89,18 +89,11 @@ def _start(rig: str) -> Callable[[Processes], None]:
 
 @contextlib.contextmanager
 def _references() -> Iterator[Callable[[float], None]]:
-    from pam_antagonist.nodes import qos
-    from pam_antagonist.nodes.client import PipelineClient
-    from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
-    from pam_antagonist_msgs.msg import JointReference
+    from pam_antagonist.nodes.client import ReferenceClient
 
-    # Without subscriptions, which would cost the pipeline a delivery of each message.
-    with PipelineClient("drive", DEFAULT_NAMESPACE, {}, ("reference", JointReference, qos.REFERENCE)) as client:
+    with ReferenceClient(listening=False) as client:
 
         def send(elapsed: float) -> None:
-            angle, stiffness = _REFERENCES[int(2.0 * elapsed) % len(_REFERENCES)]
-            client.publish(
-                JointReference(mode=int(Mode.ANGLE_STIFFNESS), value=angle, stiffness=stiffness, damping=math.nan)
-            )
+            client.send(Mode.ANGLE_STIFFNESS, *_REFERENCES[int(2.0 * elapsed) % len(_REFERENCES)])
 
         yield send
