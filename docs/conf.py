@@ -22,6 +22,7 @@ NAVIGATION = {
         "how-to/excite",
         "how-to/check",
         "how-to/import_csv",
+        "how-to/regulators",
         "how-to/static",
         "how-to/identify",
         "how-to/close_loop",

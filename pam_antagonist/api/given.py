@@ -17,13 +17,14 @@ Bag: TypeAlias = _Recording | str | Path
 """A recording, or the path of a rosbag2."""
 
 
-def as_rig(rig: RigGiven) -> Rig:
+def as_rig(rig: RigGiven, regulators: bool = False) -> Rig:
     """The rig itself.
 
     Args:
         rig: or its name, or its file.
+        regulators: as of :func:`load_rig`.
     """
-    return rig if isinstance(rig, Rig) else load_rig(rig)
+    return rig if isinstance(rig, Rig) else load_rig(rig, regulators)
 
 
 def calibration(rig: Rig) -> Corrections:

@@ -113,7 +113,7 @@ def replay(
         >>> result.run.rows["angle"].shape  # [rad], with the covariance of angle, velocity and torque beside it
         (6000,)
     """
-    chosen = as_rig(rig)
+    chosen = as_rig(rig, regulators=True)
     given = as_recording(recording, chosen)
     done = _replay(given, chosen, tuning, joint, lock_angle, read_seconds, progress, begin_s, angle_sensor)
     return ReplayResult(**{item.name: getattr(done, item.name) for item in fields(Replay)})

@@ -39,7 +39,8 @@ def simulate(
 
     Args:
         rig: a rig, its name or its file.
-        voltage: on the valves (N, 2) [V], row k over sample period k; default: a profile.
+        voltage: on the valves (N, 2) [V], or what regulators are asked for [Pa], row k over sample period k; default: a
+            profile.
         profile: ``paper``, ``steps`` or ``multisine``, where no voltages are given.
         duration: of the profile [s].
         joint: ``free`` or ``locked``.
@@ -62,16 +63,17 @@ def simulate(
         >>> len(recording), recording.pressure.shape
         (2000, (2000, 2))
     """
-    chosen = as_rig(rig)
+    chosen = as_rig(rig, regulators=True)
     if voltage is None:
         if profile not in excitation.PROFILES:
             raise BadInput(f"profile {profile!r}: expected one of {', '.join(excitation.PROFILES)}")
-        low, high = chosen.valves.voltage_min, chosen.valves.voltage_max
-        voltage = np.clip(excitation.profile(profile, duration, chosen.sample_period, seed), low, high)
+        voltage = excitation.for_rig(chosen, profile, duration, seed)
     given = np.asarray(voltage, dtype=np.float64)
     if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
         raise BadInput(f"voltage has shape {given.shape}, expected (N, 2)")
-    plant = Plant(chosen, joint, lock_angle, seed, mismatch=mismatch, noise=noise)
+    # Regulators hold the first command before; a valve's voltage alone tells no pressure.
+    before = {} if chosen.drive == "valve" else {"initial_pressure": (float(given[0, 0]), float(given[0, 1]))}
+    plant = Plant(chosen, joint, lock_angle, seed, mismatch=mismatch, noise=noise, **before)
     count = len(given)
     pressure, (angle, torque, encoder) = np.empty((count, 2)), np.empty((3, count))
     for k in range(count):
@@ -84,5 +86,5 @@ def simulate(
     stamps = FIRST_STAMP_NS + np.rint(np.arange(1, count + 1) * chosen.sample_period * 1e9).astype(np.int64)
     return Recording(
         path=Path(path), stamp_ns=stamps, pressure=pressure, voltage=given, angle=angle, torque=torque,
-        angle_sensor=None if chosen.encoder is None else encoder,
+        angle_sensor=None if chosen.encoder is None else encoder, drive=chosen.drive,
     )  # fmt: skip

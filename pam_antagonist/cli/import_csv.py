@@ -101,11 +101,16 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
         for number, valve in enumerate(mapping.valves, 1)
         if mapping.drive == "valve"
     ]
+    if mapping.drive == "regulator":
+        asked = [f"regulator {n} asked for {span(voltage[:, n - 1], 1e-3, 'kPa')} absolute" for n in (1, 2)]
+        valves = (
+            asked if recording.drive == "regulator" else ["pressure regulators: what they were asked for is not there"]
+        )
     lines = [
         f"{arguments.out}: {len(recording)} samples, {recording.duration_s:.3f} s, one each "
         f"{recording.sample_period_s * 1e3:.4g} ms",
         f"  pressures {span(pressure[:, 0], 1e-3, 'kPa')} and {span(pressure[:, 1], 1e-3, 'kPa')} absolute",
-        f"  {', '.join(valves) or 'pressure regulators: no valve voltages'}",
+        f"  {', '.join(valves)}",
         f"  angle {span(recording.angle, float(np.degrees(1.0)), 'deg')}, torque {span(recording.torque, 1.0, 'N m')}, "
         f"external torque {span(recording.external_torque, 1.0, 'N m')}",
     ]

@@ -96,7 +96,7 @@ def _run(arguments: argparse.Namespace) -> int:
             raise BadInput(f"--save: expected one recording, got {len(arguments.bags)}")
         check_estimate(arguments.save)
     common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig)
+    rig = load_rig(arguments.rig, regulators=True)
     rig.tuning(arguments.tuning)
     common.lock_angle(arguments)
     names = common.topics(arguments)

@@ -42,7 +42,8 @@ def parser() -> common.Parser:
         "--profile",
         default="paper",
         metavar="NAME|FILE.csv",
-        help=f"valve voltages: {', '.join(excitation.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s and V",
+        help=f"valve voltages: {', '.join(excitation.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s and V; "
+        "of a rig with pressure regulators what these are asked for, in Pa",
     )
     out.add_argument(
         "--duration", type=float, metavar="S", help="length [s] (default: 130 for paper, 60, or that of the CSV file)"
@@ -64,7 +65,7 @@ def main(argv: list[str] | None = None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
-    rig = load_rig(arguments.rig)
+    rig = load_rig(arguments.rig, regulators=True)
     if arguments.seed < 0:
         raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     angle = common.lock_angle(arguments) or 0.0
@@ -81,20 +82,21 @@ def _main(argv: Sequence[str] | None) -> int:
 
 
 def _voltages(arguments: argparse.Namespace, rig: Rig) -> NDArray[np.float64]:
-    """Voltages of every sample (N, 2) [V], checked against what the rig's valves may be given."""
+    """Commands of every sample (N, 2) [V] or [Pa], checked against what the rig's valves or regulators may be given."""
     name, duration, period = arguments.profile, arguments.duration, rig.sample_period
-    low, high = rig.valves.voltage_min, rig.valves.voltage_max
+    low, high = rig.command_limits
     if duration is not None and not period <= duration <= 86_400.0:
         raise BadInput(f"--duration {duration:g}: expected {period:g} to 86400 s")
     if name in excitation.PROFILES:
         chosen = duration or (excitation.PAPER_DURATION if name == "paper" else 60.0)
-        return np.clip(excitation.profile(name, chosen, period, arguments.seed), low, high)
+        return excitation.for_rig(rig, name, chosen, arguments.seed)
     if not name.endswith(".csv"):
         raise BadInput(f"--profile {name!r}: expected one of {', '.join(excitation.PROFILES)}, or a .csv file")
     time, voltage = excitation.read_table(Path(name))
     outside = np.flatnonzero(((voltage < low) | (voltage > high)).any(axis=1))
     if len(outside):
-        raise BadInput(f"{name}: row {outside[0] + 2} is outside the rig's valve voltages, {low:g} to {high:g} V")
+        what = f"valve voltages, {low:g} to {high:g} V" if rig.drive == "valve" else f"range, {low:g} to {high:g} Pa"
+        raise BadInput(f"{name}: row {outside[0] + 2} is outside the rig's {what}")
     return excitation.held(time, voltage, duration or float(time[-1] - time[0]) + period, period)
 
 

@@ -67,19 +67,27 @@ class Command(NamedTuple):
 
 @dataclass(frozen=True)
 class VoltageLimits:
-    """What may be put on a valve [V].
+    """What may be put on a valve [V], or asked of a pressure regulator [Pa].
 
     Attributes:
-        minimum: lowest voltage [V].
-        maximum: highest voltage [V].
+        minimum: lowest voltage [V] or pressure [Pa].
+        maximum: highest voltage [V] or pressure [Pa].
+        unit: ``V`` or ``Pa``.
     """
 
     minimum: float = 0.0
     maximum: float = 10.0
+    unit: str = "V"
 
     def __post_init__(self) -> None:
         if not -math.inf < self.minimum < self.maximum < math.inf:
-            raise BadInput(f"voltage limits {self.minimum!r} to {self.maximum!r} V: expected one below the other")
+            text = f"{self.minimum!r} to {self.maximum!r} {self.unit}"
+            raise BadInput(f"{self.quantity} limits {text}: expected one below the other")
+
+    @property
+    def quantity(self) -> str:
+        """``voltage`` or ``pressure``."""
+        return "voltage" if self.unit == "V" else "pressure"
 
     def clip(self, voltage: float) -> float:
         """The nearest voltage within the limits; ``voltage`` must be a number [V]."""
@@ -92,8 +100,8 @@ class VoltageLimits:
             BadInput: not two finite voltages within the limits.
         """
         if len(voltage) != 2 or not all(self.minimum <= u <= self.maximum for u in voltage):
-            limits = f"{self.minimum:g} to {self.maximum:g} V"
-            raise BadInput(f"{name} {list(voltage)}: expected two voltages within {limits}")
+            limits = f"{self.minimum:g} to {self.maximum:g} {self.unit}"
+            raise BadInput(f"{name} {list(voltage)}: expected two {self.quantity}s within {limits}")
         return (float(voltage[0]), float(voltage[1]))
 
 

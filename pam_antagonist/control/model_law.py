@@ -13,6 +13,8 @@ For each estimate:
 4. **Open rates** by (4) and (5), solved for the flow and then for α, at the present pressure, volume and volume's rate.
 5. **Voltages** by the inverse of κ, clipped to the valves' limits.
 
+Pressure regulators take the place of steps 3 to 5: they are asked for the pressures of step 2.
+
 I is the integral of the estimate's error, as a torque. It moves only while both pressures are near what is wanted, and
 stands still where the torque is out of reach and it would go further (anti-windup). The first voltages equal those that
 the valves have; the difference fades away with ``blend_time`` (bumpless start).
@@ -41,7 +43,7 @@ from pam_antagonist.control.stiffness import Box, set_pressures
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import composition, dynamics, equilibrium, flow, muscle
 from pam_antagonist.model.dynamics import PRESSURE_1, PRESSURE_2
-from pam_antagonist.model.parameters import STATES, SUPPLY
+from pam_antagonist.model.parameters import SLOT_OF, STATES, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
@@ -49,6 +51,7 @@ _flow_for, _open_rate_for, _voltage_for = flow.flow_for, flow.open_rate_for, flo
 _pull, _make_steady, _mass_loss = equilibrium.pull, equilibrium.make_steady, composition.mass_loss
 _torque, _sliding_friction = dynamics.torque, dynamics.sliding_friction
 
+_REGULATED = SLOT_OF["regulator_rate_1"]
 _NEAR = 15e3
 """[Pa] A pressure within this of what is wanted counts as arrived: the integral moves. Above the ripple of an estimated
 pressure, well below the 60 kPa or so by which friction's torque shifts the pressures of the paper's joint."""
@@ -174,6 +177,8 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
 def voltage_towards(i, pressure, wanted, angle, velocity, bandwidth, p):
     """Steps 3 to 5 for one muscle: the voltage [V] by which its pressure goes to the wanted one.
 
+    A regulator is asked for the wanted pressure itself [Pa].
+
     Args:
         i: muscle, 0 or 1.
         pressure: P_i [Pa].
@@ -183,6 +188,8 @@ def voltage_towards(i, pressure, wanted, angle, velocity, bandwidth, p):
         bandwidth: ω [1/s].
         p: parameter vector.
     """
+    if p[_REGULATED + i] > 0.0:
+        return wanted
     sine, cosine, _ = _leverage(angle, p)
     volume, slope = _volume(i, _length(i, sine, p), p)
     volume_rate = slope * _length_rate(i, cosine, velocity, p)

@@ -21,11 +21,12 @@ from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import PRESSURE_1, PRESSURE_2
-from pam_antagonist.model.parameters import ATMOSPHERE, SUPPLY
+from pam_antagonist.model.parameters import ATMOSPHERE, INDEX, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _forces, _torque, _torque_slope = dynamics.forces, dynamics.torque, dynamics.torque_slope
 
+_LOWEST, _HIGHEST = INDEX["effects.regulator_limits.lowest"], INDEX["effects.regulator_limits.highest"]
 _FORCE_1, _FORCE_2, _TORQUE = 0, 1, 2
 _MOST_STEPS = 40
 _TORQUE_TOLERANCE, _FORCE_TOLERANCE, _STIFFNESS_TOLERANCE = 1e-6, 1e-4, 1e-5
@@ -62,7 +63,7 @@ class Box(NamedTuple):
         """The box of a rig.
 
         Args:
-            p: parameter vector (parameters.SIZE,); its supply is the upper bound.
+            p: parameter vector (parameters.SIZE,); its supply, or the range of its regulators, is the upper bound.
             lowest: pressure [Pa].
             margin: of the supply's pressure that is left, so that air still flows [Pa].
             force: least contraction force of either muscle [N].
@@ -71,6 +72,10 @@ class Box(NamedTuple):
             BadInput: nothing is left between the bounds.
         """
         highest = float(p[SUPPLY]) - margin
+        # Regulators hold a pressure to the end of their range.
+        if p[_HIGHEST] > 0.0:
+            highest = min(highest, float(p[_HIGHEST]))
+        lowest = max(lowest, float(p[_LOWEST]))
         if not p[ATMOSPHERE] <= lowest < highest <= p[SUPPLY]:
             raise BadInput(
                 f"pressures from {lowest:g} Pa to {margin:g} Pa below the supply's {p[SUPPLY]:g} Pa: expected the "

@@ -22,13 +22,18 @@ from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.external_torque import UNBOUNDED
 
 _DIGITS = 16
+_LATER_EFFECTS = (
+    "friction_by_pressure", "friction_by_signal", "load_by_signal", "strength_by_signal", "regulator_limits",
+    "regulator_threshold", "regulator_dead_time", "regulator_lag",
+)  # fmt: skip
 _LATER = {
     par.INDEX["effects.external_torque.prior"]: UNBOUNDED,
     **{
         par.INDEX[parameter_path(name, item.name)]: item.neutral
-        for name in ("friction_by_pressure", "friction_by_signal")
+        for name in _LATER_EFFECTS
         for item in CATALOGUE[name].parameters
     },
+    **{par.SLOT_OF[state.name]: 0.0 for name in _LATER_EFFECTS for state in CATALOGUE[name].states},
     **dict.fromkeys(range(par.SIGNAL, par.SIGNAL + SIGNALS), 0.0),
 }
 """What of the parameter vector came after the first checkpoints: index, and value where it is not used."""

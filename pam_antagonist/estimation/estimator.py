@@ -186,6 +186,8 @@ def _results(samples: int, states: int) -> tuple[np.ndarray, np.ndarray, np.ndar
 class Estimator:
     """The unscented Kalman filter of a rig, on pressures and valve voltages.
 
+    Of a rig with pressure regulators, the pressures [Pa] that these are asked for take the place of the voltages.
+
     Args:
         rig: the rig.
         tuning: name of one of its tunings.
@@ -239,12 +241,12 @@ class Estimator:
         self._row = rows[0]
         # numpy copies a record field by field, which takes longer than the filter's step.
         self._bytes = rows.view(f"V{ESTIMATE_DTYPE.itemsize}")
-        self._compile()
+        self._compile(4e5 if rig.drive == "regulator" else 5.0)
 
-    def _compile(self) -> None:
+    def _compile(self, command: float) -> None:
         """Compile, or load from the cache, everything that a sample needs: nothing is compiled in the loop."""
         for stamp in (1, 1_000_001):
-            self.step(stamp, 4e5, 4e5, 5.0, 5.0)
+            self.step(stamp, 4e5, 4e5, command, command)
         self.reset()
         self._memory.counts[:] = 0
 

@@ -12,6 +12,8 @@ by the time of arrival:
   known voltages, up to ``LONGEST_GAP_NS``; beyond that the filter starts again;
 * a pressure that is not finite: the other one alone is used, or none (prediction only);
 * voltages that are not finite: the last known ones are taken to hold;
+* of a joint with pressure regulators, the voltages are the pressures that these are asked for. A start without a
+  measured pressure takes what the regulator is asked for in its place;
 * a measured angle, where the filter uses one: :mod:`~pam_antagonist.estimation.encoder`;
 * an innovation beyond the gate (Mahalanobis distance): the pressure that is further off is left out,
   then the other one if that is beyond the gate as well. After ``PATIENCE`` such samples in a row it is
@@ -98,6 +100,7 @@ _subsystem, _pressure_behind = dynamics.subsystem, sensor.pressure_behind
 EXTERNAL_TORQUE = CATALOGUE[DISTURBANCE].states[0].name
 """Name of the state that is the torque from outside."""
 _EXTERNAL_TORQUE = SLOT_OF[EXTERNAL_TORQUE]
+_REGULATED = SLOT_OF["regulator_rate_1"]
 _examine, _correct_angle = encoder.examine, encoder.correct
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
 
@@ -447,7 +450,11 @@ def process(stamp, y, u, angle, memory, settings, work, row):
     finite_1 = math.isfinite(y[0])
     finite_2 = math.isfinite(y[1])
     known_u = math.isfinite(u[0]) and math.isfinite(u[1])
-    complete = finite_1 and finite_2 and known_u
+    p = settings.parameter_sets[0]
+    regulated = p[_REGULATED] > 0.0 and p[_REGULATED + 1] > 0.0
+    complete = known_u and (regulated or (finite_1 and finite_2))
+    # A regulator that has stood holds what it is asked for, measured or not.
+    at_rest = (y[0] if finite_1 else u[0], y[1] if finite_2 else u[1])
     memory.innovation[:] = np.nan
     memory.innovation_covariance[:] = np.nan
     elapsed = stamp - clock[LAST]
@@ -455,7 +462,7 @@ def process(stamp, y, u, angle, memory, settings, work, row):
         return False
     if clock[RUNNING] == 0:
         if complete:
-            return _begin(stamp, y, u, angle, memory, settings, work, row)
+            return _begin(stamp, at_rest, u, angle, memory, settings, work, row)
         counts[_MISSING] += 1
         return False
 
@@ -468,7 +475,7 @@ def process(stamp, y, u, angle, memory, settings, work, row):
         # Nothing of the old estimate is of use: begin again with this sample, or with the next good one.
         clock[RUNNING] = 0
         counts[_RESTARTS] += 1
-        return complete and _begin(stamp, y, u, angle, memory, settings, work, row)
+        return complete and _begin(stamp, at_rest, u, angle, memory, settings, work, row)
 
     use_1, use_2, outlier = _gate(y, finite_1, finite_2, memory, settings)
     nis = _correct(use_1, use_2, memory, settings, work)

@@ -44,6 +44,14 @@ _FORCE = 1.0
 _STEP = 2e-3
 _CLEAR = 5.0
 """Standard deviations of its noise from which on a velocity at an episode's start counts."""
+_NO_REGULATORS = {
+    f"effects.{name}.{item.name}": 0.0
+    for name, effect in CATALOGUE.items()
+    if name.startswith("regulator_")
+    for item in effect.parameters
+    if item.is_size
+}
+"""The pressures are measured: what the regulators make of their commands is in them."""
 _RUNAWAY = 10.0
 """[rad] Beyond it a model is wrong, however far it runs."""
 _ROUNDS = 20
@@ -262,7 +270,7 @@ class PressureDriven:
 
     def simulated(self, model: PressureModel) -> Floats:
         """What the encoder would show (N,) [rad]."""
-        p = par.changed(self.rig.parameters(), self.values(model))
+        p = par.changed(self.rig.parameters(), {**self.values(model), **_NO_REGULATORS})
         return np.asarray(angles(self.first, self._start, self.time, self.pressure, self.signals, p, _LONGEST_STEP))
 
     def residual(self, model: PressureModel) -> Floats:

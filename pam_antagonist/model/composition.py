@@ -22,6 +22,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import itertools
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -123,15 +124,17 @@ class _Writer:
                 )
         return f"{alias}({', '.join(arguments)})", used, held
 
-    def hook(self, hook: Hook) -> None:
-        """Write the function of a hook."""
+    def hook(self, hook: Hook, before: str = "") -> None:
+        """Write the function of a hook; of the effects before one alone, where its name is given."""
         index = ["i"] if hook.of_muscle else []
         extra = [name for name in hook.quantities if name not in _EXPRESSIONS]
         within = ["x"] if hook.states != "none" else []
-        lines = ["@inlined", f"def {hook.name}({', '.join([hook.value, *index, *extra, *within, 'p'])}):"]
+        title = f"{hook.name}_before_{before}" if before else hook.name
+        lines = ["@inlined", f"def {title}({', '.join([hook.value, *index, *extra, *within, 'p'])}):"]
         lines.append(f"    value = {hook.value}")
         at_once, later = [], []
-        acting = [effect for effect in self.effects.values() if hook.name in effect.hooks]
+        first = itertools.takewhile(lambda effect: effect.name != before, self.effects.values())
+        acting = [effect for effect in first if hook.name in effect.hooks]
         for effect in reversed(acting) if hook.name == "sensor_inverse" else acting:
             expressions = {hook.value: "value"} if hook.way == "replaces" else {}
             text, used, held = self.call(
@@ -194,7 +197,8 @@ class _Writer:
                 text = "0.0"
                 held: list[AddedState] = []
                 if function is not None:
-                    text, _, held = self.call(effect, function, where, quantities, of_muscle, expressions)
+                    own = {key: text.format(effect=effect.name) for key, text in expressions.items()}
+                    text, _, held = self.call(effect, function, where, quantities, of_muscle, own)
                 name = state.family
                 lines += [f"    {name}_at = {self.slot(state, of_muscle)}", f"    if {name}_at > 0.0:"]
                 for other in held:
@@ -223,6 +227,11 @@ class _Writer:
         self.functions.append("\n".join(lines))
 
 
+def _asks(function: Any) -> bool:
+    """Whether a function of a state asks for the pressure that a regulator goes by."""
+    return "asked_pressure" in inspect.signature(getattr(function, "py_func", lambda: None)).parameters
+
+
 def source_text(effects: Mapping[str, Effect]) -> str:
     """Source of the module that puts effects together.
 
@@ -241,11 +250,16 @@ def source_text(effects: Mapping[str, Effect]) -> str:
     writer = _Writer(effects)
     for hook in HOOKS.values():
         writer.hook(hook)
-    static = {"static_force": "static_map(i, muscle_length, chamber_pressure, p)"}
+    for effect in effects.values():
+        if any(_asks(state.rate) or _asks(state.steady_value) for state in effect.states):
+            writer.hook(HOOKS["asked_pressure"], effect.name)
+    asked = {"asked_pressure": "asked_pressure_before_{effect}(valve_voltage, i, x, p)"}
+    static = {"static_force": "static_map(i, muscle_length, chamber_pressure, p)", **asked}
     writer.state_values("muscle_rates", "dx", "rate", True, MUSCLE_RATE, static)
     writer.state_values("joint_rates", "dx", "rate", False, JOINT_RATE, {})
     behind = "chamber_pressure(valve_pressure, i, x, p)"
     steady_value = {
+        **asked,
         "chamber_pressure": behind,
         "static_force": f"static_map(i, muscle_length, {behind}, p)",
     }

@@ -33,8 +33,9 @@ options:
   --max-duration S  begin a new file after so many seconds (default: one file)
   --namespace /NS   record the joint in this namespace (default: that of this node); may be given several times
 
-subscribes:  pressure_1, pressure_2, valve_state, valve_command, joint_estimate, joint_states, reference,
-             measured/joint_states, measured/external_torque, rig, filter_checkpoint, /diagnostics
+subscribes:  pressure_1, pressure_2, valve_state, valve_command, pressure_state, pressure_command, joint_estimate,
+             joint_states, reference, measured/joint_states, measured/external_torque, rig, filter_checkpoint,
+             /diagnostics
 """
 
 PARAMETERS: tuple[Parameter, ...] = ()

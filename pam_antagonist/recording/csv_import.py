@@ -48,7 +48,8 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
     issues = list(table.issues)
     times = timing(where, mapping.time, table)
     issues += times.issues
-    signals = _signals(mapping, table, times.keep, issues)
+    first = np.searchsorted(times.stamp_ns, [] if times.episode_ns is None else times.episode_ns)
+    signals = _signals(mapping, table, times.keep, np.union1d([0], first).astype(np.intp), issues)
     _check(where, mapping, signals, issues)
     columns = {name: _si(mapping, name, signal) for name, signal in signals.items()}
     stamp_ns = times.stamp_ns
@@ -58,8 +59,11 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
         columns = {name: _resampled(name, grid, stamp_ns, values) for name, values in columns.items()}
         issues.append(_resampling_issue(stamp_ns, rate))
         stamp_ns = grid
+    # A joint with regulators has no voltages; where its commands are not in the file either, a placeholder is written.
+    drive = "valve" if mapping.command_1 is None else "regulator"
+    name = {"valve": "valve", "regulator": "command"}[drive]
     voltage = [
-        columns[f"valve_{n}"] if f"valve_{n}" in columns else _constant(mapping, n, len(stamp_ns)) for n in (1, 2)
+        columns[f"{name}_{n}"] if f"{name}_{n}" in columns else _constant(mapping, n, len(stamp_ns)) for n in (1, 2)
     ]
     measured = {name: _or_none(table.labels[name], columns[name], issues) for name in mapping.measured()}
     recording = Recording(
@@ -74,6 +78,7 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
             name: FurtherSignal(columns[f"{ALSO}{name}"], _UNIT[entry.quantity]) for name, entry in mapping.also.items()
         },
         episode_ns=times.episode_ns,
+        drive=drive,
     )
     _judge_missing(where, recording, table, issues)
     return _cut(where, replace(recording, issues=tuple(issues)), mapping)
@@ -110,12 +115,21 @@ def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
     found = {"pam_antagonist.source": path.name, "pam_antagonist.source_sha256": digest.hexdigest()}
     if mapping.sealed:
         found[SEALED] = " ".join(map(str, mapping.sealed))
-    if mapping.drive == "regulator":
+    if mapping.drive == "regulator" and mapping.command_1 is None:
         found[REGULATOR] = "true"
     return found
 
 
-def _signals(mapping: CsvMap, table: Table, keep: NDArray[np.intp], issues: list[str]) -> dict[str, Signal]:
+def _held(values: Floats, first: NDArray[np.intp]) -> Floats:
+    """What held up to each row, of values that hold from their rows on; ``first`` rows of episodes keep their own."""
+    out = np.concatenate((values[:1], values[:-1]))
+    out[first] = values[first]
+    return out
+
+
+def _signals(
+    mapping: CsvMap, table: Table, keep: NDArray[np.intp], first: NDArray[np.intp], issues: list[str]
+) -> dict[str, Signal]:
     """Scaled numbers of every column, in its unit; NaN for what is not finite."""
     signals = {}
     for name, cells in table.values.items():
@@ -129,7 +143,7 @@ def _signals(mapping: CsvMap, table: Table, keep: NDArray[np.intp], issues: list
             values[infinite] = np.nan
         if getattr(entry, "holds", "until_row") == "from_row":
             # A sample has the voltage of the time before it; nothing is known of the time before the first row.
-            values = np.concatenate((values[:1], values[:-1]))
+            values = _held(values, first)
         signals[name] = Signal(table.labels[name], values, entry.unit, getattr(entry, "reference", None) or "")
     return signals
 
@@ -144,6 +158,9 @@ def _check(where: str, mapping: CsvMap, signals: dict[str, Signal], issues: list
             wrong_unit.check_voltage(where, constant, issues)
         else:
             wrong_unit.check_voltage(where, signals[name], issues)
+    if "command_1" in signals:
+        asked = (signals["command_1"], signals["command_2"])
+        wrong_unit.check_pressures(where, *asked, _atmosphere(mapping), issues)
     if "angle" in signals:
         wrong_unit.check_angle(where, signals["angle"], issues)
     for name in ("torque", "external_torque"):
@@ -177,7 +194,7 @@ def _constant(mapping: CsvMap, number: int, size: int) -> Floats:
 
 def _resampled(name: str, grid: Stamps, stamp_ns: Stamps, values: Floats) -> Floats:
     """Values on the grid: lines between rows; a valve's voltage is that of the next row, which holds before it."""
-    if name.startswith("valve"):
+    if name.startswith(("valve", "command")):
         return np.asarray(values[np.minimum(np.searchsorted(stamp_ns, grid, side="left"), len(values) - 1)])
     return interpolate(grid, stamp_ns, values)
 
@@ -205,7 +222,7 @@ def _judge_missing(where: str, recording: Recording, table: Table, issues: list[
         table.labels["pressure_1"]: np.isfinite(recording.pressure[:, 0]),
         table.labels["pressure_2"]: np.isfinite(recording.pressure[:, 1]),
     }
-    valves = [label for name, label in table.labels.items() if name.startswith("valve")]
+    valves = [label for name, label in table.labels.items() if name.startswith(("valve", "command"))]
     if valves:
         present[" and ".join(valves)] = np.asarray(np.isfinite(recording.voltage).all(axis=1))
     judge_pairing(where, recording.stamp_ns, present, issues, recording.episode_ns)

@@ -24,7 +24,8 @@ _SWITCHES = ("header", "sealed")
 _LOWEST_ATMOSPHERE, _HIGHEST_ATMOSPHERE = 50e3, 120e3  # [Pa], as in rigs
 QUANTITIES = {
     "time": "time", "atmosphere": "pressure", "pressure_1": "pressure", "pressure_2": "pressure",
-    "valve_1": "voltage", "valve_2": "voltage", "angle": "angle", "torque": "torque", "external_torque": "torque",
+    "valve_1": "voltage", "valve_2": "voltage", "command_1": "pressure", "command_2": "pressure",
+    "angle": "angle", "torque": "torque", "external_torque": "torque",
 }  # fmt: skip
 """Entry of a map -> quantity of ``UNITS`` that its unit is one of."""
 ALSO = "also/"
@@ -79,6 +80,14 @@ class Pressure(Column):
     reference: Literal["gauge", "absolute"] = Field(description="whether 0 is the atmosphere or the vacuum")
 
 
+class Asked(Pressure):
+    """What a pressure regulator was asked for."""
+
+    holds: Literal["until_row", "from_row"] = Field(
+        "until_row", description="whether a row's command held up to the row's time, or from then on"
+    )
+
+
 class Further(Column):
     """A signal beside the joint's own: another joint's pressure or angle, a temperature."""
 
@@ -124,8 +133,10 @@ class CsvMap(Strict):
     valve_1: Optional[Valve] = None  # noqa: UP045
     valve_2: Optional[Valve] = None  # noqa: UP045
     drive: Literal["valve", "regulator"] = Field(
-        "valve", description="whether voltages of valves were recorded; regulators have none"
+        "valve", description="what drove the joint: valves by a voltage, or pressure regulators"
     )
+    command_1: Optional[Asked] = None  # noqa: UP045
+    command_2: Optional[Asked] = None  # noqa: UP045
     episode: Optional[Name] = Field(  # noqa: UP045
         None, description="column that changes where an episode begins, before which nothing is known"
     )
@@ -159,7 +170,8 @@ class CsvMap(Strict):
         """Quantity -> column, for everything that is read from the file."""
         entries: dict[str, Time | Column | Valve | None] = {
             "time": self.time, "pressure_1": self.pressure_1, "pressure_2": self.pressure_2,
-            "valve_1": self.valve_1, "valve_2": self.valve_2, **self.measured(),
+            "valve_1": self.valve_1, "valve_2": self.valve_2,
+            "command_1": self.command_1, "command_2": self.command_2, **self.measured(),
         }  # fmt: skip
         found = {name: entry.column for name, entry in entries.items() if entry and entry.column is not None}
         if self.episode is not None:
@@ -227,7 +239,12 @@ def _contradictions(found: CsvMap) -> Iterator[str]:
     for name, entry in _scaled(found):
         if entry.scale == 0.0:
             yield f"{name}.scale is 0: expected the factor between cells and values"
-    gauges = [name for name in ("pressure_1", "pressure_2") if getattr(found, name).reference == "gauge"]
+    if (found.command_1 is None) != (found.command_2 is None):
+        yield "command_1 and command_2: expected both, or neither"
+    if found.command_1 is not None and found.drive == "valve":
+        yield "command_1 is given, but the joint has valves; for pressure regulators give drive: regulator"
+    pressures = {name: getattr(found, name) for name in ("pressure_1", "pressure_2", "command_1", "command_2")}
+    gauges = [name for name, entry in pressures.items() if entry is not None and entry.reference == "gauge"]
     if gauges and found.atmosphere is None:
         yield f"atmosphere is missing: {gauges[0]} is gauge pressure, and bags hold absolute pressure"
     yield from _columns_twice(found)
@@ -292,6 +309,7 @@ def _scaled(found: CsvMap) -> list[tuple[str, Column | Valve]]:
     return [
         ("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2),
         *((f"valve_{n}", valve) for n, valve in enumerate(found.valves, 1)), *found.measured().items(),
+        *((f"command_{n}", entry) for n, entry in ((1, found.command_1), (2, found.command_2)) if entry is not None),
         *((f"also.{name}", entry) for name, entry in found.also.items()),
     ]  # fmt: skip
 

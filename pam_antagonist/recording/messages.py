@@ -1,4 +1,4 @@
-"""Message definitions: those of ROS 2 Jazzy and the four of ``pam_antagonist_msgs``.
+"""Message definitions: those of ROS 2 Jazzy and the five of ``pam_antagonist_msgs``.
 
 The definitions of this project's messages stand here a second time because an offline installation has no
 ``pam_antagonist_msgs``; a test holds them against the ``.msg`` files field for field.
@@ -21,6 +21,10 @@ DEFINITIONS: Mapping[str, str] = MappingProxyType(
         "pam_antagonist_msgs/msg/ValveCommand": """\
 std_msgs/Header header
 float64[2] voltage
+""",
+        "pam_antagonist_msgs/msg/PressureCommand": """\
+std_msgs/Header header
+float64[2] pressure
 """,
         "pam_antagonist_msgs/msg/JointReference": """\
 std_msgs/Header header

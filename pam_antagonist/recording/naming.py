@@ -8,7 +8,7 @@ from ..errors import BadInput
 from .messages import stores_of
 from .raw import Channel, RawTopic
 from .storage import RawBag
-from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, TOPICS, Topic, find_topic
+from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
 
 READ_TOPICS = tuple(name for name in TOPICS if name not in ("diagnostics", "rig", "external_torque"))
 """Logical names of the topics that a recording is made from."""
@@ -51,10 +51,12 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
     if namespace is None:
         namespace = _find_namespace(bag, renamed)
     chosen = {}
+    regulated = drive_of(bag, namespace, renamed) == "regulator"
+    needed_topics = (STATE_TOPICS["regulator"],) if regulated else SAMPLE_TOPICS
     for name in READ_TOPICS:
         topic = TOPICS[name]
         actual = renamed.get(name, topic.resolve(namespace))
-        needed = name in SAMPLE_TOPICS or name in renamed
+        needed = name in needed_topics or name in renamed
         problem = _problem(bag, topic, actual)
         if problem is None:
             chosen[name] = bag.topics[actual]
@@ -77,7 +79,7 @@ def _renamed(topics: Mapping[str, str]) -> dict[str, str]:
 
 def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
     """The one namespace whose topics look like ours."""
-    for names in (SAMPLE_TOPICS, READ_TOPICS):
+    for names in ((*SAMPLE_TOPICS, STATE_TOPICS["regulator"]), READ_TOPICS):
         open_names = [name for name in names if name not in renamed]
         found: dict[str, int] = {}
         for actual, raw in bag.topics.items():
@@ -114,9 +116,31 @@ def joints_in(bag: RawBag) -> list[str]:
         raw = bag.topics.get(TOPICS[name].resolve(namespace))
         return raw is not None and raw.channel.msgtype == TOPICS[name].type and len(raw.log_ns) > 0
 
-    ending = f"/{TOPICS['valve_state'].relative}"
-    found = [actual[: -len(ending)] for actual in bag.topics if actual.endswith(ending)]
-    return sorted(namespace for namespace in found if all(there(namespace, name) for name in SAMPLE_TOPICS))
+    found = set()
+    for name in STATE_TOPICS.values():
+        ending = f"/{TOPICS[name].relative}"
+        found |= {actual[: -len(ending)] for actual in bag.topics if actual.endswith(ending)}
+
+    def whole(namespace: str) -> bool:
+        return there(namespace, STATE_TOPICS["regulator"]) or all(there(namespace, name) for name in SAMPLE_TOPICS)
+
+    return sorted(filter(whole, found))
+
+
+def drive_of(bag: RawBag, namespace: str, renamed: Mapping[str, str]) -> str:
+    """What drove a joint: ``regulator`` where pressures were asked for and no voltages were recorded, else ``valve``.
+
+    Args:
+        bag: The bag.
+        namespace: Of the joint.
+        renamed: Logical name -> topic in the bag, for topics that have another name there.
+    """
+
+    def there(name: str) -> bool:
+        raw = bag.topics.get(renamed.get(name, TOPICS[name].resolve(namespace)))
+        return raw is not None and len(raw.log_ns) > 0
+
+    return "regulator" if there(STATE_TOPICS["regulator"]) and not there(STATE_TOPICS["valve"]) else "valve"
 
 
 def _problem(bag: RawBag, topic: Topic, actual: str) -> str | None:
@@ -145,6 +169,12 @@ def _hint(bag: RawBag, topic: Topic, actual: str, namespace: str) -> str:
     """What to do about a missing topic."""
     if actual in bag.topics:
         return ""
+    regulated = TOPICS["pressure_command"].resolve(namespace)
+    if topic.name == "valve_state" and regulated in bag.topics:
+        return (
+            f"; {regulated} is there, but says what was asked for, not what the regulators got: "
+            f"if that is the same on this rig, use --topic pressure_state={regulated}"
+        )
     command = TOPICS["valve_command"].resolve(namespace)
     if topic.name == "valve_state" and command in bag.topics:
         return (

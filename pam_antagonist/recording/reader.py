@@ -21,7 +21,7 @@ from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
 from .storage import RawBag, read_raw, unpack_messages
-from .topics import SAMPLE_TOPICS, TOPICS
+from .topics import STATE_TOPICS, TOPICS
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +70,8 @@ def read_bag(
     """Read a rosbag2 recording of a rig.
 
     Samples are the union of the stamps of the two pressures and the valve state; a value that has no message at a stamp
-    is NaN. Pressures are absolute, in Pa.
+    is NaN. Pressures are absolute, in Pa. Of a joint with pressure regulators, ``pressure_state`` takes the place of
+    the valve state, and its own pressures may be missing.
 
     Args:
         path: Bag folder, or one .mcap or .db3 file; compressed or not.
@@ -125,11 +126,14 @@ def _read(
         _cut(chosen, bag.issues)
     for topic in chosen.values():
         _sort(path, topic, bag.issues)
-    samples = stamps.union([chosen[name].arrival.stamp_ns for name in SAMPLE_TOPICS])
-    beside = chosen["valve_state"].actual.rpartition("/")[0]
+    drive = "valve" if "valve_state" in chosen else "regulator"
+    state = STATE_TOPICS[drive]
+    names = tuple(name for name in ("pressure_1", "pressure_2", state) if name in chosen)
+    samples = stamps.union([chosen[name].arrival.stamp_ns for name in names])
+    beside = chosen[state].actual.rpartition("/")[0]
     episode_ns = signals.read_episodes(bag, beside, samples)
     convert = _Values(str(path), bag.issues, corrections, judge)
-    pressure, voltage = _samples(bag, chosen, samples, convert, episode_ns)
+    pressure, voltage = _samples(bag, {name: chosen[name] for name in names}, samples, convert, episode_ns)
     measured = chosen.get("measured_joint_states")
     angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, joint_name, convert)
     external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
@@ -149,18 +153,19 @@ def _read(
         received_ns={name: topic.arrival for name, topic in chosen.items()},
         topics={name: topic.actual for name, topic in chosen.items()},
         issues=tuple(bag.issues),
-        rigs=_rig_texts(bag, chosen["valve_state"].actual),
+        rigs=_rig_texts(bag, chosen[state].actual),
         checkpoints=() if remembered is None else checkpoints.read(remembered.decoded, remembered.keep),
-        namespace=_own_namespace(bag, chosen["valve_state"].actual),
+        namespace=_own_namespace(bag, state, chosen[state].actual),
         signals=signals.read_signals(bag, beside, samples, also),
         episode_ns=episode_ns,
+        drive=drive,
     )
 
 
-def _own_namespace(bag: RawBag, valve_state: str) -> str:
+def _own_namespace(bag: RawBag, state: str, actual: str) -> str:
     """Which of a bag's joints it is; empty where there is one alone."""
     joints = joints_in(bag)
-    mine = [joint for joint in joints if TOPICS["valve_state"].resolve(joint) == valve_state]
+    mine = [joint for joint in joints if TOPICS[state].resolve(joint) == actual]
     return mine[0] if mine and len(joints) > 1 else ""
 
 
@@ -228,10 +233,15 @@ class _Values:
 _JUDGES = {
     "pressure": plausible.check_pressure,
     "voltage": plausible.check_voltage,
+    "asked": plausible.check_pressure,
     "position": plausible.check_angle,
     "effort": plausible.check_torque,
     "torque about z": plausible.check_torque,
 }
+
+
+_FIELDS = {"valve_state": ("voltage", "voltage"), "pressure_state": ("pressure", "asked")}
+"""Field of a message that is no FluidPressure, and what it is."""
 
 
 def _samples(
@@ -241,15 +251,14 @@ def _samples(
     convert: _Values,
     episode_ns: NDArray[np.int64] | None,
 ) -> tuple[Floats, Floats]:
-    """Pressures and voltages at the sample stamps (N, 2) each."""
+    """Pressures, and voltages or pressures asked for, at the sample stamps (N, 2) each."""
     where = str(bag.path)
     columns: dict[str, Floats] = {}
     present: dict[str, NDArray[np.bool_]] = {}
-    for name in SAMPLE_TOPICS:
-        topic = chosen[name]
+    for name, topic in chosen.items():
         if len(topic.keep) == 0:
             raise BadInput(f"{where}: {topic.actual} has no samples after the last restart")
-        field, what = ("voltage", "voltage") if name == "valve_state" else ("fluid_pressure", "pressure")
+        field, what = _FIELDS.get(name, ("fluid_pressure", "pressure"))
         values = convert.of(topic.actual, what, topic.values(field))
         stamp_ns = topic.arrival.stamp_ns
         columns[name] = np.column_stack(
@@ -257,7 +266,9 @@ def _samples(
         )
         present[topic.actual] = np.isin(samples, stamp_ns, assume_unique=True)
     stamps.judge_pairing(where, samples, present, bag.issues, episode_ns)
-    return np.column_stack([columns["pressure_1"], columns["pressure_2"]]), columns["valve_state"]
+    unknown = np.full((len(samples), 1), np.nan)  # a joint with regulators may have no sensors
+    pressure = np.column_stack([columns.get("pressure_1", unknown), columns.get("pressure_2", unknown)])
+    return pressure, next(columns[name] for name in STATE_TOPICS.values() if name in columns)
 
 
 def _measured(

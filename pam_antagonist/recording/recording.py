@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import BadInput
 from ..optional import needs
 from .checkpoints import RecordedCheckpoint
 from .signals import FurtherSignal
@@ -174,7 +175,8 @@ class Recording:
         path: Where it was read from.
         stamp_ns: Stamps (N,) [ns], strictly increasing.
         pressure: Muscle pressures (N, 2) [Pa absolute].
-        voltage: Voltages on the valves over the sample that ends at the stamp (N, 2) [V].
+        voltage: Voltages on the valves over the sample that ends at the stamp (N, 2) [V]; of a joint with pressure
+            regulators the pressures that these were asked for (N, 2) [Pa absolute].
         angle: Measured joint angle (N,) [rad], or None where none was recorded.
         torque: Measured joint torque (N,) [N m], or None.
         external_torque: Torque applied from outside (N,) [N m], or None.
@@ -190,6 +192,7 @@ class Recording:
         signals: What was recorded beside the joint's own signals, by name.
         episode_ns: Stamps of the first samples of episodes (E,) [ns], between which nothing is known of the joint; None
             for a recording in one piece.
+        drive: What drove the joint: "valve" or "regulator".
     """
 
     path: Path
@@ -210,6 +213,7 @@ class Recording:
     namespace: str = ""
     signals: Mapping[str, FurtherSignal] = field(default_factory=dict)
     episode_ns: Stamps | None = None
+    drive: str = "valve"
 
     def __post_init__(self) -> None:
         size = len(self.stamp_ns)
@@ -242,6 +246,24 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
+
+    def driven_by(self, drive: str) -> Recording:
+        """This recording, if that is what drove its joint.
+
+        Args:
+            drive: of the rig: "valve" or "regulator".
+
+        Raises:
+            BadInput: it is not.
+        """
+        if self.drive == drive:
+            return self
+        if drive == "regulator":
+            raise BadInput(
+                f"{self.path}: holds no pressure_state, which a rig with pressure regulators (drive: regulator) needs; "
+                "name it by --topic pressure_state=/NAME, or give command_1 and command_2 in the map of import_csv"
+            )
+        raise BadInput(f"{self.path}: of a joint with pressure regulators; expected a rig with drive: regulator")
 
     @property
     def time_s(self) -> Floats:
@@ -291,7 +313,8 @@ class Recording:
         columns: dict[str, Any] = {"stamp_ns": self.stamp_ns, "time_s": self.time_s}
         for muscle in (0, 1):
             columns[f"pressure_{muscle + 1}_Pa"] = self.pressure[:, muscle]
-            columns[f"valve_{muscle + 1}_V"] = self.voltage[:, muscle]
+            name = f"valve_{muscle + 1}_V" if self.drive == "valve" else f"pressure_command_{muscle + 1}_Pa"
+            columns[name] = self.voltage[:, muscle]
         measured = {"angle_rad": self.angle, "torque_Nm": self.torque, "external_torque_Nm": self.external_torque}
         return pd.DataFrame(columns | {name: values for name, values in measured.items() if values is not None})
 

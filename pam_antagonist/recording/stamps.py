@@ -134,7 +134,7 @@ def judge_pairing(
     Raises:
         BadInput: The two pressures hardly ever carry one stamp.
     """
-    first, second = list(present)[:2]
+    first, second = list(present)[0], list(present)[min(1, len(present) - 1)]
     together = int(np.count_nonzero(present[first] & present[second]))
     if together < _MIN_TOGETHER * len(samples):
         raise BadInput(

@@ -49,12 +49,24 @@ _TABLE = (
         "voltages on the valves over the sample that ends at the stamp [V]",
     ),
     Topic(
+        "pressure_state",
+        "pressure_state",
+        "pam_antagonist_msgs/msg/PressureCommand",
+        "absolute pressures that the regulators were asked for over the sample that ends at the stamp [Pa]",
+    ),
+    Topic(
         "angle_sensor",
         "angle_sensor",
         "sensor_msgs/msg/JointState",
         "encoder angle [rad] as an input of the estimator, where it is told to use one (angle_sensor: encoder)",
     ),
     Topic("valve_command", "valve_command", "pam_antagonist_msgs/msg/ValveCommand", "voltages asked for [V]"),
+    Topic(
+        "pressure_command",
+        "pressure_command",
+        "pam_antagonist_msgs/msg/PressureCommand",
+        "absolute pressures asked for, of a joint with pressure regulators [Pa]",
+    ),
     Topic(
         "joint_estimate",
         "joint_estimate",
@@ -101,6 +113,10 @@ TOPICS: Mapping[str, Topic] = MappingProxyType({topic.name: topic for topic in _
 
 SAMPLE_TOPICS = ("pressure_1", "pressure_2", "valve_state")
 """The topics without which there is no recording; the three messages of one sample carry one stamp."""
+STATE_TOPICS: Mapping[str, str] = MappingProxyType({"valve": "valve_state", "regulator": "pressure_state"})
+"""Drive of a joint -> the topic that tells what its valves or regulators got."""
+COMMAND_TOPICS: Mapping[str, str] = MappingProxyType({"valve": "valve_command", "regulator": "pressure_command"})
+"""Drive of a joint -> the topic of its commands."""
 
 
 def find_topic(name: str) -> Topic | None:

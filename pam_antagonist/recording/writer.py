@@ -21,7 +21,7 @@ from .bag_files import MODES, PLUGINS, BagFiles, Compression, Limits, Storage
 from .cdr import encode
 from .messages import typestore
 from .recording import ESTIMATE_SHAPES, RecordedEstimate, Recording
-from .topics import DEFAULT_NAMESPACE, TOPICS, Topic
+from .topics import DEFAULT_NAMESPACE, STATE_TOPICS, TOPICS, Topic
 
 _FLUSH_S = 1.0  # what a killed recorder, or one without power, may lose [s]
 _BATCH = 4096  # messages that are handed to the writing thread at once
@@ -318,10 +318,13 @@ def _blocks(
     there: Any  # mask of the samples that have a value (N,)
     for muscle in (0, 1):
         there = np.isfinite(recording.pressure[:, muscle])
+        if recording.drive == "regulator" and not there.any():
+            continue  # its sensors, if it has any, were not recorded
         fields = {"fluid_pressure": recording.pressure[there, muscle], "variance": variance}
         add(f"pressure_{muscle + 1}", stamp_ns[there], fields, f"muscle_{muscle + 1}")
     there = np.isfinite(recording.voltage).any(axis=1)
-    add("valve_state", stamp_ns[there], {"voltage": recording.voltage[there]})
+    field = {"valve": "voltage", "regulator": "pressure"}[recording.drive]
+    add(STATE_TOPICS[recording.drive], stamp_ns[there], {field: recording.voltage[there]})
     measured = {"position": recording.angle, "effort": recording.torque}
     known = {name: values for name, values in measured.items() if values is not None}
     if known:

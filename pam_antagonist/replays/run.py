@@ -75,9 +75,11 @@ def replay(
         angle_sensor: ``none``, ``encoder``, or ``auto``: as the live filter, where a checkpoint of it tells, else none.
 
     Raises:
-        BadInput: a tuning or joint condition that does not exist, no sample to start from, or none from that time on.
+        BadInput: a tuning or joint condition that does not exist, no sample to start from, or none from that time on;
+            a joint with regulators for one with valves.
     """
     begin = _clock()
+    recording.driven_by(rig.drive)
     progress = progress or (lambda samples: None)
     begin_ns = None if begin_s is None else _stamp_at(recording, begin_s)
     state = joint_condition(recording, joint, lock_angle)
@@ -88,9 +90,8 @@ def replay(
     progress(planned.skipped)
     run = _estimate(recording, given, estimator, planned, progress)
     if len(run.rows) == 0:
-        raise BadInput(
-            f"{recording.path}: no sample has both pressures and valve voltages, so no filter can be started"
-        )
+        needed = "both pressures and valve voltages" if rig.drive == "valve" else "what both regulators were asked for"
+        raise BadInput(f"{recording.path}: no sample has {needed}, so no filter can be started")
     filtered = _clock()
     model = _model_alone(recording, rig, state, run, planned, given)
     modelled = _clock()
@@ -225,7 +226,7 @@ def _model_alone(
         alone = simulate_model(
             rig,
             voltage,
-            recording.pressure[own[0]],
+            _first_pressure(recording, own[0]),
             joint=joint.condition,
             lock_angle=joint.lock_angle,
             external_torque=external,
@@ -236,6 +237,14 @@ def _model_alone(
         track.pressure[first:end] = alone.pressure[step]
     skipped = count - len(run.index)
     return ModelTrack(track.angle[skipped:], track.torque[skipped:], track.pressure[skipped:])
+
+
+def _first_pressure(recording: Recording, at: int) -> FloatArray:
+    """Pressures (2,) [Pa] with which the model starts; a regulator without a sensor holds what it is asked for."""
+    measured = recording.pressure[at]
+    if recording.drive == "valve":
+        return measured
+    return np.where(np.isfinite(measured), measured, recording.voltage[at])
 
 
 def _judged(

@@ -22,6 +22,11 @@ _WORDS = {
     "hysteresis": "hysteresis of the contraction force",
     "creep": "creep of the muscles",
 }
+_BY_SIGNAL = {
+    "friction_by_signal": "friction that grows with",
+    "load_by_signal": "a torque that goes with",
+    "strength_by_signal": "strength of the muscles that goes with",
+}
 _DRIFT = 0.8
 """A model of the last episodes that errs by less than this times that of all of them shows a drift."""
 
@@ -33,7 +38,7 @@ def in_words(effect: str) -> str:
         effect: its name, with the signal by which it goes.
     """
     name, _, signal = effect.partition(": ")
-    return f"friction that grows with {signal}" if signal else _WORDS.get(name, name)
+    return f"{_BY_SIGNAL[name]} {signal}" if signal else _WORDS.get(name, name)
 
 
 def interval(value: Interval | None, digits: int = 3) -> str:
@@ -55,6 +60,8 @@ def unit(rig: Rig, name: str) -> tuple[str, float]:
     if name.endswith("at the middle length"):
         return ("rad/s² a bar", 1e5 * lever / inertia) if per_inertia else ("cm²", 1e4)
     known = unit_of(rig, name)
+    if known == "1/SI":
+        return "% a bar", 1e7
     if not per_inertia:
         return readable(known).name, readable(known).scale
     by_inertia = {
@@ -158,8 +165,9 @@ def values_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
         shown, factor = unit(rig, name)
         course = "  ".join(number(part * factor, 2) for part in found.course.get(name, ()))
         title = name.removeprefix("effects.")
-        if title.startswith("friction_by_signal.slope"):
-            title = f"friction_by_signal, {names[int(title[-1]) - 1]}"
+        effect = title.partition(".")[0]
+        if effect in _BY_SIGNAL:
+            title = f"{effect}, {names[int(title[-1]) - 1]}"
         rows.append((title, interval(Interval(*(factor * part for part in value))), shown, course))
     return Table(
         ("Value", "95 % interval by episode", "Unit", "Over the recording, in eight parts"), tuple(rows),

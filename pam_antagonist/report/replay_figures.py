@@ -145,7 +145,12 @@ def _pressures(replay: Replay, x: FloatArray, link: str) -> Figure:
 
 def _voltages(replay: Replay, x: FloatArray, link: str) -> Figure:
     voltage = replay.recording.voltage[replay.run.index]
-    parts = (Line("u1", x, voltage[:, 0], MEASURED), Line("u2", x, voltage[:, 1], SECOND))
+    regulated = replay.rig.drive == "regulator"
+    first, second = voltage.T * 1e-3 if regulated else voltage.T
+    parts = (Line("u1", x, first, MEASURED), Line("u2", x, second, SECOND))
+    if regulated:
+        panel = Panel(TIME, Axis("Pressure asked for [kPa abs]"), parts, 180)
+        return Figure("Commanded pressures", "What the two regulators were asked for.", (panel,), link)
     return Figure(
         "Valve voltages", "Measured voltages on the two valves.", (Panel(TIME, Axis("Voltage [V]"), parts, 180),), link
     )

@@ -26,8 +26,8 @@ def load_rig(name_or_path: str | Path, regulators: bool = False) -> Rig:
 
     Args:
         name_or_path: a name from ``config/rigs`` (``shin2022``), or the path of a YAML file.
-        regulators: whether a rig with pressure regulators will do. Nodes and most commands put voltages on valves, or
-            read them, and must not take such a rig for one with valves.
+        regulators: whether a rig with pressure regulators will do. What knows of voltages only must not take such a rig
+            for one with valves.
 
     Returns:
         The rig, immutable.
@@ -45,8 +45,10 @@ def load_rig(name_or_path: str | Path, regulators: bool = False) -> Rig:
     content = _read_with_base(path)
     rig = validated(Rig, content, str(path), _SWITCHES)
     if rig.drive == "regulator" and not regulators:
-        raise BadInput(f"{path}: a rig with pressure regulators (drive: regulator), expected one with valves; "
-                       "close_loop alone takes such a rig")  # fmt: skip
+        raise BadInput(
+            f"{path}: a rig with pressure regulators (drive: regulator), expected one with valves; "
+            "simulate, replay and close_loop take such a rig"
+        )
     complaint = unphysical(rig)
     if complaint:
         raise BadInput(f"{path}: {complaint}")

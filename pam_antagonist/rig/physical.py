@@ -46,7 +46,14 @@ def unphysical(rig: Rig) -> str:
         complaint = _bad_curve(f"{name}.curve", np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
         if complaint:
             return complaint
-    complaint = _bad_effects(rig) or _bad_muscles(rig) or _bad_spreads(rig) or _bad_bounds(rig) or _in_kilopascal(rig)
+    complaint = (
+        _bad_effects(rig)
+        or _bad_regulators(rig)
+        or _bad_muscles(rig)
+        or _bad_spreads(rig)
+        or _bad_bounds(rig)
+        or _in_kilopascal(rig)
+    )
     if complaint:
         return complaint
     for name, tuning in rig.tunings.items():
@@ -60,6 +67,22 @@ def unphysical(rig: Rig) -> str:
     if "default" not in rig.tunings:
         return "tunings: expected one that is called 'default'"
     return "" if np.all(np.isfinite(rig.parameters()[par.LOCKED :])) else "gas: these constants give no finite flow"
+
+
+def _bad_regulators(rig: Rig) -> str:
+    """Whether a rig says how its regulators answer, and has some."""
+    given = [name for name in rig.effects if name.startswith("regulator_")]
+    if rig.drive == "valve":
+        return f"effects.{given[0]}: the rig has valves; expected drive: regulator with it" if given else ""
+    if not all(rig.value(f"effects.regulator_lag.frequency_{i}") > 0.0 for i in (1, 2)):
+        return (
+            "effects.regulator_lag is missing: how the regulators answer; expected, for such as 9 Hz with a damping "
+            "ratio of 0.33: regulator_lag: {frequency_1: 56.0, frequency_2: 56.0, damping: 0.33}"
+        )
+    low, high = rig.command_limits
+    if not low < high:
+        return f"effects.regulator_limits: {low:g} to {high:g} Pa, expected lowest below highest"
+    return ""
 
 
 def _bad_muscles(rig: Rig) -> str:

@@ -324,6 +324,14 @@ class Rig(Strict):
             node = getattr(node, part)
         return math.inf if node is None else float(node)
 
+    @property
+    def command_limits(self) -> tuple[float, float]:
+        """Least and largest command: voltages of the valves [V], or pressures of the regulators [Pa]."""
+        if self.drive == "valve":
+            return self.valves.voltage_min, self.valves.voltage_max
+        low, high = (self.value(f"effects.regulator_limits.{name}") for name in ("lowest", "highest"))
+        return max(low, self.atmosphere.pressure), high or self.supply.pressure
+
     def parameters(
         self, joint: str = "free", lock_angle: float = 0.0, changes: Mapping[str, float] | None = None
     ) -> np.ndarray:

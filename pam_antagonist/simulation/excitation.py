@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.rig import Rig
 
 FloatArray = NDArray[np.float64]
 
@@ -135,6 +136,26 @@ def profile(name: str, duration: float, period: float, seed: int = 0, span: Span
         raise BadInput(f"profile {name!r}: expected one of {', '.join(PROFILES)}, or a CSV file")
     time = np.arange(round(duration / period)) * period
     return (span or Span()).voltage(PROFILES[name](np.asarray(time, dtype=np.float64), seed))
+
+
+def for_rig(rig: Rig, name: str, duration: float, seed: int = 0) -> FloatArray:
+    """Commands of a built-in profile that a rig's valves or regulators may be given.
+
+    Args:
+        rig: whose limits and sample period count.
+        name: one of ``PROFILES``.
+        duration: [s].
+        seed: of what is random in it.
+
+    Returns:
+        (N, 2) [V] of valves, or [Pa] of pressure regulators: from a sixth of their range to its end.
+
+    Raises:
+        BadInput: no such profile.
+    """
+    low, high = rig.command_limits
+    span = None if rig.drive == "valve" else Span(low + (high - low) / 6.0, 0.5 * (low + high), high)
+    return np.clip(profile(name, duration, rig.sample_period, seed, span), low, high)
 
 
 def read_table(path: Path) -> tuple[FloatArray, FloatArray]:

@@ -33,6 +33,10 @@ SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
     ("friction.muscle",),
 )
 """Parameters that are off together: each group by a factor of its own."""
+REGULATORS: tuple[tuple[str, ...], ...] = tuple(
+    (f"effects.regulator_lag.{name}",) for name in ("frequency_1", "frequency_2", "damping")
+)
+"""Those of a rig with pressure regulators beside them."""
 
 
 class PlantSample(NamedTuple):
@@ -67,11 +71,12 @@ def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndar
         New vector; volume and force map of a muscle are scaled as a whole, since their coefficients
         nearly cancel.
     """
-    factors = rng.normal(1.0, spread, len(SCATTER_GROUPS))
+    groups = SCATTER_GROUPS
+    if p[par.INDEX[REGULATORS[0][0]]] > 0.0:
+        groups = (*SCATTER_GROUPS, *REGULATORS)
+    factors = rng.normal(1.0, spread, len(groups))
     changes = {
-        name: p[par.INDEX[name]] * factor
-        for group, factor in zip(SCATTER_GROUPS, factors, strict=True)
-        for name in group
+        name: p[par.INDEX[name]] * factor for group, factor in zip(groups, factors, strict=True) for name in group
     }
     return par.changed(p, changes)
 
@@ -180,7 +185,7 @@ class Plant:
         """Advance one sample period.
 
         Args:
-            voltage: on the valves over the period (2,) [V].
+            voltage: on the valves over the period (2,) [V], or what regulators are asked for [Pa].
             external_torque: torque from outside over the period [N m].
 
         Returns:

@@ -34,6 +34,12 @@ SINGLE = {
     "slack": {"width": 6.0},
     "friction_by_pressure": {"slope_1": 4e-8, "slope_2": 1e-7},
     "friction_by_signal": {"slope1": 0.02, "slope2": -0.01},
+    "load_by_signal": {"slope1": 0.03, "slope2": -0.01},
+    "strength_by_signal": {"slope1": 0.1, "slope2": -0.2},
+    "regulator_limits": {"lowest": 2e5, "highest": 6e5},
+    "regulator_threshold": {"threshold_1": 3e3, "threshold_2": 8e3},
+    "regulator_dead_time": {"time_1": 4e-3, "time_2": 9e-3},
+    "regulator_lag": {"frequency_1": 56.0, "frequency_2": 40.0, "damping": 0.3},
 }
 """Sizes that are seen, different for the two muscles, so that a mix-up shows."""
 ONE_MUSCLE = {
@@ -48,6 +54,9 @@ ONE_MUSCLE = {
     "valve_play": {"play_2": 0.2},
     "warm_up": {"share_2": 0.15, "time": 5.0},
     "friction_by_pressure": {"slope_2": 6e-8},
+    "regulator_threshold": {"threshold_2": 5e3},
+    "regulator_dead_time": {"time_2": 6e-3},
+    "regulator_lag": {"frequency_2": 80.0},
 }
 CASES = {
     **{name: {name: values} for name, values in SINGLE.items()},
@@ -62,6 +71,13 @@ CASES = {
     "creep of the tubes": {"creep": {"stiffness": -120.0, "time": 0.3}},
     "drifting sensors": {"pressure_sensor": {"drift_1": 1e4, "drift_2": 3e4, "drift_time": 0.2}},
     "drifting sensor 2": {"pressure_sensor": {"drift_2": 3e4, "drift_time": 0.05}},
+    "regulator that is as fast as it can": {"regulator_lag": {"frequency_1": 90.0, "largest_rate": 4e6}},
+    "regulator with all that it may have": {
+        "regulator_limits": {"lowest": 3e5, "highest": 5e5},
+        "regulator_threshold": {"threshold_1": 3e3, "threshold_2": 8e3},
+        "regulator_dead_time": {"time_1": 4e-3, "time_2": 9e-3},
+        "regulator_lag": {"frequency_1": 56.0, "frequency_2": 40.0, "dead_zone": 2e3, "largest_rate": 8e6},
+    },
     "all at once": SINGLE,
 }
 
@@ -87,8 +103,13 @@ def draw(names, rng):
         "spool_voltage": 5.0,
         "reading_drift": 2e3,
         "reading_drift_rate": 1e4,
+        "regulator_goal": 1e5,
+        "late_command": 1e5,
+        "late_command_rate": 1e6,
+        "regulator_rate": 5e6,
     }
-    middle = {"open_rate": 0.5, "chamber": 4e5, "spool_voltage": 5.0, "warmed": 0.5}
+    middle = {"open_rate": 0.5, "chamber": 4e5, "spool_voltage": 5.0, "warmed": 0.5, "regulator_goal": 4e5}
+    middle["late_command"] = 4e5
     kinds = [name.removesuffix("_1").removesuffix("_2") for name in names]
     return [middle.get(kind, 0.0) + spread.get(kind, 0.3) * rng.uniform(-1.0, 1.0) for kind in kinds]
 
@@ -114,8 +135,9 @@ def test_rates(rig, case, joint):
         [1e-12, 1e-8, 1e-2, 1e-2] + [1e-2 if "chamber" in n or n == "supply" or "drift" in n else 1e-6 for n in names]
     )
     slid = set()
-    for base, u in random_states(60, seed=30):
+    for base, drawn in random_states(60, seed=30):
         x = base + draw(names, rng)
+        u = [_asked(case, value) for value in drawn]
         outside = float(rng.uniform(-0.3, 0.3))
         if base[1] == 0.0:
             outside -= laws.moves(T, effects, x)[0]  # near balance, so that the joint sticks in some
@@ -131,6 +153,26 @@ def test_rates(rig, case, joint):
             assert (dynamics.subsystem(np.array(x), p) - 1) % 2 == (still and joint == "free")
         slid.add(laws.moves(T, effects, x, outside)[2][1])
     assert slid == {True, False}
+
+
+def _asked(case, voltage):
+    """A regulator is asked for a pressure; 5 V become 400 kPa."""
+    return 8e4 * voltage if case.startswith("regulator") else voltage
+
+
+def test_signals_that_are_measured(rig):
+    effects = {name: SINGLE[name] for name in ("friction_by_signal", "load_by_signal", "strength_by_signal")}
+    p, t = vector(rig, effects), {**T, "signals": (0.4, -0.7)}
+    p[par.SIGNAL : par.SIGNAL + 2] = t["signals"]
+    without = vector(rig, effects)
+    dx, still = np.empty(4), np.empty(4)
+    moved = 0
+    for x, u in random_states(20, seed=3):
+        dynamics.derivative(np.array(x), np.array(u), p, dx)
+        dynamics.derivative(np.array(x), np.array(u), without, still)
+        assert dx == pytest.approx(laws.derivative(t, flat(effects), x, u), rel=1e-8, abs=1e-8)
+        moved += bool(dx[1] != still[1])
+    assert moved > 10
 
 
 def integrated(effects, x, u, duration, locked, outside):
@@ -155,8 +197,9 @@ def test_trajectory(rig, case, locked, base, u, duration):
     """A swing that slides one way, and filling and emptying of a locked joint, with fine Runge-Kutta steps."""
     effects = flat(CASES[case])
     p = vector(rig, CASES[case], "locked" if locked else "free")
+    u = tuple(_asked(case, value) for value in u)
     inputs = np.array([*u, 0.05])
-    before = np.array([5.5, 5.5])
+    before = np.array([_asked(case, 5.5)] * 2)
     x = equilibrium.initial_state(base[0], base[2], base[3], before, p)
     x[1] = base[1]
     steps = 8 * round(duration * 1e3)
@@ -173,5 +216,8 @@ def test_trajectory(rig, case, locked, base, u, duration):
     still = ("hysteresis", "creep", "load_torque", "friction", "warm_up", "slack", "friction_by_pressure")
     acts = not (locked and case.split()[0] in still)
     # Without noise, no drift; and without a signal, nothing goes by it.
-    acts &= not case.startswith(("pressure_sensor", "external_torque", "drifting", "friction_by_signal"))
+    acts &= not case.startswith(("pressure_sensor", "external_torque", "drifting"))
+    acts &= not case.split()[0].endswith("_by_signal")
+    # What a regulator is asked for moves nothing where there is no regulator.
+    acts &= case.split()[0] not in ("regulator_limits", "regulator_threshold", "regulator_dead_time")
     assert (moved.max() > 1e-5) == acts, f"{case} moves the states by {moved}"

@@ -28,6 +28,14 @@ ORDER = (
     ("spool_voltage_1", "valve_play.play_1"),
     ("spool_voltage_2", "valve_play.play_2"),
     ("warmed", "warm_up.share_1", "warm_up.share_2"),
+    ("regulator_goal_1", "regulator_threshold.threshold_1"),
+    ("regulator_goal_2", "regulator_threshold.threshold_2"),
+    ("late_command_1", "regulator_dead_time.time_1"),
+    ("late_command_2", "regulator_dead_time.time_2"),
+    ("late_command_rate_1", "regulator_dead_time.time_1"),
+    ("late_command_rate_2", "regulator_dead_time.time_2"),
+    ("regulator_rate_1", "regulator_lag.frequency_1"),
+    ("regulator_rate_2", "regulator_lag.frequency_2"),
 )
 """Added states, and the numbers that bring each."""
 
@@ -64,7 +72,10 @@ def contraction_force(t, e, i, psi, chamber, loop, late, warm):
     # By (6) that is v_i times the gauge pressure.
     force -= e.get(f"warm_up.share_{i}", 0.0) * warm * (static - paper.force(t, i, l_i, t["P_out"]))
     width = e.get("slack.width", 0.0)
-    return force if width == 0.0 else (force + math.hypot(force, width)) / 2
+    force = force if width == 0.0 else (force + math.hypot(force, width)) / 2
+    return force * (
+        1 + sum(e.get(f"strength_by_signal.slope{k}", 0.0) * s for k, s in enumerate(t.get("signals", ()), 1))
+    )
 
 
 def in_chamber(x, added, i):
@@ -91,6 +102,7 @@ def moves(t, e, x, outside=0.0):
     tau, (f_1, f_2) = torque_on_muscles(t, e, x)
     c_1, c_2 = (in_chamber(x, added, i) for i in (1, 2))
     load = e.get("load_torque.constant", 0.0) + e.get("load_torque.sine", 0.0) * math.sin(psi)
+    load += sum(e.get(f"load_by_signal.slope{k}", 0.0) * s for k, s in enumerate(t.get("signals", ()), 1))
     t_0 = tau + load + outside + added.get("external_torque", 0.0) - t["k_s"] * psi
     coulomb = paper.shaft_friction(t, f_1, f_2) + paper.muscle_friction(t, c_1, c_2)
     coulomb += e.get("friction.coulomb", 0.0)
@@ -101,6 +113,42 @@ def moves(t, e, x, outside=0.0):
     coulomb += sum(e.get(f"friction_by_signal.slope{k}", 0.0) * s for k, s in enumerate(t.get("signals", ()), 1))
     coulomb = max(coulomb, 0.0)
     return t_0, coulomb, paper.friction(t, psi_dot, t_0, coulomb)
+
+
+def regulate(t, e, i, command, at_valve, added, rates):
+    """Rate of a pressure by its regulator; fills in the rates of the regulator's states."""
+    asked = max(command, e.get("regulator_limits.lowest", -math.inf))
+    asked = min(asked, e.get("regulator_limits.highest", math.inf))
+    shortest = t["T_stp"] / 2
+    if f"regulator_goal_{i}" in added:
+        goal = added[f"regulator_goal_{i}"]
+        outside_the_play = max(0.0, abs(asked - goal) - e[f"regulator_threshold.threshold_{i}"] / 2)
+        rates[f"regulator_goal_{i}"] = math.copysign(outside_the_play, asked - goal) / shortest
+        asked = goal
+    if f"late_command_{i}" in added:
+        late, late_rate, tau = (
+            added[f"late_command_{i}"],
+            added[f"late_command_rate_{i}"],
+            e[f"regulator_dead_time.time_{i}"],
+        )
+        rates[f"late_command_{i}"] = late_rate
+        rates[f"late_command_rate_{i}"] = (asked - late - tau * late_rate) / (tau**2 / 2)
+        asked = late
+    if f"regulator_rate_{i}" not in added:
+        return 0.0
+    omega, zeta, s = (
+        e[f"regulator_lag.frequency_{i}"],
+        e.get("regulator_lag.damping", 0.7),
+        added[f"regulator_rate_{i}"],
+    )
+    off = asked - at_valve
+    off = math.copysign(max(abs(off) - e.get("regulator_lag.dead_zone", 0.0), 0.0), off)
+    speeding_up = omega**2 * off - 2 * zeta * omega * s
+    if "regulator_lag.largest_rate" in e:
+        most = e["regulator_lag.largest_rate"]
+        speeding_up = sorted(((-most - s) / shortest, speeding_up, (most - s) / shortest))[1]
+    rates[f"regulator_rate_{i}"] = speeding_up
+    return s
 
 
 def derivative(t, e, x, u, outside=0.0, locked=False):
@@ -153,6 +201,7 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
             rates[f"reading_drift_{i}"] = drift_rate
             rates[f"reading_drift_rate_{i}"] = -2 * pole * drift_rate - pole**2 * drift
             rate += drift_rate
+        rate += regulate(t, e, i, u[i - 1], x[1 + i], added, rates)
         shown.append(rate)
         if f"hysteresis_{i}" in added:
             z = added[f"hysteresis_{i}"]

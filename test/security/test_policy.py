@@ -22,10 +22,12 @@ PUBLISHERS = {
     "pressure_1": SOURCES,
     "pressure_2": SOURCES,
     "valve_state": SOURCES,
+    "pressure_state": SOURCES,
     "angle_sensor": SOURCES,
     "measured_joint_states": SOURCES,
     "measured_external_torque": SOURCES,
     "valve_command": {"controller"},
+    "pressure_command": {"controller"},
     "joint_estimate": {"estimator"},
     "joint_states": {"estimator"},
     "external_torque": {"estimator"},
@@ -88,9 +90,9 @@ def test_who_may_publish(name: str) -> None:
 def test_who_may_hear() -> None:
     found = rules()
     for node, topics in (
-        *((source, {"valve_command"}) for source in SOURCES),
-        ("estimator", {"pressure_1", "pressure_2", "valve_state", "angle_sensor"}),
-        ("controller", {"joint_estimate", "reference", "valve_state", "rig"}),
+        *((source, {"valve_command", "pressure_command"}) for source in SOURCES),
+        ("estimator", {"pressure_1", "pressure_2", "valve_state", "pressure_state", "angle_sensor"}),
+        ("controller", {"joint_estimate", "reference", "valve_state", "pressure_state", "rig"}),
     ):
         heard = found[node]["topic", "subscribe"] - {"/clock", "/parameter_events"}
         assert heard == {TOPICS[name].resolve("/pam") for name in topics}

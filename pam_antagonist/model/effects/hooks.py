@@ -25,6 +25,7 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     "passive_force": ("N", "the same at the pressure of the atmosphere"),
     "muscle_force": ("N", "contraction force, with what effects add to it"),
     "valve_voltage": ("V", "u_i"),
+    "asked_pressure": ("Pa", "u_i of a pressure regulator, with what the effects before make of it"),
     "wanted_open_rate": ("-", "open rate that the voltage asks for"),
     "valve_pressure": ("Pa", "pressure at valve and sensor, P_i"),
     "chamber_pressure": ("Pa", "pressure in the muscle; P_i unless an effect says otherwise"),
@@ -89,6 +90,7 @@ HOOKS: dict[str, Hook] = {
         Hook("voltage_shift", "shift of the curve along the voltage", "V", "subtracts", "valve_voltage", states="none"),
         Hook("open_rate_shift", "change of the open rate", "-", "adds", "wanted_open_rate", states="none"),
         Hook("open_rate", "open rate at which the valve stands", "-", "replaces", "wanted_open_rate", states="needed"),
+        Hook("asked_pressure", "pressure that the regulator goes by", "Pa", "replaces", "asked_pressure"),
         Hook("supply_change", "change of the supply's pressure", "Pa", "adds", "supply_pressure", of_muscle=False),
         Hook("chamber_pressure", "pressure in the muscle", "Pa", "replaces", "valve_pressure", states="needed"),
         Hook("mass_loss", "mass flow out of the muscle past the valve", "kg/s", "subtracts", "valve_flow", _LOSS),
@@ -106,15 +108,15 @@ HOOKS: dict[str, Hook] = {
 """All hooks by name, in the order in which the model passes them."""
 
 MUSCLE_RATE = (
-    *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "wanted_open_rate", "valve_pressure",
-    "chamber_pressure", "valve_flow", "polytropic_rate", "chamber_rate",
+    *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "asked_pressure", "wanted_open_rate",
+    "valve_pressure", "chamber_pressure", "valve_flow", "polytropic_rate", "chamber_rate",
 )  # fmt: skip
 """What the derivative of a muscle's state may ask for."""
 JOINT_RATE = (*_JOINT, "drawn_flow")
 """What the derivative of a state of the whole joint may ask for."""
 MUSCLE_STEADY = (
-    *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "wanted_open_rate", "valve_pressure",
-    "chamber_pressure", "valve_flow",
+    *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "asked_pressure", "wanted_open_rate",
+    "valve_pressure", "chamber_pressure", "valve_flow",
 )  # fmt: skip
 """What the value of a muscle's state after a long rest may ask for."""
 JOINT_STEADY = ("drawn_flow",)

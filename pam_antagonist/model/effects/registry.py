@@ -36,6 +36,12 @@ BUILT_IN = (
     "slack",
     "friction_by_pressure",
     "friction_by_signal",
+    "load_by_signal",
+    "strength_by_signal",
+    "regulator_limits",
+    "regulator_threshold",
+    "regulator_dead_time",
+    "regulator_lag",
 )
 """Files of this folder, in the catalogue's order."""
 

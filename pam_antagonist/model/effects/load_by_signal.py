@@ -1,0 +1,51 @@
+r"""A load torque that goes with a signal from outside of the joint, such as another joint's angle.
+
+```math
+\tau_l = \sum_k c_k (s_k - \bar s_k)
+```
+
+is added to the torque on the joint. $s_k$ are the further signals that the rig file names (`signals`), in SI units,
+and $\bar s_k$ their values there. Where a signal is not measured, that value is taken. An arm whose next joint bends
+has its weight elsewhere; a tendon that runs through this joint pulls on it.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_signal
+
+
+@inlined
+def pulling(slope1, slope2, slope3, slope4, signal1, signal2, signal3, signal4):
+    """Torque on the joint [N m].
+
+    Args:
+        slope1: c_1 [N m by the unit of the signal].
+        slope2: c_2, likewise.
+        slope3: c_3, likewise.
+        slope4: c_4, likewise.
+        signal1: s_1 − s̄_1 [SI].
+        signal2: s_2 − s̄_2 [SI].
+        signal3: s_3 − s̄_3 [SI].
+        signal4: s_4 − s̄_4 [SI].
+    """
+    return slope1 * signal1 + slope2 * signal2 + slope3 * signal3 + slope4 * signal4
+
+
+EFFECT = Effect(
+    name="load_by_signal",
+    meaning="A torque pulls on the joint that goes with something outside of it that was measured.",
+    law="the torque on the joint gains the sum of c_k (s_k − s̄_k) over the further signals s_k",
+    source="statics: the moment of a weight, or of a tendon, that something else moves",
+    signature="The joint rests elsewhere at some times, and those go with a signal of another joint.",
+    parameters=per_signal("slope", "N m/SI", -10.0, 10.0, 1e-7, "torque that goes with the signal", "c"),
+    hooks={"joint_torque": pulling},
+    sentence="a torque on the joint goes with a signal from outside of it (load_by_signal)",
+    experiment="hold the joint's own pressures, and move the other joint slowly",
+    distinguished_by={
+        "friction_by_signal": "approach the same angle from both sides: friction holds on either side, a load pulls to "
+        "one",
+    },
+    sealed=SealedJoint(part=None, reason="further signals are not offered to sealed joints"),
+    needs_angle=True,
+    tested_with=("regulator",),
+)

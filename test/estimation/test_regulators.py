@@ -1,0 +1,116 @@
+"""A joint with pressure regulators: the same simulation, filter, bag and replay, with pressures as commands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.signal import lsim, lti
+
+from pam_antagonist import load_rig, read_bag, replay, simulate
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import Estimator, simulate_model
+from pam_antagonist.recording import Recording, write_bag
+
+RIG = load_rig("shin2022_regulators", regulators=True)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate(RIG, duration=8.0, mismatch=0.01, seed=3)
+
+
+def test_a_locked_joint_follows_its_commands_as_the_textbook_says() -> None:
+    lag = {"frequency_1": 50.0, "frequency_2": 80.0, "damping": 0.4}
+    rig = RIG.replaced(effects={"regulator_lag": lag})
+    command = np.full((400, 2), 300e3)
+    command[100:, 0], command[200:, 1] = 450e3, 250e3
+    run = simulate_model(rig, command, command[0], "locked")
+    time = np.arange(401) * 1e-3
+    for i, omega in enumerate((50.0, 80.0)):
+        step = np.concatenate([command[:, i], command[-1:, i]]) - 300e3
+        _, expected, _ = lsim(lti([omega**2], [1.0, 0.8 * omega, omega**2]), step, time, interp=False)
+        assert run.pressure[:, i] - 300e3 == pytest.approx(expected[1:], abs=150.0)
+
+
+def test_range_dead_zone_rate_and_threshold_hold_the_pressure_back() -> None:
+    lag = {"frequency_1": 60.0, "frequency_2": 60.0, "damping": 0.8, "dead_zone": 4e3, "largest_rate": 1e6}
+    effects = {
+        "regulator_lag": lag, "regulator_limits": {"lowest": 200e3, "highest": 500e3},
+        "regulator_threshold": {"threshold_1": 20e3, "threshold_2": 20e3},
+    }  # fmt: skip
+    rig = RIG.replaced(effects=effects)
+    command = np.full((2400, 2), 300e3)
+    command[100:1000] = 600e3, 303e3
+    command[1000:1600, 0] = 600e3 - 115e3
+    command[1600:, 0] = 400e3
+    run = simulate_model(rig, command, command[0], "locked")
+    first = run.pressure[:, 0]
+    assert np.diff(first).max() * 1e3 == pytest.approx(1e6, rel=0.01)
+    assert np.all(run.pressure[:, 1] == 300e3), "an error within the dead zone and the threshold is corrected"
+    # 500 kPa is the end of the range, the threshold and the dead zone each stop before; a small reversal does nothing.
+    assert first[999] == pytest.approx(500e3 - 10e3 - 4e3, abs=2e3)
+    assert first[1599] == pytest.approx(first[999], abs=500.0)
+    assert first[-1] == pytest.approx(400e3 + 10e3 + 4e3, abs=2e3)
+
+
+def test_a_dead_time_shifts_the_answer() -> None:
+    late = RIG.replaced(effects={**RIG.effects, "regulator_dead_time": {"time_1": 0.02, "time_2": 0.02}})
+    command = np.full((500, 2), 300e3)
+    command[100:, 0] = 400e3
+    runs = [simulate_model(rig, command, command[0], "locked").pressure[:, 0] for rig in (RIG, late)]
+    half = [int(np.argmax(run > 350e3)) for run in runs]
+    assert half[1] - half[0] == pytest.approx(20, abs=3)
+    assert runs[1].min() > 299.9e3, "it answers in the wrong direction first"
+
+
+def test_the_filter_tells_the_angle_with_and_without_measured_pressures(recording: Recording) -> None:
+    for measured in (True, False):
+        pressure = recording.pressure if measured else np.full_like(recording.pressure, np.nan)
+        run = Estimator(RIG).run(recording.stamp_ns, pressure, recording.voltage)
+        assert len(run.rows) == len(recording)
+        error = run.rows["angle"] - recording.angle
+        assert np.ptp(recording.angle) > np.radians(10.0)
+        assert np.sqrt(np.mean(error**2)) < np.radians(0.5)
+        inside = np.abs(error) < 1.96 * np.sqrt(run.rows["covariance"][:, 0, 0])
+        assert np.mean(inside) > 0.85
+
+
+def test_a_bag_keeps_what_was_asked_for_and_replays(recording: Recording, tmp_path: Path) -> None:
+    live = Estimator(RIG).run(recording.stamp_ns, recording.pressure, recording.voltage)
+    write_bag(tmp_path / "bag", recording)
+    read = read_bag(tmp_path / "bag")
+    assert read.drive == "regulator" and read.topics["pressure_state"] == "/pam/pressure_state"
+    assert np.array_equal(read.voltage, recording.voltage)
+    report = replay(tmp_path / "bag", RIG).report
+    assert report.ukf.angle is not None and report.ukf.angle.rmse < 0.5
+    assert np.array_equal(replay(tmp_path / "bag", RIG).run.rows["angle"], live.rows["angle"])
+    blind = replace(recording, pressure=np.full_like(recording.pressure, np.nan), path=tmp_path / "blind")
+    write_bag(blind.path, blind)
+    assert replay(blind.path, RIG).report.ukf.angle.rmse < 0.5
+
+
+def test_valves_and_regulators_are_not_taken_for_each_other(recording: Recording) -> None:
+    with pytest.raises(BadInput, match="of a joint with pressure regulators; expected a rig with drive: regulator"):
+        replay(recording, "shin2022")
+    with pytest.raises(BadInput, match="holds no pressure_state"):
+        replay(simulate("shin2022", duration=0.1), RIG)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"drive": "valve"}, "effects.regulator_lag: the rig has valves; expected drive: regulator with it"),
+        ({"effects": {"regulator_lag": {"frequency_1": 0.0}}}, "effects.regulator_lag is missing"),
+        ({"effects": {"regulator_limits": {"lowest": 8e5}}}, "expected lowest below highest"),
+        ({"effects": {"regulator_dead_time": {"time_1": 1e-4}}}, "one step of the integration would not follow it"),
+    ],
+)
+def test_what_a_rig_file_has_to_say(tmp_path: Path, changes: dict[str, object], words: str) -> None:
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump({"based_on": "shin2022_regulators", **changes}))
+    with pytest.raises(BadInput) as error:
+        load_rig(tmp_path / "rig.yaml", regulators=True)
+    assert words in str(error.value)
