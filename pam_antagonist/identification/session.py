@@ -168,7 +168,7 @@ def identify(
     own = []
     for index, part in enumerate(fitted if len(fitted) > 1 else []):
         progress(f"own values of {part.name}")
-        own.append(own_tuning(tuned.rig, part, found, inner, index, options.jobs))
+        own.append(own_tuning(tuned, part, found, inner, index, options.jobs))
     return Identified(
         rig,
         result,

@@ -157,7 +157,7 @@ def joint_fit(
         if progress:
             progress(f"round {number + 1} of {rounds}")
     # What the answer is worth hangs on the slopes where it stands.
-    parts = _locals(problem, theta, weights, _Slopes())
+    parts = _locals(problem, theta, weights, _Slopes(exact=True))
     information = np.eye(problem.size)
     for index, part in enumerate(parts):
         seen = problem.map(index)
@@ -180,7 +180,8 @@ class _Slopes:
     A Gauss-Newton step with slopes that are off by a per cent is as good, and costs a fortieth.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, exact: bool = False) -> None:
+        self._exact = exact
         self._seen: list[Floats] = []
         self._parts: list[Floats] = []
 
@@ -191,7 +192,7 @@ class _Slopes:
             np.max(np.abs(old - new)) <= near for old, new in zip(self._seen, seen, strict=True)
         )
         if not stands:
-            self._seen, self._parts = seen, problem.local_jacobians(theta)
+            self._seen, self._parts = seen, problem.local_jacobians(theta, self._exact)
         return self._parts
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.inference.trial import CHANNELS, Trial
-from pam_antagonist.inference.valve_driven import STARTS, ValveDriven, predict
+from pam_antagonist.inference.valve_driven import STARTS, ValveDriven, predict, stride_blocks
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -106,11 +106,18 @@ class JointProblem:
         rest = [8.0] * (self.size - len(self.free))
         return np.array(low + [-value for value in rest]), np.array(high + rest)
 
-    def predict_local(self, local: Floats, index: int) -> Floats:
-        """Prediction of one trial (N, 4) at what it sees of a fitted vector (F + 3,)."""
+    def predict_local(self, local: Floats, index: int, steps: Trial | None = None) -> Floats:
+        """Prediction of one trial (N, 4) at what it sees of a fitted vector (F + 3,).
+
+        Args:
+            local: what the trial sees (F + 3,).
+            index: of the trial.
+            steps: the trial as a model in longer steps sees it; default: as it is.
+        """
         experiment = self.experiments[index]
         p = par.changed(experiment.vector, self.values(local))
-        return predict(experiment.trial, p, experiment.first, experiment.start_std * local[len(self.free) :])
+        start = experiment.start_std * local[len(self.free) :]
+        return predict(steps or experiment.trial, p, experiment.first, start)
 
     def predict(self, theta: Floats, index: int) -> Floats:
         """Prediction of one trial (N, 4) at a fitted vector."""
@@ -128,10 +135,18 @@ class JointProblem:
             for trial, values in zip(self.trials, predicted, strict=True)
         ]
 
-    def local_jacobians(self, theta: Floats) -> list[Floats]:
-        """Derivatives of :meth:`residuals` by what each trial sees, one array (B, counted channels, F + 3) a trial."""
-        seen = [self.map(index) @ theta for index in range(len(self.trials))]
+    def local_jacobians(self, theta: Floats, exact: bool = False) -> list[Floats]:
+        """Derivatives of :meth:`residuals` by what each trial sees, one array (B, counted channels, F + 3) a trial.
 
+        A fit needs no steps of the integration as fine as the residual's: its derivatives are simulated in longer ones
+        wherever the model in longer steps goes the same way. Error bars need the exact ones.
+
+        Args:
+            theta: fitted vector (size,).
+            exact: in the steps of the residual.
+        """
+        seen = [self.map(index) @ theta for index in range(len(self.trials))]
+        trials = self.trials if exact else [self._in_longest_steps(part, index) for index, part in enumerate(seen)]
         width = len(self.free) + STARTS
         steps = _STEP * np.eye(width)
         steps[: len(self.free), : len(self.free)] = self._steps
@@ -139,15 +154,32 @@ class JointProblem:
 
         def column(task: tuple[int, int]) -> Floats:
             index, k = task
-            trial = self.trials[index]
-            up, down = (self.predict_local(seen[index] + sign * steps[:, k], index) for sign in (1.0, -1.0))
-            return trial.blocks((up - down)[:, self.counted(trial)]) / 2.0
+            up, down = (self._means(seen[index] + sign * steps[:, k], index, trials[index]) for sign in (1.0, -1.0))
+            return np.asarray((up - down)[:, self.counted(self.trials[index])] / 2.0)
 
         tasks = [(index, k) for index in range(len(self.trials)) for k in range(width)]
         columns = side_by_side(column, tasks, self.jobs)
         return [
             np.stack(columns[index * width : (index + 1) * width], axis=2) @ back for index in range(len(self.trials))
         ]
+
+    def _means(self, local: Floats, index: int, steps: Trial) -> Floats:
+        """Block means (B, 4) of the prediction of one trial, simulated in the steps of another form of it."""
+        trial = self.trials[index]
+        stride = round(steps.dt / trial.dt)
+        return stride_blocks(self.predict_local(local, index, steps), stride, len(trial) // trial.block, trial.block)
+
+    def _in_longest_steps(self, local: Floats, index: int) -> Trial:
+        """A trial in the longest steps in which the model goes its way."""
+        experiment = self.experiments[index]
+        channels = list(experiment.channels)
+        # Longer steps follow no shorter lags than themselves: there, an effect's time that moves would seem to stay.
+        if not any(item.name.startswith("effects.") for item in self.free):
+            exact = self._means(local, index, experiment.trial)[:, channels]
+            for steps in experiment.in_long_steps:
+                if experiment.goes_its_way(self._means(local, index, steps)[:, channels] - exact):
+                    return steps
+        return experiment.trial
 
     def jacobian(self, theta: Floats) -> list[Floats]:
         """Derivatives of :meth:`residuals`, one array (B, counted channels, size) a trial."""

@@ -99,12 +99,11 @@ def shared_profiles(
         residual = np.concatenate([stacked(problem.residuals(theta), weights), theta])
         return residual, 0.5 * float(residual @ residual)
 
-    def held(k: int, position: float) -> float:
+    def held(k: int, normal: Floats, position: float) -> float:
         std = float(np.sqrt(found.full[k, k]))
         # Along the ridge: where the others go while this one is moved.
         theta = found.theta + found.full[:, k] / found.full[k, k] * position * std
         others = np.arange(problem.size) != k
-        normal = np.linalg.pinv(jacobian[:, others])
         best = np.inf
         for _ in range(_STEPS):
             residual, now = cost(theta)
@@ -117,7 +116,8 @@ def shared_profiles(
     for name in names:
         k = place[name]
         item, std = problem.free[k], float(np.sqrt(found.full[k, k]))
-        costs = np.array(Parallel(n_jobs=jobs, prefer="threads")(delayed(held)(k, x) for x in _POSITIONS))
+        normal = np.linalg.pinv(np.delete(jacobian, k, axis=1))
+        costs = np.array(Parallel(n_jobs=jobs, prefer="threads")(delayed(held)(k, normal, x) for x in _POSITIONS))
         value = item.start + item.prior_std * (found.theta[k] + _POSITIONS * std)
         best = float(item.start + item.prior_std * found.theta[k])
         out.append(Profile(name, best, item.prior_std * std, value, costs - min(base, costs.min())))

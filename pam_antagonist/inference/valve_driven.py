@@ -191,14 +191,23 @@ class ValveDriven(Experiment):
 
     def _coarsest(self, point: Point, residual: Floats) -> tuple[Trial, Floats]:
         """The part that is fitted in the longest steps in which the model goes its way at a point; its residual."""
-        for coarse in self._in_long_steps:
+        for coarse in self.in_long_steps:
             here = self._coarse_residual(point, coarse)
-            if np.all(np.sqrt(np.mean((here - residual) ** 2, axis=0)) <= _ASTRAY * self.noise):
+            if self.goes_its_way(here - residual):
                 return coarse, here
         return self._part, residual
 
+    def goes_its_way(self, change: Floats) -> bool:
+        """Whether longer steps change what is compared by so little that they serve for derivatives.
+
+        Args:
+            change: of the block means (B, C).
+        """
+        return bool(np.all(np.sqrt(np.nanmean(change**2, axis=0)) <= _ASTRAY * self.noise))
+
     @cached_property
-    def _in_long_steps(self) -> tuple[Trial, ...]:
+    def in_long_steps(self) -> tuple[Trial, ...]:
+        """The part that is fitted as models in longer steps see it, the longest steps first."""
         found = (in_steps(self._part, longest) for longest in _LONG_STEPS)
         return tuple(coarse for coarse in found if coarse.step > self._part.step)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from pam_antagonist.identification.directions import ConsideredDirection
 from pam_antagonist.identification.session import Identified, recording_that_shows, relative
-from pam_antagonist.identification.tuning import ConsideredDirection
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts
 from pam_antagonist.report.assumption import assumption

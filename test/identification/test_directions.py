@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.identification.tuning import considered_directions
+from pam_antagonist.identification.directions import Sensitivity, considered_directions
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.model import equilibrium
@@ -39,7 +39,8 @@ def test_directions_hold_what_is_not_known_where_the_joint_never_was(rig, still)
     free = free_parameters(rig)
     # As uncertain as the priors say: a joint that stands tells little.
     covariance = np.eye(len(free))
-    directions = considered_directions(rig, [still], free, covariance, jobs=1)
+    known = Sensitivity.of(rig, [still], free, covariance, jobs=1)
+    directions = considered_directions(rig, [still], known, covariance)
     assert 1 < len(directions) < len(free)
 
     def angles(changes):
@@ -55,3 +56,16 @@ def test_directions_hold_what_is_not_known_where_the_joint_never_was(rig, still)
     few = spread([{name: 0.1 * step for name, step in item.changes.items()} for item in directions])
     assert np.all(few > 0.9 * all_of_it)
     assert np.all(few < 1.05 * all_of_it)
+
+
+def test_the_estimate_s_slopes_serve_for_another_covariance(rig, still):
+    """Worked out along the combinations of one fit, they tell what those of another fit do."""
+    free = free_parameters(rig)
+    rng = np.random.default_rng(3)
+    turned = np.linalg.qr(rng.normal(size=(len(free), len(free))))[0]
+    one, other = ((turned * scales) @ turned.T for scales in rng.uniform(0.01, 0.2, size=(2, len(free))))
+    along_one, along_other = (Sensitivity.of(rig, [still], free, covariance, jobs=1) for covariance in (one, other))
+    known, wanted = (considered_directions(rig, [still], known, other) for known in (along_one, along_other))
+    assert len(known) == len(wanted)
+    assert np.allclose([item.share for item in known], [item.share for item in wanted], atol=0.01)
+    assert np.allclose([item.angle for item in known], [item.angle for item in wanted], rtol=0.03, atol=1e-5)
