@@ -67,6 +67,9 @@ COMMANDS: dict[str, Command] = {
     "excitation": Command(
         "pam_antagonist.validation.excitation.command:main", "how much more a designed excitation tells than steps"
     ),
+    "tell_apart": Command(
+        "pam_antagonist.validation.excitation.pairs:main", "whether designed experiments tell similar effects apart"
+    ),
     "pamy": Command(
         "pam_antagonist.validation.pamy.command:main", "what close_loop makes of a measured arm with regulators"
     ),

@@ -54,7 +54,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "inference": _OFFLINE,
     "identification": (*_OFFLINE, "inference"),
     "diagnosis": (*_OFFLINE, "inference", "identification"),
-    "design": (*_OFFLINE, "inference", "identification", "diagnosis"),
+    "design": (*_OFFLINE, "simulation", "inference", "identification", "diagnosis"),
     "report": (*_RESULTS, "control"),
     "nodes": (*_OFFLINE, "simulation", "control", "safety", "hardware"),
     "api": (*_RESULTS, "simulation", "checks", "report"),

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,10 @@ import numpy as np
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import SHORTEST, Limits, Plan, designed, standard_errors
+from pam_antagonist.design.apart import LIKELY, instead_of, told_apart
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.trial import CHANNELS
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain, ros_arguments
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.recording.notes import write_notes
@@ -32,6 +35,10 @@ The voltages are designed beforehand, by the rig's model: of many courses, the o
 of the parameters' information largest (D-optimal), for all parameters that identify moves. The joint stays within the
 limits, with a margin of three standard deviations by what the rig file declares uncertain.
 
+With --tell-apart the voltages are those under which the found effect and those that explain as much differ most, as
+short as that may be (--duration at most). It says beforehand how likely that decides, and what else would where it does
+not.
+
 --source says who owns the valves: plant starts a simulated joint, bridge a bridge to hardware, none nothing, where
 such a node runs already. No controller may run beside it: one node at a time commands the valves. Ctrl-C ends it at any
 time: the valves then get their safe voltages. It ends by itself, at rest, where a measured pressure or angle is beyond
@@ -45,6 +52,7 @@ examples:
   {run} excite --rig shin2022 --out excited --plan-only
   {run} excite --rig my_rig.yaml --out free --source bridge --port /dev/ttyACM0 --max-angle 15
   {run} excite --rig my_rig.yaml --out locked --source bridge --port /dev/ttyACM0 --joint locked
+  {run} excite --rig my_rig.yaml --out apart --tell-apart found --plan-only
 """
 _DRAIN_S = 0.3
 _COMMAND_TIMEOUT = 0.1
@@ -65,6 +73,13 @@ def parser() -> common.Parser:
     common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
     add_limits(out)
     out.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the search (default: 0)")
+    out.add_argument(
+        "--tell-apart", type=Path, metavar="FOUND",
+        help="folder of close_loop: design what tells the found effect from those that explain as much",
+    )  # fmt: skip
+    out.add_argument(
+        "--without", action="append", default=[], choices=("angle", "torque"), help="this is not measured",
+    )  # fmt: skip
     out.add_argument("--plan-only", action="store_true", help="design and write the plan, drive nothing")
     add_source(out)
     return out
@@ -141,8 +156,14 @@ def _main(argv: Sequence[str] | None) -> int:
     rig = load_rig(arguments.rig)
     limits = limits_of(arguments, rig)
     angle = common.lock_angle(arguments) or 0.0
+    promise = ""
     with counted(arguments.duration, "design") as advance:
-        plan = designed(rig, limits, arguments.duration, arguments.joint, angle, arguments.seed, advance)
+        if arguments.tell_apart is None:
+            plan = designed(rig, limits, arguments.duration, arguments.joint, angle, arguments.seed, advance)
+        else:
+            plan, promise = _between(arguments, rig, limits, angle, advance)
+    if promise:
+        print(promise)
     out: Path = arguments.out
     try:
         (out / "logs").mkdir(parents=True)
@@ -154,6 +175,51 @@ def _main(argv: Sequence[str] | None) -> int:
         print(common.next_command("simulate", [], f"--rig {arguments.rig} --profile {out}/voltages.csv --out BAG"))
         return common.DONE
     return _driven(arguments, rig, plan, out)
+
+
+def _between(
+    arguments: argparse.Namespace, rig: Rig, limits: Limits, angle: float, advance: Callable[[float], None]
+) -> tuple[Plan, str]:
+    """The experiment that tells a found effect from its rivals, and in words what it promises."""
+    found, effect, rivals = undecided(arguments.tell_apart)
+    extended = found.replaced(sensors=rig.sensors, valves=rig.valves)
+    channels = [k for k, name in enumerate(CHANNELS) if name not in arguments.without]
+    verdict = told_apart(
+        extended, effect, rivals, limits, arguments.duration, arguments.joint, angle, arguments.seed, channels, advance
+    )
+    each = ", ".join(f"{rival} {chance:.0%}" for rival, chance in verdict.by_rival.items())
+    text = f"{effect} or {' or '.join(rivals)}: decided with a chance of {verdict.chance:.0%} ({each}), "
+    text += f"in {verdict.plan.duration:.0f} s with the joint {arguments.joint}"
+    if verdict.chance < LIKELY:
+        others = instead_of(extended, effect, rivals, limits, verdict, channels)
+        text += ". No motion within the limits tells them apart"
+        text += f"; what would: {'; '.join(others)}" if others else ", nor does a further sensor or a lock"
+    return verdict.plan, text
+
+
+def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
+    """What a diagnosis left undecided.
+
+    Args:
+        folder: of ``close_loop``.
+
+    Returns:
+        The rig with the found effect, its name, and the names of the effects that explain as much.
+
+    Raises:
+        BadInput: no such folder, or nothing in it is undecided.
+    """
+    try:
+        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        effects = [str(effect["name"]) for effect in report["effects"]]
+        rivals = [str(name) for name in report["ambiguous_with"] if name in CATALOGUE]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadInput(f"{folder}: expected a folder of close_loop with its report.json: {error}") from None
+    if not effects:
+        raise BadInput(f"{folder}: close_loop found no effect there; expected one with ambiguous_with in report.json")
+    if not rivals:
+        raise BadInput(f"{folder}: {effects[0]} is decided; expected a report with ambiguous_with")
+    return load_rig(str(folder / "rig_extended.yaml")), effects[0], rivals
 
 
 def _driven(arguments: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> int:

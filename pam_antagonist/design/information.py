@@ -7,8 +7,8 @@ make the information matrix ``J' R⁻¹ J`` of the parameters, to which a prior 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,19 @@ STEP = 2e-3
 """[s] Of the integration. Derivatives need no finer one."""
 _SHARE = 1e-3
 """Of a standard deviation: how far a neighbour lies from the model."""
+
+
+@dataclass(frozen=True)
+class Departure(Direction):
+    """A direction towards a model that has further numbers.
+
+    Attributes:
+        fixed: numbers that its neighbour has beside the changes, by dotted path: the shapes of an effect.
+        share: of an amount of 1: how far the neighbour lies from the model.
+    """
+
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    share: float = 0.1
 
 
 def block_noise(rig: Rig) -> Floats:
@@ -103,10 +116,10 @@ class Information:
         self.vectors = [base]
         for direction in self.directions:
             for sign in signs:
-                moved = base.copy()
-                for name, change in direction.changes.items():
-                    moved[par.INDEX[name]] += sign * _SHARE * change
-                self.vectors.append(moved)
+                share = sign * _share(direction)
+                moved = {name: base[par.INDEX[name]] + share * change for name, change in direction.changes.items()}
+                fixed = direction.fixed if isinstance(direction, Departure) else {}
+                self.vectors.append(par.changed(base, {**fixed, **moved}))
 
     def start(self, pressure: tuple[float, float], voltage: Floats) -> tuple[Floats, ...]:
         """States of a joint that has stood for long, of the model and of each neighbour.
@@ -142,10 +155,11 @@ class Information:
     def _slopes(self, values: Sequence[Floats]) -> Floats:
         if not self.directions:
             return np.zeros((*values[0].shape, 0))
+        shares = [_share(direction) for direction in self.directions]
         if self._central:
-            pairs = zip(values[1::2], values[2::2], strict=True)
-            return np.stack([(one - other) / (2.0 * _SHARE) for one, other in pairs], axis=-1)
-        return np.stack([(one - values[0]) / _SHARE for one in values[1:]], axis=-1)
+            pairs = zip(values[1::2], values[2::2], shares, strict=True)
+            return np.stack([(one - other) / (2.0 * share) for one, other, share in pairs], axis=-1)
+        return np.stack([(one - values[0]) / share for one, share in zip(values[1:], shares, strict=True)], axis=-1)
 
     def matrix(self, course: Course, count: int | None = None) -> Floats:
         """Information of a piece about the first directions (count, count), in units of their standard deviations.
@@ -160,6 +174,10 @@ class Information:
         means = kept.reshape(blocks, size, len(self.channels), -1).mean(axis=1) / self._noise[:, None]
         flat = means.reshape(-1, means.shape[-1])
         return np.asarray(flat.T @ flat)
+
+
+def _share(direction: Direction) -> float:
+    return direction.share if isinstance(direction, Departure) else _SHARE
 
 
 def predicted_std(course: Course, spread: Floats) -> Floats:

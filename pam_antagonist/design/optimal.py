@@ -36,12 +36,13 @@ SHORTEST = 6.0
 """[s] Of an experiment."""
 _PACES = (1, 2, 3, 5, 8, 14)
 """How many times a block holds one of its pairs."""
-_TAIL = 0.4
+TAIL = 0.4
 """[s] After a block the resting voltages follow in the check: by then a joint has swung out."""
-_STEP = 4e-3
+STEP = 4e-3
 """[s] Of the integration while designing; the errors that a plan promises are worked out in finer steps."""
 _POPULATION, _GENERATIONS = 16, 3
-_FORBIDDEN = 1e6
+FORBIDDEN = 1e6
+"""Merit of a block that leaves the limits, at least; the farther, the worse."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +71,57 @@ class Plan:
     def duration(self) -> float:
         """Length [s]."""
         return len(self.voltage) * self.period
+
+
+def held(pairs: Floats, seconds: float, step: float) -> Floats:
+    """Voltages (N, 2) of pairs that follow one another in equal times.
+
+    Args:
+        pairs: (K, 2) [V].
+        seconds: of all of them [s].
+        step: from row to row [s].
+    """
+    count = round(seconds / step)
+    return np.asarray(pairs[np.minimum(np.arange(count) * len(pairs) // count, len(pairs) - 1)])
+
+
+def best_block(
+    merit: Callable[[Floats], float],
+    bounds: tuple[float, float],
+    rest: Floats,
+    seconds: float,
+    step: float,
+    rng: np.random.Generator,
+) -> Floats | None:
+    """The block with the least merit that a short differential evolution finds.
+
+    Args:
+        merit: takes voltages (N, 2) [V]; :data:`FORBIDDEN` or more where they leave the limits.
+        bounds: least and largest voltage [V].
+        rest: voltages of both valves at rest (2,) [V].
+        seconds: length of the block [s].
+        step: from row to row [s].
+        rng: of the search.
+
+    Returns:
+        Voltages (N, 2) [V]; None where every block that was tried leaves the limits.
+    """
+    low, high = bounds
+
+    def block(choice: Floats) -> Floats:
+        pairs = choice[1:].reshape(2, 2)
+        pace = _PACES[min(int(choice[0] * len(_PACES)), len(_PACES) - 1)]
+        return held(np.array([pairs[k % 2] for k in range(pace)]), seconds, step)
+
+    first = qmc.Sobol(5, rng=rng).random(_POPULATION)
+    first[:, 1:] = low + (high - low) * first[:, 1:]
+    # To stay at rest is always allowed.
+    first[0] = [0.0, *rest, *rest]
+    found = differential_evolution(
+        lambda choice: merit(block(choice)), [(0.0, 1.0), *[(low, high)] * 4], init=first, maxiter=_GENERATIONS,
+        polish=False, tol=0.0, rng=rng,
+    )  # fmt: skip
+    return None if found.fun >= FORBIDDEN else block(found.x)
 
 
 class Design:
@@ -103,7 +155,7 @@ class Design:
         sought = unknowns(rig)
         self._count = len(sought)
         further, self._open = uncertainty_of(rig, sought)
-        self._work = Information(rig, (*sought, *further), joint, lock_angle, step=_STEP)
+        self._work = Information(rig, (*sought, *further), joint, lock_angle, step=STEP)
         self._rng = np.random.default_rng(seed)
         self.pressure = 0.5 * (limits.pressure[0] + limits.pressure[1])
         self.rest = steady_voltage(rig, self.pressure)
@@ -111,41 +163,23 @@ class Design:
         self._rest = np.array(self.rest)
         self._states = self._work.start((self.pressure, self.pressure), self._rest)
         self._information = np.eye(self._count)
-        tail = self._work.along(self._states, self._rows(self._rest[None], _TAIL))
+        tail = self._work.along(self._states, held(self._rest[None], TAIL, self.step))
         if limits.excess(tail.states, predicted_std(tail, self._open)) > 0.0:
             raise BadInput(
                 "the joint may leave the limits at rest already, by what the rig file leaves open: expected wider "
                 "limits, or a rig file that is known better (identify)"
             )
 
-    def _rows(self, pairs: Floats, seconds: float) -> Floats:
-        """Voltages (N, 2) of pairs that follow one another in equal times."""
-        steps = round(seconds / self._work.dt)
-        index = np.minimum(np.arange(steps) * len(pairs) // steps, len(pairs) - 1)
-        return np.asarray(pairs[index])
-
-    def _block(self, choice: Floats, seconds: float) -> Floats:
-        pace = _PACES[min(int(choice[0] * len(_PACES)), len(_PACES) - 1)]
-        pairs = choice[1:].reshape(2, 2)
-        return self._rows(np.array([pairs[k % 2] for k in range(pace)]), seconds)
-
     def _merit(self, rows: Floats) -> float:
         """What a block adds, negative, so that less is better; far above 0 where it leaves the limits."""
-        tail = self._rows(self._rest[None], _TAIL)
+        tail = held(self._rest[None], TAIL, self.step)
         course = self._work.along(self._states, np.concatenate([rows, tail]))
         over = self._limits.excess(course.states, predicted_std(course, self._open))
         if over > 0.0:
-            return _FORBIDDEN * (1.0 + over)
+            return FORBIDDEN * (1.0 + over)
         inside = self._work.matrix(replace(course, slopes=course.slopes[: len(rows)]), self._count)
         before, after = (np.linalg.slogdet(matrix)[1] for matrix in (self._information, self._information + inside))
         return float(before - after)
-
-    def _first(self, low: float, high: float) -> Floats:
-        """Choices that the search begins with (16, 5): spread evenly, and to stay at rest, which is always allowed."""
-        spread = qmc.Sobol(5, rng=self._rng).random(_POPULATION)
-        spread[:, 1:] = low + (high - low) * spread[:, 1:]
-        spread[0] = [0.0, *self._rest, *self._rest]
-        return np.asarray(spread)
 
     def add(self, seconds: float = BLOCK) -> Floats:
         """Choose one more block.
@@ -156,15 +190,8 @@ class Design:
         Returns:
             Its voltages (N, 2) [V], a row a step.
         """
-        low, high = self._limits.voltage
-        bounds = [(0.0, 1.0 - 1e-9)] + 4 * [(low, high)]
-        found = differential_evolution(
-            lambda choice: self._merit(self._block(choice, seconds)),
-            bounds, init=self._first(low, high), maxiter=_GENERATIONS, polish=False, tol=0.0, rng=self._rng,
-        )  # fmt: skip
-        if found.fun >= _FORBIDDEN:
-            return self.at_rest(seconds)
-        return self._taken(self._block(found.x, seconds))
+        rows = best_block(self._merit, self._limits.voltage, self._rest, seconds, self.step, self._rng)
+        return self.at_rest(seconds) if rows is None else self._taken(rows)
 
     def at_rest(self, seconds: float) -> Floats:
         """Let the joint rest for a while.
@@ -175,7 +202,7 @@ class Design:
         Returns:
             The voltages (N, 2) [V], a row a step.
         """
-        return self._taken(self._rows(self._rest[None], seconds))
+        return self._taken(held(self._rest[None], seconds, self.step))
 
     def _taken(self, rows: Floats) -> Floats:
         course = self._work.along(self._states, rows)

@@ -1,0 +1,250 @@
+"""The first air in a joint: is it wired as the rig file says? A short experiment at low pressure, and what it shows.
+
+Both muscles hold a low pressure. Then valve 1 fills its muscle a little, and valve 2 its own. At the end both are
+vented. Which sensor rises with which valve, how far, and where the joint turns, tells the faults of a wiring from each
+other. How far a pressure should rise is the model's: of that only the two muscles are compared with each other, since a
+new rig file knows a valve to a quarter only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.design.information import STEP, Information
+from pam_antagonist.design.limits import Limits
+from pam_antagonist.design.optimal import Plan, steady_voltage
+from pam_antagonist.inference.trial import ANGLE
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+_LOW_SHARE, _HIGH_SHARE, _MOST_SHARE = 0.15, 0.32, 0.5
+"""Pressures of the experiment, and the limit, as shares of what the supply has beyond the atmosphere."""
+_SETTLE_S, _HOLD_S, _VENT_S = 4.0, 2.5, 5.0
+_END_S = 0.4
+"""[s] At the end of a phase, whose mean counts."""
+_FOLLOWS = 0.3
+"""A pressure follows a valve if it changes by this share of what the model says, or more."""
+_LOSES = 0.8
+"""A muscle that gets less than this share of what the other one gets, both over the model's, leaks."""
+_WEAK = 0.6
+"""Both get less than this share of the model's: the supply is weak."""
+_ZERO = 12e3
+"""[Pa] A vented muscle whose sensor shows more than this off the atmosphere has a wrong zero."""
+_STILL = 2e3
+"""[Pa] A vented pressure that changes less than this in half a second has come to rest."""
+_TURNS = 4.4e-3
+"""[rad] A quarter of a degree: a joint that turns less does not show a sign."""
+_PLAUSIBLE = 40e3
+"""[Pa] Below this absolute pressure no muscle is vented to."""
+_MISSING_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that is not wired, or does not work, as the rig file says.
+
+    Attributes:
+        name: for programs.
+        sentence: what was seen, and what to check.
+    """
+
+    name: str
+    sentence: str
+
+
+def first_fill(rig: Rig) -> Plan:
+    """The experiment.
+
+    Args:
+        rig: the joint.
+    """
+    air, supply = rig.atmosphere.pressure, rig.supply.pressure
+    low, high, most = (air + share * (supply - air) for share in (_LOW_SHARE, _HIGH_SHARE, _MOST_SHARE))
+    rest, fill = np.array(steady_voltage(rig, low)), np.array(steady_voltage(rig, high))
+    vent = rig.valves.voltage_min
+    pairs = [
+        (_SETTLE_S, rest), (_HOLD_S, np.array([fill[0], rest[1]])), (_HOLD_S, rest),
+        (_HOLD_S, np.array([rest[0], fill[1]])), (_HOLD_S, rest), (_VENT_S, np.array([vent, vent])),
+    ]  # fmt: skip
+    rows = [np.tile(pair, (round(seconds / rig.sample_period), 1)) for seconds, pair in pairs]
+    stop = np.pi / 2.0 if rig.joint.stop is None else rig.joint.stop
+    # At the stop nothing breaks at a pressure this low, and a vented joint falls there.
+    limits = Limits((air, most), stop * 1.1, np.inf, (rig.valves.voltage_min, rig.valves.voltage_max))
+    first, second = float(rest[0]), float(rest[1])
+    return Plan(np.concatenate(rows), rig.sample_period, "free", 0.0, limits, low, (first, second))
+
+
+def faults(rig: Rig, pressure: Floats, angle: Floats | None) -> list[Fault]:
+    """What a recording of the experiment says is wrong; empty where nothing is.
+
+    Args:
+        rig: the joint.
+        pressure: measured ones (N, 2) [Pa], on the even grid of the rig's period from the experiment's begin on.
+        angle: measured one (N,) [rad], None where there is none.
+    """
+    dead = [fault for i in (0, 1) for fault in _dead(i, pressure[:, i])]
+    if dead:
+        return dead
+    ends = np.cumsum([_SETTLE_S, _HOLD_S, _HOLD_S, _HOLD_S, _HOLD_S, _VENT_S])
+    seen = _means(pressure, rig.sample_period, ends)
+    model = first_fill(rig)
+    course = _course(rig, model)
+    expected = _means(course[:, 1:], STEP, ends)
+    # Change of each sensor (columns) with each valve (rows), over what the model says of the valve's own muscle.
+    rise = np.array([seen[1] - 0.5 * (seen[0] + seen[2]), seen[3] - 0.5 * (seen[2] + seen[4])])
+    wanted = np.array([expected[1, 0] - expected[0, 0], expected[3, 1] - expected[2, 1]])
+    follows = rise / wanted[:, None] > _FOLLOWS
+    air = rig.atmosphere.pressure
+    gauge, usual = seen[0] - air, expected[0] - air
+    turned = None
+    if angle is not None:
+        turned = _turns(angle, rig.sample_period, ends), _turns(course[:, 0], STEP, ends)
+    if not follows.any():
+        return [_no_air(gauge, usual)]
+    if follows[0, 1] and follows[1, 0] and not follows[0, 0] and not follows[1, 1]:
+        return [_crossed(turned)]
+    found = [_unmoved(i, gauge[i], usual[i], seen[:, i]) for i in (0, 1) if not follows[i, i]]
+    if found:
+        return found
+    zeros = _zeros(pressure, rig, ends)
+    full = (np.array([seen[1, 0], seen[3, 1]]) - air) / (np.array([expected[1, 0], expected[3, 1]]) - air)
+    return [*zeros, *(_lost(full) if not zeros else []), *_encoder(turned)]
+
+
+def _course(rig: Rig, plan: Plan) -> Floats:
+    """Angle [rad] and pressures [Pa] that the model says (M, 3), in its own steps."""
+    work = Information(rig, ())
+    index = (np.arange(round(plan.duration / STEP)) * STEP / plan.period + 1e-6).astype(np.int64)
+    course = work.along(work.start((plan.pressure, plan.pressure), np.array(plan.rest)), plan.voltage[index])
+    return np.column_stack([course.shown[:, ANGLE], course.shown[:, 2:]])
+
+
+def _means(values: Floats, period: float, ends: Floats) -> Floats:
+    """Means at the ends of the phases, (P, C)."""
+    last = [slice(round((end - _END_S) / period), round(end / period)) for end in ends]
+    return np.array([np.nanmean(values[part], axis=0) for part in last])
+
+
+def _turns(angle: Floats, period: float, ends: Floats) -> Floats:
+    """How far the joint turns while valve 1 fills, and while valve 2 does (2,) [rad]."""
+    there = _means(angle[:, None], period, ends)[:, 0]
+    return np.array([there[1] - there[0], there[3] - there[2]])
+
+
+def _dead(i: int, values: Floats) -> list[Fault]:
+    missing = float(np.mean(~np.isfinite(values)))
+    if missing > _MISSING_SHARE:
+        seen = f"shows nothing in {missing:.0%} of the samples"
+    elif np.nanmedian(values) < _PLAUSIBLE:
+        seen = f"shows {np.nanmedian(values) / 1e3:.0f} kPa absolute, which no muscle has"
+    elif np.ptp(values[np.isfinite(values)][len(values) // 4 :]) == 0.0:
+        seen = f"shows {np.nanmedian(values) / 1e3:.1f} kPa all the time, without noise"
+    else:
+        return []
+    text = f"pressure sensor {i + 1} {seen}: it is dead; check its plug, its supply voltage and its channel"
+    return [Fault(f"dead_sensor_{i + 1}", text)]
+
+
+def _no_air(gauge: Floats, usual: Floats) -> Fault:
+    if np.all(gauge < 0.5 * usual):
+        return Fault(
+            "no_supply",
+            "neither muscle gets air from its valve: the supply is off; check the supply and its shut-off valve",
+        )
+    return Fault(
+        "stuck_valves",
+        "both pressures stay as they are whatever the voltages: check the valves' power and signal cables",
+    )
+
+
+def _crossed(turned: tuple[Floats, Floats] | None) -> Fault:
+    which = "valve 1 fills what pressure sensor 2 shows, and valve 2 what sensor 1 shows"
+    if turned is None or not _shows(turned):
+        return Fault("crossed", f"{which}: valves or pressure sensors are exchanged; check which hose goes where")
+    if _sign(turned) > 0:
+        return Fault(
+            "swapped_sensors", f"{which}, but the joint turns as it should: the pressure sensors are exchanged"
+        )
+    return Fault(
+        "swapped_valves", f"{which}, and the joint turns the other way: the valves (or their cables) are exchanged"
+    )
+
+
+def _unmoved(i: int, gauge: float, usual: float, seen: Floats) -> Fault:
+    number, level = i + 1, float(np.mean(seen[:5])) / 1e3
+    if gauge < 0.5 * usual:
+        text = f"muscle {number} gets no air while the other one does: check valve {number}, its cable and its hose"
+    else:
+        text = f"the pressure of muscle {number} stays at {level:.0f} kPa whatever its voltage: valve {number} is stuck"
+        text += "; check its cable, then the valve"
+    return Fault(f"stuck_valve_{number}", text)
+
+
+def _zeros(pressure: Floats, rig: Rig, ends: Floats) -> list[Fault]:
+    """Sensors that are off while both muscles are vented, and at rest by then."""
+    vented, before = _means(pressure, rig.sample_period, np.array([ends[-1], ends[-1] - 0.5]))
+    out = []
+    for i in (0, 1):
+        off = float(vented[i] - rig.atmosphere.pressure)
+        if abs(vented[i] - before[i]) < _STILL and abs(off) > _ZERO:
+            text = (
+                f"pressure sensor {i + 1} shows {off / 1e3:+.0f} kPa against the atmosphere while its muscle is vented"
+            )
+            out.append(
+                Fault(f"zero_{i + 1}", f"{text}: its zero is wrong, or gauge pressures are taken for absolute ones")
+            )
+    return out
+
+
+def _lost(full: Floats) -> list[Fault]:
+    weaker = int(np.argmin(full))
+    if np.all(full < _WEAK):
+        text = f"both pressures reach {np.max(full):.0%} of what the model says"
+        return [Fault("weak_supply", f"{text}: check the supply's pressure and the valve type in the rig file")]
+    if full[weaker] < _LOSES * full[1 - weaker]:
+        text = f"muscle {weaker + 1} reaches {full[weaker] / full[1 - weaker]:.0%} of what the other one reaches"
+        return [Fault(f"leak_{weaker + 1}", f"{text}: it leaks; check its fittings and its hose with soapy water")]
+    return []
+
+
+def _shows(turned: tuple[Floats, Floats]) -> bool:
+    seen, model = turned
+    return bool(np.all(np.abs(seen) > _TURNS) and np.all(np.abs(model) > _TURNS) and np.isfinite(seen).all())
+
+
+def _sign(turned: tuple[Floats, Floats]) -> float:
+    seen, model = turned
+    return float(np.sign(np.sum(seen * model)))
+
+
+def _encoder(turned: tuple[Floats, Floats] | None) -> list[Fault]:
+    if turned is None:
+        return []
+    if _shows(turned):
+        if _sign(turned) < 0:
+            return [
+                Fault("flipped_encoder", "the encoder counts against the joint: exchange its two tracks, or its sign")
+            ]
+        return []
+    if np.all(np.abs(turned[1]) > 2.0 * _TURNS) and not np.any(np.abs(turned[0]) > _TURNS):
+        return [
+            Fault(
+                "still",
+                "the angle hardly changes while a muscle is filled: check the encoder, and that the joint is free",
+            )
+        ]
+    return []
+
+
+def summary(found: Sequence[Fault]) -> str:
+    """What was found, a line each.
+
+    Args:
+        found: faults.
+    """
+    return "\n".join(f"wrong: {fault.sentence}" for fault in found) or "wired as the rig file says"

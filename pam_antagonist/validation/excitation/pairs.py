@@ -1,0 +1,168 @@
+"""``tell_apart``: whether a designed experiment tells effects apart that the catalogue lists as hard to tell."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from pam_antagonist.api.diagnose import diagnose
+from pam_antagonist.api.simulate import simulate
+from pam_antagonist.cli import common
+from pam_antagonist.design import Limits
+from pam_antagonist.design.apart import imitation, told_apart
+from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.free_parameters import Candidate, moved
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.report import terminal
+from pam_antagonist.report.table import Table, percent
+from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.simulation import excitation
+
+_DESCRIPTION = """\
+For each pair of effects that the catalogue lists as hard to tell apart: a simulated joint has the first effect, at its
+usual size, or the second one at the size at which it imitates the first. Its parameters differ from the rig file by
+1 %. An experiment is designed under which both differ most, and close_loop gets its recording beside one of steps
+(20 s). Right is a verdict that names the true effect first.
+"""
+_EXAMPLES = """\
+examples:
+  {run} tell_apart --pair hysteresis:friction --seeds 2
+"""
+_FIRST_S = 20.0
+_MISMATCH = 0.01
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("tell_apart", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
+    out.add_argument("--pair", action="append", metavar="A:B", help="these effects only; may be given several times")
+    out.add_argument("--seeds", type=_count, default=10, metavar="N", help="joints for each pair (default: 10)")
+    out.add_argument("--plan-only", action="store_true", help="only what the designs promise, without close_loop")
+    common.add_new_json(out, "the figures")
+    return out
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 100:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 100")
+    return int(text)
+
+
+def listed() -> list[tuple[str, str]]:
+    """Pairs of which an entry of the catalogue says what distinguishes them, each once."""
+    found = {
+        tuple(sorted((name, other)))
+        for name, effect in CATALOGUE.items()
+        for other in effect.distinguished_by
+        if other in CATALOGUE and _tested(name) and _tested(other)
+    }
+    return sorted((one, other) for one, other in found)
+
+
+def _tested(name: str) -> bool:
+    return CATALOGUE[name].deterministic and "valve" in CATALOGUE[name].tested_with
+
+
+def usual(rig: Rig, effect: str) -> Rig:
+    """A rig with an effect at its usual size.
+
+    Args:
+        rig: without it.
+        effect: its name.
+    """
+    free = Candidate(effect).free
+    return moved(rig, {p: f.item.scale if f.item.is_size else f.item.neutral for f in free for p in f.paths})
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    rig = load_rig(arguments.rig)
+    pairs = listed() if arguments.pair is None else [_pair(text) for text in arguments.pair]
+    found = []
+    with common.json_alone(arguments.json):
+        for pair in pairs:
+            for one in tried(rig, pair, arguments.seeds, arguments.plan_only):
+                found.append(one)
+                print(_line(one), flush=True)
+        if not arguments.plan_only:
+            print(terminal.table(_table(found), indent=""))
+    if arguments.json is not None:
+        common.give_json(arguments.json, json.dumps(found, indent=1) + "\n")
+    return common.DONE
+
+
+def _pair(text: str) -> tuple[str, str]:
+    one, _, other = text.partition(":")
+    for name in (one, other):
+        if name not in CATALOGUE or not _tested(name):
+            known = ", ".join(name for name in CATALOGUE if _tested(name))
+            raise BadInput(f"--pair {text!r}: expected two of {known}, such as hysteresis:friction")
+    return one, other
+
+
+def tried(rig: Rig, pair: tuple[str, str], seeds: int, plan_only: bool) -> Iterator[dict[str, Any]]:
+    """One design for a pair, and what close_loop says of joints that have one of both.
+
+    Args:
+        rig: the rig file.
+        pair: names of both.
+        seeds: joints; every other one has the second effect.
+        plan_only: whether to stop after the design.
+    """
+    first, second = pair
+    supposed = usual(rig, first)
+    verdict = told_apart(supposed, first, [second], Limits.of(rig))
+    plan = verdict.plan
+    promise = {"pair": [first, second], "chance": verdict.chance, "seconds": plan.duration}
+    if plan_only:
+        yield promise
+        return
+    for seed in range(1, seeds + 1):
+        truth = first if seed % 2 else second
+        joint = supposed if truth == first else imitation(supposed, first, second)
+        steps = excitation.profile("steps", _FIRST_S, rig.sample_period, seed)
+        recordings = [
+            simulate(joint, voltage, seed=seed, mismatch=_MISMATCH, path=name)
+            for name, voltage in (("steps", steps), ("designed", plan.voltage))
+        ]
+        found = diagnose(recordings, rig, profiles=False, estimator=False)
+        yield {
+            **promise,
+            "seed": seed,
+            "truth": truth,
+            "found": [effect.name for effect in found.effects],
+            "ambiguous": list(found.ambiguous_with),
+        }
+
+
+def _line(one: dict[str, Any]) -> str:
+    first, second = one["pair"]
+    text = f"{first} or {second}: {percent(one['chance'])} in {one['seconds']:.0f} s"
+    if "truth" in one:
+        text += f"; seed {one['seed']}: {one['truth']} is there, found {' '.join(one['found']) or 'none'}"
+    return text
+
+
+def _table(found: Sequence[dict[str, Any]]) -> Table:
+    rows = []
+    for pair in dict.fromkeys(tuple(one["pair"]) for one in found):
+        here = [one for one in found if tuple(one["pair"]) == pair]
+        right = sum(one["found"][:1] == [one["truth"]] for one in here)
+        promised = float(np.mean([one["chance"] for one in here]))
+        cells = (percent(promised), f"{here[0]['seconds']:.0f}", f"{right} of {len(here)}")
+        rows.append((" or ".join(pair), *cells))
+    return Table(("effects", "promised", "length [s]", "right first"), tuple(rows))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

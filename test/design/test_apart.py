@@ -1,0 +1,74 @@
+"""Experiments that tell two effects apart, and what they promise."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.cli import excite
+from pam_antagonist.design import Limits
+from pam_antagonist.design.apart import Question, chance, imitation, told_apart
+from pam_antagonist.design.information import STEP
+from pam_antagonist.design.optimal import steady_voltage
+from pam_antagonist.errors import BadInput
+from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.write import write_rig
+from pam_antagonist.simulation import excitation
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    """A joint whose first muscle leaks."""
+    return load_rig("shin2022").replaced(effects={"leak": {"area_1": 2e-9}})
+
+
+def distance(rig: Rig, rival: str, voltage: np.ndarray, pressure: float, rest: tuple[float, float]) -> float:
+    question = Question(rig, "leak", rival, "free", 0.0, pressure, np.array(rest), (0, 1, 2, 3))
+    question.take(question.course(voltage))
+    return question.distance
+
+
+def test_a_design_tells_more_than_steps_of_the_same_length(rig: Rig) -> None:
+    found = told_apart(rig, "leak", ["pressure_sensor"], Limits.of(rig), 12.0)
+    plan = found.plan
+    rows = plan.voltage[:: round(STEP / plan.period)]
+    steps = excitation.profile("steps", len(rows) * STEP, STEP, 3)
+    mine, theirs = (distance(rig, "pressure_sensor", v, plan.pressure, plan.rest) for v in (rows, steps))
+    assert mine > theirs
+    assert 0.0 < found.chance == found.by_rival["pressure_sensor"] <= 1.0
+
+
+def test_more_evidence_decides_more_surely() -> None:
+    assert chance(0.0) < 1e-6 < chance(3.0) < 0.5 == chance(6.0) < chance(30.0) < 1.0
+
+
+def test_a_rival_imitates_the_effect_in_its_steady_pressures(rig: Rig) -> None:
+    other = imitation(rig, "leak", "valve_offset")
+    assert set(other.effects) == {"valve_offset"}
+    assert any(abs(value) > 1e-3 for value in other.effects["valve_offset"].values())
+
+
+def test_what_cannot_show_promises_nothing(rig: Rig) -> None:
+    pressure = 400e3
+    rest = steady_voltage(rig, pressure)
+    still = np.tile(rest, (500, 1))
+    assert chance(distance(rig, "valve_offset", still, pressure, rest)) < 0.2
+
+
+def test_the_report_of_close_loop_says_what_is_undecided(rig: Rig, tmp_path: Path) -> None:
+    write_rig(rig, tmp_path / "rig_extended.yaml", [])
+    report = {"effects": [{"name": "leak"}], "ambiguous_with": ["valve_offset", "delay_angle"]}
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    found, effect, rivals = excite.undecided(tmp_path)
+    assert (effect, rivals) == ("leak", ["valve_offset"]) and found.effects["leak"]["area_1"] == 2e-9
+    for changes, words in (
+        ({"effects": []}, "found no effect"),
+        ({"ambiguous_with": []}, "leak is decided"),
+        ({"effects": 3}, "expected a folder of close_loop"),
+    ):
+        (tmp_path / "report.json").write_text(json.dumps({**report, **changes}))
+        with pytest.raises(BadInput, match=words):
+            excite.undecided(tmp_path)
