@@ -78,7 +78,7 @@ def check(recording: Bag, rig: RigGiven, joint: str = "auto", lock_angle: float 
         >>> checked.joint, len(checked.wrong)
         ('free', 0)
     """
-    configured = as_rig(rig)
+    configured = as_rig(rig, regulators=True)
     known = calibration(configured)
     read = recording if isinstance(recording, Recording) else read_bag(recording, corrections=known, judge=False)
     found = check_recording(read, configured, joint, lock_angle)

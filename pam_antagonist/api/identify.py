@@ -167,9 +167,9 @@ def identify(
         >>> round(result.rig.value("supply.pressure") / 1e5, 1)  # [bar]
         7.1
     """
-    chosen = as_rig(rig)
+    chosen = as_rig(rig, regulators=True)
     read = [
-        (recording, joint_condition(recording, joint, lock_angle), bag_name(recording.path))
+        (recording.driven_by(chosen.drive), joint_condition(recording, joint, lock_angle), bag_name(recording.path))
         for recording in as_recordings(recordings, chosen)
     ]
     if chosen.valves.sealed:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.checks import wiring
+from pam_antagonist.checks import regulators, wiring
 from pam_antagonist.checks.delay import delay_of_voltages
 from pam_antagonist.checks.prediction import correlation, predicted, range_of
 from pam_antagonist.checks.wiring import Finding
@@ -78,25 +78,38 @@ def check_recording(recording: Recording, rig: Rig, joint: str = "auto", lock_an
         What was found, with the corrections to type.
 
     Raises:
-        BadInput: a recording that is too short to compare, or without finite voltages or pressures.
+        BadInput: a recording that is too short to compare, or without finite voltages or pressures; one of a joint with
+            regulators for a rig with valves.
     """
     name = recording.path.name
+    recording.driven_by(rig.drive)
     if recording.duration_s < SHORTEST:
         raise BadInput(f"{name}: {recording.duration_s:.1f} s is too short to check; expected {SHORTEST:g} s or more")
-    for what, values in (("voltages", recording.voltage), ("pressures", recording.pressure)):
+    for what, values in (
+        ("voltages" if rig.drive == "valve" else "commands", recording.voltage),
+        ("pressures", recording.pressure),
+    ):
         if not np.isfinite(values).all(axis=1).any():
             raise BadInput(f"{name}: holds no finite {what}")
     recording = recording.slice(0.0, _LONGEST)
+    asked = regulators.commands(recording, rig)
+    if any(finding.status == "wrong" for finding in asked):
+        # Driven by what is no command, the model goes with nothing.
+        return Checked(tuple(asked), Corrections(), joint_condition(recording, joint, lock_angle).condition)
     now, unit_findings = _units_by_size(recording)
     condition = joint_condition(now.applied(recording), joint, lock_angle if joint == "locked" else None)
-    findings = [*unit_findings, *_clocks(recording), *_rate(recording, rig), *_still(recording, now, rig)]
+    findings = [*asked, *unit_findings, *_clocks(recording), *_rate(recording, rig), *_still(recording, now, rig)]
     findings += _encoder(recording, rig, condition)
     if rig.valves.sealed:
         found, now = _sealed(recording, rig, now)
     else:
         found, now = _driven(recording, rig, now, condition.condition, condition.lock_angle)
     order = ("wrong", "doubtful", "untested", "good")
-    return Checked(tuple(sorted([*findings, *found], key=lambda f: order.index(f.status))), now, condition.condition)
+    every = sorted([*findings, *found], key=lambda f: order.index(f.status))
+    if rig.drive == "regulator":
+        every = [replace(item, text=item.text.replace("voltages", "commands").replace("valve", "regulator"))
+                 for item in every]  # fmt: skip
+    return Checked(tuple(every), now, condition.condition)
 
 
 def _encoder(recording: Recording, rig: Rig, condition: JointCondition) -> list[Finding]:
@@ -150,8 +163,10 @@ def _still(recording: Recording, now: Corrections, rig: Rig) -> list[Finding]:
     """Channels that never move: nothing can be learned from them."""
     out = []
     for muscle in (0, 1):
-        if not rig.valves.sealed and range_of(recording.voltage[:, muscle]) < _STILL_VOLTAGE:
-            out.append(Finding("doubtful", f"the voltage of valve {muscle + 1} never changes: was it recorded"))
+        still = _STILL_VOLTAGE if rig.drive == "valve" else _STILL_PRESSURE
+        if not rig.valves.sealed and range_of(recording.voltage[:, muscle]) < still:
+            what = "voltage of valve" if rig.drive == "valve" else "command of regulator"
+            out.append(Finding("doubtful", f"the {what} {muscle + 1} never changes: was it recorded"))
         if np.nanmax(recording.pressure[:, muscle]) == np.nanmin(recording.pressure[:, muscle]):
             text = f"pressure_{muscle + 1} has one value throughout: its sensor is not connected (sure)"
             out.append(Finding("wrong", text))

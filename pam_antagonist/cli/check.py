@@ -59,7 +59,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
-    rig = load_rig(arguments.rig)
+    rig = load_rig(arguments.rig, regulators=True)
     lock_angle = common.lock_angle(arguments)
     results = {}
     for bag in arguments.bags:

@@ -96,14 +96,21 @@ def _main(argv: Sequence[str] | None) -> int:
         raise BadInput(f"--drift {arguments.drift:g}: expected ppm within ±500; a crystal has 10 to 100")
     if not 0 <= arguments.first_us < 1 << 32:
         raise BadInput(f"--first-us {arguments.first_us}: expected 0 to {(1 << 32) - 1}")
-    rig = load_rig(arguments.rig)
+    rig = load_rig(arguments.rig, regulators=True)
     calibration = load_calibration(arguments.hardware)
+    converter, regulated = Converter(calibration), rig.drive == "regulator"
+    low, high = rig.command_limits
+    before = (5.5, 5.5)
+    if regulated:
+        converter.has_regulators()
+        before = (0.5 * (low + high), 0.5 * (low + high))
+        (low, _), (high, _) = converter.output((low, low)), converter.output((high, high))
     angle = common.lock_angle(arguments) or 0.0
     plant = Plant(
         rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise
     )
     # Compiles, or loads, what a step needs, in a plant of its own: the real one starts at rest.
-    Plant(rig, arguments.joint, angle).step((5.5, 5.5))
+    Plant(rig, arguments.joint, angle).step(before)
     features = Feature(0)
     for there, feature in (
         (calibration.encoder, Feature.ENCODER),
@@ -115,8 +122,8 @@ def _main(argv: Sequence[str] | None) -> int:
         name="emulator",
         features=features,
         period_us=round(rig.sample_period * 1e6),
-        voltage_min=rig.valves.voltage_min,
-        voltage_max=rig.valves.voltage_max,
+        voltage_min=low,
+        voltage_max=high,
     )
     stopping = _Stop()
     with ExitStack() as stack:
@@ -128,12 +135,13 @@ def _main(argv: Sequence[str] | None) -> int:
             orders = pipe.take
         emulator = Emulator(
             plant,
-            Converter(calibration),
+            converter,
             Firmware(settings),
             FaultPlan(faults, arguments.seed, orders),
             VoltageLog(log),
             lambda: Port(arguments.link),
             DeviceClock(arguments.drift * 1e-6, arguments.first_us),
+            regulated,
         )
         stack.callback(emulator.close)
         print(f"{arguments.link or emulator.path}", flush=True)

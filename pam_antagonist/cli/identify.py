@@ -71,7 +71,7 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig)
+    rig = load_rig(arguments.rig, regulators=True)
     common.lock_angle(arguments)
     for name in ("free", "freeze") if rig.valves.sealed else ():
         if getattr(arguments, name):

@@ -20,7 +20,7 @@ class Laws:
     """Both laws behind one door. A change from one to the other makes no jump.
 
     Args:
-        pi: the paper's.
+        pi: the paper's; None: this rig has pressure regulators, and the law through the model alone.
         model: through the model; None: this rig has none.
         reachable: what the model's law can reach; None as well.
         name: the one in force, of ``LAWS``.
@@ -35,15 +35,18 @@ class Laws:
 
     def __init__(
         self,
-        pi: PiController,
+        pi: PiController | None,
         model: ModelController | None,
         reachable: Reachable | None,
         name: str = "pi",
         governor: Governor | None = None,
     ) -> None:
         self.pi, self.model, self._reachable, self.governor = pi, model, reachable, governor
-        self._law: Law = pi
-        self.name = "pi"
+        first = pi or model
+        if first is None:
+            raise BadInput("no law of control: expected the PI, or the one through the model")
+        self._law: Law = first
+        self.name = "model" if pi is None else "pi"
         self.choose(name, None)
 
     def choose(self, name: str, mode: Mode | None) -> None:
@@ -58,11 +61,15 @@ class Laws:
         """
         if name == self.name:
             return
+        if name == "pi" and self.pi is None:
+            raise BadInput("law: pi puts voltages on valves, and this joint has pressure regulators: expected model")
         if name == "model" and self.model is None:
             raise BadInput("law: model: the rig's supply leaves no pressures to choose (see lowest_pressure)")
         if name == "pi" and mode is not None and mode.has_stiffness:
             raise BadInput(f"law: pi has no mode {mode.name}: send a reference of mode ANGLE or TORQUE first")
-        before, self._law = self._law, self.pi if name == "pi" or self.model is None else self.model
+        before, chosen = self._law, self.pi if name == "pi" else self.model
+        assert chosen is not None  # as looked at above
+        self._law = chosen
         self._law.stop(before.valves)
         self.name = name
 
@@ -110,7 +117,7 @@ class Laws:
             seen: what is estimated.
             late: whether the estimate is too old to act on.
         """
-        if self._law is self.pi:
+        if self.pi is not None and self._law is self.pi:
             value = seen.torque if wanted.mode is Mode.TORQUE else seen.angle
             return self.pi.step(wanted.mode, wanted.value, value, velocity=wanted.velocity, late=late)
         assert self.model is not None  # it is in force

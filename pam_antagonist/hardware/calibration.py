@@ -18,6 +18,7 @@ from pydantic import Field
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.device import DeviceInfo
 from pam_antagonist.paths import config_dir
+from pam_antagonist.safety import SafeAction
 from pam_antagonist.strict_yaml import Strict, read_mapping, validated
 
 EXAMPLE = "example"
@@ -52,6 +53,14 @@ class TorqueChannel(Strict):
     highest: float = Field(description="largest one [V or code]")
 
 
+class RegulatorChannel(Strict):
+    """A pressure regulator whose command is a voltage of the device: pressure = gain * voltage + offset."""
+
+    gain: float = Field(gt=1e3, lt=1e7, description="of the regulator's input [Pa per V]")
+    offset: float = Field(description="pressure that 0 V ask for, gauge or absolute as in reference [Pa]")
+    reference: Literal["gauge", "absolute"] = Field(description="whether offset counts from the atmosphere or vacuum")
+
+
 class Calibration(Strict):
     """What the sensors behind a device are. Read one with :func:`load_calibration`."""
 
@@ -60,6 +69,8 @@ class Calibration(Strict):
     atmosphere: float = Field(gt=50e3, lt=120e3, description="pressure of the surroundings, absolute [Pa]")
     pressure_1: PressureChannel
     pressure_2: PressureChannel
+    regulator_1: Optional[RegulatorChannel] = Field(None, description="of a joint with pressure regulators")  # noqa: UP045
+    regulator_2: Optional[RegulatorChannel] = Field(None, description="the same of muscle 2")  # noqa: UP045
     encoder: Optional[EncoderChannel] = Field(None, description="or none")  # noqa: UP045
     torque: Optional[TorqueChannel] = Field(None, description="or none")  # noqa: UP045
 
@@ -108,6 +119,8 @@ def _complaints(found: Calibration) -> Iterator[str]:
             yield f"{name}.gain is 0: expected the sensor's gain"
         if not channel.lowest < channel.highest:
             yield f"{name}: lowest is {channel.lowest:g} and highest {channel.highest:g}: expected lowest < highest"
+    if (found.regulator_1 is None) != (found.regulator_2 is None):
+        yield "regulator_1 and regulator_2: expected both, or neither"
     for name, channel in (("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2)):
         if (channel.offset is None) == (channel.at_rest is None):
             yield f"{name}: expected either offset or at_rest"
@@ -164,10 +177,18 @@ class Converter:
             _Linear(channel.gain, _absolute(channel, calibration.atmosphere, 0.0), channel.lowest, channel.highest)
             for channel in (calibration.pressure_1, calibration.pressure_2)
         )
+        self._regulators: tuple[tuple[float, float], tuple[float, float]] | None = None
+        if calibration.regulator_1 is not None and calibration.regulator_2 is not None:
+            self._regulators = self._line(calibration.regulator_1), self._line(calibration.regulator_2)
         torque, encoder = calibration.torque, calibration.encoder
         self._torque = None if torque is None else _Linear(torque.gain, torque.offset, torque.lowest, torque.highest)
         self._step = math.nan if encoder is None else encoder.sign * 2.0 * math.pi / encoder.counts
         self._zero = 0 if encoder is None else encoder.zero
+
+    def _line(self, channel: RegulatorChannel) -> tuple[float, float]:
+        """Gain [Pa/V], and absolute pressure at 0 V [Pa]."""
+        atmosphere = self.calibration.atmosphere if channel.reference == "gauge" else 0.0
+        return channel.gain, channel.offset + atmosphere
 
     def check(self, info: DeviceInfo) -> None:
         """Make sure that the device has what the calibration is for.
@@ -186,6 +207,43 @@ class Converter:
         """Both pressures, absolute [Pa]; NaN where the sensor is out of order."""
         first, second = self._pressures
         return first.value(readings[0]) + self.rest[0], second.value(readings[1]) + self.rest[1]
+
+    def has_regulators(self) -> None:
+        """Make sure that the calibration says what the regulators make of a voltage.
+
+        Raises:
+            BadInput: it does not.
+        """
+        if self._regulators is None:
+            raise BadInput(
+                f"calibration {self.calibration.name} says nothing of regulators, which the rig has; expected "
+                "regulator_1 and regulator_2, such as {gain: 60.0e+3, offset: 0.0, reference: gauge}"
+            )
+
+    def asked(self, command: tuple[float, float]) -> tuple[float, float]:
+        """Absolute pressures [Pa] that the device's voltages (2,) [V] ask the regulators for; voltages without any."""
+        if self._regulators is None:
+            return command
+        (gain_1, offset_1), (gain_2, offset_2) = self._regulators
+        return gain_1 * command[0] + offset_1, gain_2 * command[1] + offset_2
+
+    def output(self, command: tuple[float, float]) -> tuple[float, float]:
+        """Voltages (2,) [V] by which the device asks for a command [Pa]; the command itself without regulators."""
+        if self._regulators is None:
+            return command
+        (gain_1, offset_1), (gain_2, offset_2) = self._regulators
+        return (command[0] - offset_1) / gain_1, (command[1] - offset_2) / gain_2
+
+    def action(self, action: SafeAction) -> SafeAction:
+        """What is safe, in voltages of the device; neither muscle is vented faster than asked.
+
+        Args:
+            action: in voltages, or of a joint with regulators in pressures.
+        """
+        if self._regulators is None:
+            return action
+        vent = None if action.vent is None else self.output(action.vent)
+        return SafeAction(self.output(action.hold), vent, action.rate / max(gain for gain, _ in self._regulators))
 
     def angle(self, encoder: int | None) -> float | None:
         """Angle [rad], None without an encoder."""

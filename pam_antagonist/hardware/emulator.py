@@ -153,6 +153,7 @@ class Emulator:
         log: of the voltages.
         open_port: gives a port, also after one was pulled out.
         clock: its oscillator.
+        regulated: whether its voltages are the commands of pressure regulators.
 
     Attributes:
         ticks: samples so far.
@@ -168,7 +169,9 @@ class Emulator:
         log: VoltageLog,
         open_port: Callable[[], Port],
         clock: DeviceClock | None = None,
+        regulated: bool = False,
     ) -> None:
+        self._regulated = regulated
         self._joint = Miswired(plant, faults)
         self._converter = converter
         self._firmware = firmware
@@ -236,7 +239,7 @@ class Emulator:
             data = self._faults.damaged(self._port.wait(0.0))
             if data:
                 self._send(firmware.receive(data, now_us))
-        sample = self._joint.step(firmware.voltage)
+        sample = self._joint.step(self._converter.asked(firmware.voltage) if self._regulated else firmware.voltage)
         pressures = (float(sample.pressure[0]), float(sample.pressure[1]))
         first, second, counts, torque = self._converter.readings(pressures, float(sample.angle), float(sample.torque))
         fault = overrun | (Status.STOPPED if self._faults.has("stop") else Status(0))

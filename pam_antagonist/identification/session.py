@@ -26,7 +26,9 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _SHORTEST_HOLDOUT = 1.0
-_SEEN_IN_PRESSURES = ("valve_1", "valve_2", "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure")
+_SEEN_IN_PRESSURES = (
+    "valve_1", "valve_2", "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure", "effects.regulator_",
+)  # fmt: skip
 _START_STD = 0.5
 """Standard deviations of the prior by which further starts lie about the first."""
 _MOST_PROFILES = 6
@@ -43,6 +45,7 @@ _WHAT_SHOWS = (
     ("gas.polytropic_volume", "a free joint that moves while the valves are still, so that only the volume changes"),
     (".volume.", "the volume of the muscle by length in a graduated cylinder (a static CSV)"),
     ("supply.pressure", "a steady pressure with the valve fully open, or a gauge on the tank"),
+    ("effects.regulator_", "steps of both commanded pressures of different sizes, a locked joint's as well"),
     ("effects.", "longer recordings in which the effect is at work"),
 )
 

@@ -170,6 +170,8 @@ def _curves(state: _Progress) -> None:
     source = "steady pressures: open rate → pressure, voltage → pressure, the two combined"
     earlier = padded(state.whole, state.theta)
     rig = state.whole.rig
+    if rig.drive == "regulator":
+        return state.end("valve curve", source, earlier, {}, "skipped: the rig has pressure regulators")
     changed, findings = identify_curves(rig, state.whole.trials)
     if any(finding.replaced for finding in findings):
         whole = JointProblem(changed, state.whole.trials, state.whole.free, jobs=state.whole.jobs)
@@ -196,7 +198,7 @@ def _friction(state: _Progress) -> None:
 def _flow(state: _Progress, ways: Sequence[Variation]) -> None:
     source = "pressures in motion"
     earlier = padded(state.whole, state.theta)
-    chosen = state.chosen("valve_", "gas.", "supply.")
+    chosen = state.chosen("valve_", "gas.", "supply.", "effects.regulator_")
     if not chosen:
         return state.end("flow", source, earlier, {}, "skipped: no parameter of it is free")
     now = state.whole.values(state.theta)

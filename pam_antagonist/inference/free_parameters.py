@@ -130,6 +130,11 @@ def _by_default(rig: Rig) -> set[str]:
     names |= set(_FRICTION[rig.model.friction])
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
     present = {name for name, item in _EFFECTS.items() if item.is_size and rig.value(name)}
+    if rig.drive == "regulator":
+        # No air passes a valve of the model. Range, dead zone and largest rate stand in data sheets.
+        names -= {name for name in _FLOW if name != "gas.polytropic_volume"}
+        names |= {"effects.regulator_lag.damping"}
+        present -= {name for name in present if name.startswith("effects.regulator_") and name[-1] not in "12"}
     return {name for name in names if rig.value(name)} | present
 
 

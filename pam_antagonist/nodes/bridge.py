@@ -23,6 +23,8 @@ publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pa
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter where there are some, for
              validation only), angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder), rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
+             A rig with drive: regulator has pressure_state and pressure_command (pam_antagonist_msgs/PressureCommand)
+             in the place of valve_state and valve_command; the calibration says which voltages ask for which pressures.
 services:    ~/stop, ~/clear_stop (std_srvs/Trigger); ~/measure_rest (std_srvs/Trigger: with both muscles open to the
              air, takes what the sensors show for the atmosphere's pressure); and those of a lifecycle node
 """

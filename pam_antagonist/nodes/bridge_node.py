@@ -10,7 +10,6 @@ from typing import Any
 from sensor_msgs.msg import FluidPressure, JointState
 from std_srvs.srv import Trigger
 
-from pam_antagonist.control import VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter, load_calibration
 from pam_antagonist.hardware.device import Device
@@ -27,13 +26,19 @@ from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
-from pam_antagonist.safety import safe_action
-from pam_antagonist_msgs.msg import ValveCommand
 
 _DEVICE_STOPS = (
     (Status.STOPPED, "the emergency stop at the device"),
     (Status.OUTPUT_FAULT, "the device could not put the voltages on the valves"),
 )
+
+
+_Conversion = Callable[[tuple[float, float]], tuple[float, float]]
+
+
+def _as_it_is(command: tuple[float, float]) -> tuple[float, float]:
+    """Commands of a joint with valves are the device's voltages."""
+    return command
 
 
 class _SharedPort(ValvePort):
@@ -90,15 +95,21 @@ class BridgeNode(PamNode):
             raise BadInput(
                 "use_sim_time is true: hardware does not follow simulated time; replay a bag without a bridge"
             )
-        rig = load_rig(values["rig"])
+        rig = load_rig(values["rig"], regulators=True)
         first, second = values["pressure_rest"]
         self._converter = Converter(load_calibration(values["hardware"]), (first, second))
         self.port = _SharedPort(self._lock, self, rig)
-        limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
-        action = safe_action(
-            values["safe_action"], limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
-        )
-        wanted = Wanted(round(rig.sample_period * 1e9), limits.minimum, limits.maximum, action)
+        drive = self.port.drive
+        # The device puts out voltages. Those of regulators are pressures to everybody else.
+        self._output: _Conversion = _as_it_is
+        self._asked: _Conversion = _as_it_is
+        action = drive.action
+        if rig.drive == "regulator":
+            self._converter.has_regulators()
+            self._output, self._asked = self._converter.output, self._converter.asked
+            action = self._converter.action(action)
+        low, high = (self._output((limit, limit)) for limit in (drive.limits.minimum, drive.limits.maximum))
+        wanted = Wanted(round(rig.sample_period * 1e9), min(low), max(high), action)
         self._device = self._make_device()
         self._link = Link(self._device, self._converter, wanted, self.now_ns, self._deliver, self._attend)
         self._health = bridge_health.BridgeHealth(self._link, self._device)
@@ -112,7 +123,8 @@ class BridgeNode(PamNode):
             wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
             for i in (1, 2)
         )
-        self._valves = wire.Outgoing(self, ValveCommand, TOPICS["valve_state"].relative, "valves", wire.VALVES)
+        topics = drive.topics
+        self._valves = wire.Outgoing(self, topics.message, topics.state, topics.frame_id, wire.VALVES)
         self._joint = JointOutput(self, values["joint_name"], values["frame_id"], values["angle_sensor"])
         self.create_service(Trigger, "~/measure_rest", self._on_measure_rest)
         announce(self, rig)
@@ -152,12 +164,12 @@ class BridgeNode(PamNode):
                 return
             voltage = self.port.output(now).voltage
         self._commands_sent, self._sent_ns = commands, now
-        self._device.command(voltage)
+        self._device.command(self._output(voltage))
 
     def _deliver(self, sample: Sample) -> None:
         for output, pressure in zip(self._pressures, sample.pressure, strict=True):
             output.send(sample.stamp_ns, pressure, self._variance)
-        self._valves.send(sample.stamp_ns, *sample.voltage)
+        self._valves.send(sample.stamp_ns, *self._asked(sample.voltage))
         self._joint.send(sample)
         with self._lock:
             self.port.supervise(sample.stamp_ns, *sample.pressure)

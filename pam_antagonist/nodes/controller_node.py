@@ -11,10 +11,11 @@ from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 
 from pam_antagonist._jit import COMPILING
-from pam_antagonist.control import Command, Seen, Status, VoltageLimits
+from pam_antagonist.control import Command, Seen, Status
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes.commanded import drive_of
 from pam_antagonist.nodes.controller import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.laws import described, make_laws, retune
@@ -23,8 +24,8 @@ from pam_antagonist.nodes.references import ReferenceInput
 from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
-from pam_antagonist.safety import EstimateSupervision, Following, safe_action
-from pam_antagonist_msgs.msg import JointEstimate, ValveCommand
+from pam_antagonist.safety import EstimateSupervision, Following
+from pam_antagonist_msgs.msg import JointEstimate
 
 _GAIN_NAMES = tuple(parameter.name for parameter in PARAMETERS if not parameter.read_only)
 _CHECKS = 4  # looks at the time-out, and at the valves, within it
@@ -54,11 +55,9 @@ class ControllerNode(PamNode):
         """A controller at rest."""
         values = self.values
         COMPILING.tell = self.get_logger().info
-        rig = load_rig(values["rig"])
-        self._limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
-        self._action = safe_action(
-            values["safe_action"], self._limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
-        )
+        rig = load_rig(values["rig"], regulators=True)
+        self._drive = drive = drive_of(rig, values)
+        self._limits, self._action = drive.limits, drive.action
         self._laws = make_laws(values, rig, self._limits, self._action.hold)
         self._supervision = EstimateSupervision(
             values["stop_angle"],
@@ -79,13 +78,14 @@ class ControllerNode(PamNode):
         self._heard_ns: int | None = None
         self._stamp = 0
         self._voltage = self._action.hold
-        self._following = Following(self._action.hold)
+        self._following = Following(self._action.hold, drive.astray)
         self._silent = False
         self._commands = self._jumps = self._jumps_before = self._astray_before = 0
         self._statuses = dict.fromkeys(Status, 0)
         self._last = Status.NO_REFERENCE
         self._latency, self._rate = Window(), Rate()
-        self._output = wire.Outgoing(self, ValveCommand, TOPICS["valve_command"].relative, "valves", wire.VALVES)
+        topics = drive.topics
+        self._output = wire.Outgoing(self, topics.message, topics.command, topics.frame_id, wire.VALVES)
         self._estimate, self._valves = wire.Incoming(wire.ESTIMATE_FOR_CONTROL), wire.Incoming(wire.VALVES)
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_service(SetBool, "~/enable", self._on_enable)
@@ -106,7 +106,7 @@ class ControllerNode(PamNode):
             name = TOPICS["joint_estimate"].relative
             self.create_subscription(JointEstimate, name, self._on_estimate, qos.STREAM, raw=True)
         self.input.listen()
-        self._valve_state = self.collect(ValveCommand, TOPICS["valve_state"].relative, qos.GLANCE)
+        self._valve_state = self.collect(self._drive.topics.message, self._drive.topics.state, qos.GLANCE)
         self.steady_timer(self.values["max_age"] / _CHECKS, self._watch)
 
     def deactivate(self) -> None:
@@ -133,7 +133,7 @@ class ControllerNode(PamNode):
             self._from_the_valves()
             self._supervision.reset()
             self._enabled = True
-            response.message = f"enabled, from {self._voltage[0]:.3f} and {self._voltage[1]:.3f} V"
+            response.message = f"enabled, from {self._voltage[0]:.3f} and {self._voltage[1]:.3f} {self._limits.unit}"
         elif not wanted and self._enabled:
             self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
             self._enabled = False

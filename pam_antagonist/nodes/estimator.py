@@ -16,7 +16,8 @@ unscented Kalman filter of the rig, one estimate for each sample, in the order o
 only where it is told to (angle_sensor: encoder), and never what is measured for validation.
 
 subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand);
-             angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder)
+             angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder); of a rig with drive: regulator
+             pressure_state (pam_antagonist_msgs/PressureCommand) in the place of valve_state
 publishes:   joint_estimate (pam_antagonist_msgs/JointEstimate), joint_states (sensor_msgs/JointState),
              external_torque (geometry_msgs/WrenchStamped, of a rig with that state), rig (std_msgs/String),
              filter_checkpoint (pam_antagonist_msgs/FilterCheckpoint, once a second)

@@ -15,6 +15,7 @@ from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Counts, Estimator
 from pam_antagonist.nodes import checkpoints, qos, wire
+from pam_antagonist.nodes.commanded import topics_of
 from pam_antagonist.nodes.estimator import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode
@@ -22,7 +23,7 @@ from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES, 
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
-from pam_antagonist_msgs.msg import JointEstimate, ValveCommand
+from pam_antagonist_msgs.msg import JointEstimate
 from pam_antagonist_msgs.srv import SetState
 
 _CHECKS = 2  # looks for samples that wait in vain, within the time that they may
@@ -53,7 +54,7 @@ class EstimatorNode(PamNode):
         """A filter that waits for its first sample."""
         values = self.values
         COMPILING.tell = self.get_logger().info
-        self._rig = rig = load_rig(values["rig"])
+        self._rig = rig = load_rig(values["rig"], regulators=True)
         # Loads or compiles the filter, so that the first sample does not wait for it.
         self._estimator = self._make(values["tuning"])
         self._encoder = values["angle_sensor"] == "encoder"
@@ -95,12 +96,13 @@ class EstimatorNode(PamNode):
         self.steady_timer(checkpoints.PERIOD, self._remember)
         if self._linked:
             return
-        for kind, topic, callback in (
-            (FluidPressure, "pressure_1", self._on_pressure_1),
-            (FluidPressure, "pressure_2", self._on_pressure_2),
-            (ValveCommand, "valve_state", self._on_valves),
+        driven = topics_of(self._rig)
+        for kind, name, callback in (
+            (FluidPressure, TOPICS["pressure_1"].relative, self._on_pressure_1),
+            (FluidPressure, TOPICS["pressure_2"].relative, self._on_pressure_2),
+            (driven.message, driven.state, self._on_valves),
         ):
-            self.create_subscription(kind, TOPICS[topic].relative, callback, qos.STREAM, raw=True)
+            self.create_subscription(kind, name, callback, qos.STREAM, raw=True)
         if self._encoder:
             name = TOPICS["angle_sensor"].relative
             self.create_subscription(JointState, name, self._on_angle, qos.STREAM, raw=True)
@@ -123,7 +125,8 @@ class EstimatorNode(PamNode):
         last = self._last
         try:
             if last is None:
-                raise BadInput("no sample has come that the state could belong to: expected pressures and valve_state")
+                state = topics_of(self._rig).state
+                raise BadInput(f"no sample has come that the state could belong to: expected pressures and {state}")
             pressure = (float(request.pressure[0]), float(request.pressure[1]))
             voltage = (last.voltage_1, last.voltage_2)
             self._estimator.set_state(last.stamp_ns, request.angle, request.velocity, pressure, voltage)

@@ -56,15 +56,19 @@ def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_v
         BadInput: the law in force cannot be had.
     """
     period, resume, blend = rig.sample_period, values["resume_time"], values["blend_time"]
-    pi = PiController(
-        {mode: pi_gains(values, mode) for mode in PI_MODES}, sample_period=period, limits=limits,
-        safe_voltage=safe_voltage, resume_time=resume, blend_time=blend,
-    )  # fmt: skip
+    pi = None
+    if rig.drive == "valve":
+        pi = PiController(
+            {mode: pi_gains(values, mode) for mode in PI_MODES}, sample_period=period, limits=limits,
+            safe_voltage=safe_voltage, resume_time=resume, blend_time=blend,
+        )  # fmt: skip
+    elif values["law"] == "pi":
+        raise BadInput(f"law: pi puts voltages on valves, rig {rig.name} has pressure regulators: set law to model")
     p = rig.parameters()
     try:
         box = Box.of(p, values["lowest_pressure"], values["supply_margin"], values["least_force"])
     except BadInput:
-        if values["law"] == "model":
+        if values["law"] == "model" or pi is None:
             raise
         return Laws(pi, None, None)  # a rig whose supply leaves no such pressures has the PI as before
     model = ModelController(
@@ -104,7 +108,7 @@ def retune(laws: Laws, before: Mapping[str, Any], after: Mapping[str, Any], mode
     of_model = model_gains(after)
     laws.choose(after["law"], mode)
     for each in PI_MODES:
-        if gains[each] != pi_gains(before, each):
+        if laws.pi is not None and gains[each] != pi_gains(before, each):
             laws.pi.retune(each, gains[each])
     if laws.model is not None and of_model != model_gains(before):
         laws.model.retune(of_model)
@@ -112,8 +116,9 @@ def retune(laws: Laws, before: Mapping[str, Any], after: Mapping[str, Any], mode
 
 def described(laws: Laws) -> dict[str, object]:
     """What the law in force does, for ``/diagnostics``."""
-    if laws.name == "pi" or laws.model is None:
+    if laws.pi is not None and (laws.name == "pi" or laws.model is None):
         return {"law": "pi", "integral term [V]": f"{laws.pi.integral:.4f}"}
+    assert laws.model is not None  # there is one law at least
     values: dict[str, object] = {"law": "model", "integral term [N m]": f"{laws.model.integral:.4f}"}
     reached = laws.model.reached
     if reached is not None:

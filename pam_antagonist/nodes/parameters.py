@@ -117,7 +117,29 @@ SAFE_ACTION = Parameter(
 )
 VENT_VOLTAGE = Parameter("vent_voltage", [0.0, 0.0], "voltages at which both valves let the air out [V]", 0.0, 10.0)
 VENT_RATE = Parameter("vent_rate", 1.0, "largest change of each voltage on the way to vent_voltage [V/s]", 0.01, 1e3)
-SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE)
+SAFE_PRESSURE = Parameter(
+    "safe_pressure",
+    [0.0, 0.0],
+    "rig with regulators: absolute pressures that both are asked for while no valid command comes; 0: the middle of "
+    "their range [Pa]",
+    0.0,
+    2e6,
+)
+VENT_PRESSURE = Parameter(
+    "vent_pressure",
+    [0.0, 0.0],
+    "rig with regulators: absolute pressures at which vent ends; 0: the lower end of their range [Pa]",
+    0.0,
+    2e6,
+)
+VENT_PRESSURE_RATE = Parameter(
+    "vent_pressure_rate",
+    20e3,
+    "rig with regulators: largest change of each pressure on the way to vent_pressure [Pa/s]",
+    1.0,
+    1e7,
+)
+SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE, SAFE_PRESSURE, VENT_PRESSURE, VENT_PRESSURE_RATE)
 """What every node that may give the valves safe voltages has to know."""
 
 # 2 V/ms: a full stroke in 5 ms, about what a proportional valve itself takes for it. So it costs no control, and a
@@ -133,6 +155,14 @@ VALVE_OWNER = (
         10.0,
     ),
     Parameter("max_slew", 2000.0, "largest change of a valve's voltage by commands [V/s]", 1.0, 1e6),
+    # The whole range in 30 ms, quicker than a regulator; a command that makes no sense moves it by 20 kPa at 1 kHz.
+    Parameter(
+        "max_pressure_slew",
+        2e7,
+        "rig with regulators: largest change of the pressure that one is asked for by commands [Pa/s]",
+        1e3,
+        1e10,
+    ),
     Parameter(
         "max_pressure",
         [0.0, 0.0],

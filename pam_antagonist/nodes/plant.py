@@ -31,6 +31,8 @@ publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pa
              measured/external_torque (geometry_msgs/WrenchStamped: push, for validation only; of a rig with the state
              external_torque), rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
+             A rig with drive: regulator has pressure_state and pressure_command (pam_antagonist_msgs/PressureCommand)
+             in the place of valve_state and valve_command.
 services:    ~/stop, ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 

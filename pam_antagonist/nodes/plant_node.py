@@ -22,7 +22,6 @@ from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import NO_ENCODER, load_rig
 from pam_antagonist.simulation.plant import Plant
-from pam_antagonist_msgs.msg import ValveCommand
 
 _BURST = 25  # samples in a row while catching up, before commands are looked at again
 _JUMP = 1.0  # lateness of the samples that is not caught up with [s]
@@ -60,7 +59,7 @@ class PlantNode(PamNode):
         """
         values = self.values
         COMPILING.tell = self.get_logger().info
-        rig = load_rig(values["rig"])
+        rig = load_rig(values["rig"], regulators=True)
         self._period = round(rig.sample_period * 1e9)
         self.port = ValvePort(self, rig, noisy=values["noise"], linked=self._linked)
         self._plant = Plant(
@@ -74,7 +73,7 @@ class PlantNode(PamNode):
             initial_pressure=tuple(values["initial_pressure"]),
         )
         # Compiles, or loads, what a step needs; a plant of its own, so that the real one starts at rest.
-        Plant(rig, joint=values["joint"], lock_angle=values["lock_angle"]).step((5.0, 5.0))
+        Plant(rig, joint=values["joint"], lock_angle=values["lock_angle"]).step(self.port.drive.action.hold)
         self._next: int | None = None
         self._now: int | None = None  # while samples are made [ns]
         self._found_ns: int | None = None
@@ -86,7 +85,8 @@ class PlantNode(PamNode):
             wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
             for i in (1, 2)
         )
-        self._valves = wire.Outgoing(self, ValveCommand, TOPICS["valve_state"].relative, "valves", wire.VALVES)
+        topics = self.port.drive.topics
+        self._valves = wire.Outgoing(self, topics.message, topics.state, topics.frame_id, wire.VALVES)
         name = TOPICS["measured_joint_states"].relative
         self._joint = wire.Outgoing(self, JointState, name, values["frame_id"], body)
         self._encoder: wire.Outgoing | None = None

@@ -1,4 +1,4 @@
-"""From ``valve_command`` to the valves, for whichever node owns them: the plant, or a bridge to hardware.
+"""From commands to the valves or pressure regulators, for whichever node owns them: the plant, or a bridge to hardware.
 
 The rules are in :mod:`pam_antagonist.safety`; this is their wiring. A node that owns valves has ``VALVE_OWNER`` among
 its parameters, makes a port in ``configure``, calls :meth:`ValvePort.listen` in ``activate`` and
@@ -23,14 +23,12 @@ from typing import TYPE_CHECKING, Any
 
 from std_srvs.srv import Trigger
 
-from pam_antagonist.control import VoltageLimits
 from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes.commanded import drive_of
 from pam_antagonist.nodes.health import Health, Level, Rate
 from pam_antagonist.nodes.node import PamNode, take
-from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import Rig
-from pam_antagonist.safety import Decision, PressureSupervision, ValveGuard, Verdict, frozen_time, safe_action
-from pam_antagonist_msgs.msg import ValveCommand
+from pam_antagonist.safety import Decision, PressureSupervision, ValveGuard, Verdict, frozen_time
 
 if TYPE_CHECKING:
     from rclpy.subscription import Subscription
@@ -52,6 +50,7 @@ class ValvePort:
         linked: whether the controller is in the same process and calls :meth:`command`; then nobody else is obeyed.
 
     Attributes:
+        drive: what may be commanded: voltages of valves, or pressures of regulators.
         guard: what decides.
         supervision: of the pressures.
 
@@ -61,11 +60,8 @@ class ValvePort:
 
     def __init__(self, node: PamNode, rig: Rig, *, noisy: bool = True, linked: bool = False) -> None:
         values = node.values
-        limits = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
-        action = safe_action(
-            values["safe_action"], limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
-        )
-        self.guard = ValveGuard(limits, action, values["max_slew"], values["command_timeout"])
+        self.drive = drive_of(rig, values)
+        self.guard = ValveGuard(self.drive.limits, self.drive.action, self.drive.slew, values["command_timeout"])
         first, second = (limit or _SUPPLY_MARGIN * rig.supply.pressure for limit in values["max_pressure"])
         frozen: float | None = values["frozen_time"] or None
         if frozen is None and noisy:
@@ -76,7 +72,7 @@ class ValvePort:
         self._frozen = frozen
         self._max_age = round(values["max_command_age"] * 1e9)
         self._node = node
-        self._topic = TOPICS["valve_command"].relative
+        self._topic = self.drive.topics.command
         self._unpack = wire.Incoming(wire.VALVES)
         self._linked = linked
         self._subscription: Subscription | None = None
@@ -90,7 +86,7 @@ class ValvePort:
     def listen(self) -> None:
         """Take commands from now on. The subscription ends with the node's transition."""
         if not self._linked:
-            self._subscription = self._node.collect(ValveCommand, self._topic, qos.COMMAND)
+            self._subscription = self._node.collect(self.drive.topics.message, self._topic, qos.COMMAND)
         self.guard.set_active(True)
 
     def rest(self) -> None:

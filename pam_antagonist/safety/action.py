@@ -20,7 +20,7 @@ class SafeAction:
     ``vent`` by ``rate``, together and so slowly that the joint grows soft without being thrown to one side.
 
     Attributes:
-        hold: voltages (2,) at once [V].
+        hold: voltages (2,) at once [V]; of pressure regulators what these are asked for [Pa], here and below.
         vent: voltages (2,) in the end [V]; None: those of ``hold``.
         rate: largest change of each voltage on the way from ``hold`` to ``vent`` [V/s].
     """
@@ -31,7 +31,7 @@ class SafeAction:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.rate < float("inf"):
-            raise BadInput(f"vent rate {self.rate!r} V/s: expected a finite number above 0")
+            raise BadInput(f"vent rate {self.rate!r}: expected a finite number above 0")
 
     def voltage(self, elapsed_ns: int) -> tuple[float, float]:
         """The voltages (2,) [V] at a time after everything had to become safe.
@@ -56,9 +56,9 @@ def safe_action(
     Args:
         choice: parameter ``safe_action``, one of :data:`ACTIONS`.
         limits: of the valves.
-        hold: parameter ``safe_voltage`` (2,) [V].
-        vent: parameter ``vent_voltage`` (2,) [V].
-        rate: parameter ``vent_rate`` [V/s].
+        hold: parameter ``safe_voltage`` (2,) [V], or ``safe_pressure`` [Pa].
+        vent: parameter ``vent_voltage`` (2,) [V], or ``vent_pressure`` [Pa].
+        rate: parameter ``vent_rate`` [V/s], or ``vent_pressure_rate`` [Pa/s].
 
     Raises:
         BadInput: no such action, or voltages beyond the valves' limits.
@@ -66,7 +66,7 @@ def safe_action(
     if choice not in ACTIONS:
         raise BadInput(f"parameter safe_action is {choice!r}: expected one of {', '.join(ACTIONS)}")
     first, second = hold
-    at_once = limits.check("parameter safe_voltage:", (first, second))
+    at_once = limits.check(f"parameter safe_{limits.quantity}:", (first, second))
     first, second = vent
-    in_the_end = limits.check("parameter vent_voltage:", (first, second))
+    in_the_end = limits.check(f"parameter vent_{limits.quantity}:", (first, second))
     return SafeAction(at_once, in_the_end if choice == "vent" else None, rate)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pam_antagonist.safety.supervision import Persistent
 
-_TOLERANCE = 0.25  # between command and valve [V]; commands of neighbouring samples differ by less
 _PATIENCE = 0.06  # longer than slewing over the whole range takes, and than a command is under way [s]
 _LOOK = 0.025  # longest time between two looks that are counted as one after the other [s]
 _OLD = 0.05  # age beyond which nobody knows what is on the valves [s]
@@ -17,14 +16,16 @@ class Following:
     adding up, and throws the joint when it is obeyed again.
 
     Args:
-        start: voltages (2,) that the valves have at first [V].
+        start: voltages (2,) that the valves have at first [V]; of pressure regulators what these are asked for [Pa].
+        tolerance: between command and valve; commands of neighbouring samples differ by less.
 
     Attributes:
         astray_count: how often the valves were found astray.
     """
 
-    def __init__(self, start: tuple[float, float]) -> None:
+    def __init__(self, start: tuple[float, float], tolerance: float = 0.25) -> None:
         self.astray_count = 0
+        self._tolerance = tolerance
         self._voltage = start
         self._seen_ns: int | None = None
         self._apart = Persistent(_PATIENCE, _LOOK / 2.0)
@@ -47,7 +48,7 @@ class Following:
             now_ns: steady time [ns]; calls come often.
         """
         valves = self.on_valves(now_ns)
-        if valves is None or max(abs(valves[0] - command[0]), abs(valves[1] - command[1])) <= _TOLERANCE:
+        if valves is None or max(abs(valves[0] - command[0]), abs(valves[1] - command[1])) <= self._tolerance:
             self._apart.gone()
             return False
         if not self._apart.seen(now_ns):

@@ -82,6 +82,8 @@ class ValveGuard:
 
     :meth:`stop` latches: nothing but :meth:`clear` ends it. Everything else ends by itself with the next command.
 
+    Pressure regulators are guarded in the same way, with the pressures [Pa] that they are asked for as the voltages.
+
     Args:
         limits: of the valves [V].
         action: what is safe.

@@ -18,7 +18,7 @@ from sensor_msgs.msg import FluidPressure, JointState
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.spin import tune_middleware
 from pam_antagonist.recording.topics import TOPICS
-from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
+from pam_antagonist_msgs.msg import JointEstimate, JointReference, PressureCommand, ValveCommand
 
 _ANSWER = 20.0  # longest time for a service, which may have to compile [s]
 
@@ -27,6 +27,8 @@ TYPES = {
     "pressure_2": FluidPressure,
     "valve_state": ValveCommand,
     "valve_command": ValveCommand,
+    "pressure_state": PressureCommand,
+    "pressure_command": PressureCommand,
     "joint_estimate": JointEstimate,
     "joint_states": JointState,
     "measured_joint_states": JointState,

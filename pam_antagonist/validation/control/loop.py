@@ -126,6 +126,7 @@ def run(
     """
     plant, estimator = Plant(rig, joint, seed=seed, mismatch=mismatch), Estimator(rig, "default", joint)
     p, period = plant.parameters, round(rig.sample_period * 1e9)
+    assert laws.pi is not None  # a rig with valves
     voltage = laws.pi.safe_voltage
     rows = []
     for k, reference in enumerate(wanted):

@@ -190,7 +190,7 @@ def call_times(rig_name: str) -> dict[str, float]:
     rig = load_rig(rig_name)
     laws = make_laws(rig, "model", LIMITS, LEVEL, PUSH)
     governor, model, pi = laws.governor, laws.model, laws.pi
-    assert governor is not None and model is not None
+    assert governor is not None and model is not None and pi is not None
     from pam_antagonist.estimation import Estimator
 
     estimator = Estimator(rig)

@@ -1,0 +1,60 @@
+"""What may be wrong with the commands of a joint with pressure regulators."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pam_antagonist.checks.wiring import Finding
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.plausible import MIN_PRESSURE
+from pam_antagonist.recording.units import UNITS
+from pam_antagonist.rig import Rig
+
+_SATURATED = 0.02
+"""Share of samples beyond the range from which on it is said: what the regulators did with those is not known."""
+_ROUNDING = 1.0
+"""[Pa] By so much a measured pressure may differ from a command that was logged in its place."""
+
+
+def commands(recording: Recording, rig: Rig) -> list[Finding]:
+    """Unit, range and origin of the commands; nothing for a rig with valves.
+
+    Args:
+        recording: of the rig, as read.
+        rig: the rig.
+    """
+    if rig.drive == "valve":
+        return []
+    unit = _unit(recording)
+    if unit:
+        return [Finding("wrong", f"the commanded pressures are in {unit}, expected absolute pressures in Pa (sure)")]
+    out = []
+    for muscle in (0, 1):
+        apart = np.abs(recording.pressure[:, muscle] - recording.voltage[:, muscle])
+        if np.ptp(recording.voltage[:, muscle]) > 0.0 and np.nanmax(apart) <= _ROUNDING:
+            number = muscle + 1
+            text = (
+                f"pressure_{number} is what regulator {number} was asked for, sample by sample: the command was logged "
+                "in the place of the measured pressure (sure)"
+            )
+            out.append(Finding("wrong", text))
+    low, high = rig.command_limits
+    beyond = (recording.voltage < low - _ROUNDING) | (recording.voltage > high + _ROUNDING)
+    share = float(np.mean(beyond.any(axis=1)))
+    if share > _SATURATED:
+        text = (
+            f"commands lie beyond the regulators' range, {low / 1e3:.0f} to {high / 1e3:.0f} kPa absolute, in "
+            f"{100 * share:.0f} % of the samples: are these gauge pressures, or is regulator_limits wrong"
+        )
+        out.append(Finding("doubtful", text))
+    return out or [Finding("good", "the commanded pressures lie within the regulators' range")]
+
+
+def _unit(recording: Recording) -> str:
+    """The unit that the commands seem to be in; empty for Pa."""
+    top = float(np.nanquantile(np.abs(recording.voltage), 0.99))
+    measured = float(np.nanquantile(np.abs(recording.pressure), 0.99))
+    if top >= MIN_PRESSURE or not top > 0.0:
+        return ""
+    # The unit in which commands and measured pressures are about alike.
+    return min(UNITS["pressure"], key=lambda unit: abs(np.log(top * UNITS["pressure"][unit] / max(measured, 1.0))))

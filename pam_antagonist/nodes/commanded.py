@@ -1,0 +1,85 @@
+"""What a rig is driven by, as its nodes see it: voltages on valves, or pressures asked of regulators.
+
+Everything behind this is the same for both: limits, slew, time-out and safe commands of :mod:`pam_antagonist.safety`,
+and the layout of the messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from pam_antagonist.control import VoltageLimits
+from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS, TOPICS
+from pam_antagonist.rig import Rig
+from pam_antagonist.safety import SafeAction, safe_action
+from pam_antagonist_msgs.msg import PressureCommand, ValveCommand
+
+_ASTRAY_VOLTAGE, _ASTRAY_PRESSURE = 0.25, 25e3
+"""[V], [Pa] Between command and valve or regulator; commands of neighbouring samples differ by less."""
+
+
+class Topics(NamedTuple):
+    """Where commands go, and where it is told what became of them.
+
+    Attributes:
+        message: class of both.
+        command: topic of the commands, relative.
+        state: topic of what valves or regulators got, relative.
+        frame_id: of the messages.
+    """
+
+    message: type
+    command: str
+    state: str
+    frame_id: str
+
+
+class Drive(NamedTuple):
+    """What may be commanded, in V of valves or Pa of regulators.
+
+    Attributes:
+        topics: of the commands.
+        limits: of both valves or regulators.
+        action: what is safe.
+        slew: largest change of each command [V/s] or [Pa/s].
+        astray: difference between command and what valves or regulators have that means something.
+    """
+
+    topics: Topics
+    limits: VoltageLimits
+    action: SafeAction
+    slew: float
+    astray: float
+
+
+def topics_of(rig: Rig) -> Topics:
+    """Topics of a rig's commands."""
+    message, frame_id = (ValveCommand, "valves") if rig.drive == "valve" else (PressureCommand, "regulators")
+    command, state = (TOPICS[names[rig.drive]].relative for names in (COMMAND_TOPICS, STATE_TOPICS))
+    return Topics(message, command, state, frame_id)
+
+
+def drive_of(rig: Rig, values: Mapping[str, Any]) -> Drive:
+    """What a rig may be commanded.
+
+    Args:
+        rig: of the node.
+        values: its parameters by name, ``SAFETY`` among them.
+
+    Raises:
+        BadInput: safe values beyond the limits.
+    """
+    topics = topics_of(rig)
+    low, high = rig.command_limits
+    if rig.drive == "valve":
+        limits = VoltageLimits(low, high)
+        action = safe_action(
+            values["safe_action"], limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
+        )
+        return Drive(topics, limits, action, values.get("max_slew", 0.0), _ASTRAY_VOLTAGE)
+    limits = VoltageLimits(low, high, "Pa")
+    hold = tuple(value or 0.5 * (low + high) for value in values["safe_pressure"])
+    vent = tuple(value or low for value in values["vent_pressure"])
+    action = safe_action(values["safe_action"], limits, hold, vent, values["vent_pressure_rate"])
+    return Drive(topics, limits, action, values.get("max_pressure_slew", 0.0), _ASTRAY_PRESSURE)
