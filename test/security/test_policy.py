@@ -185,6 +185,7 @@ def check_node(name: str, has: Rules) -> None:
         assert there <= allowed[key], (name, key)
     # What a rig or a parameter has to ask for.
     optional = {"/pam/measured/external_torque", "/pam/angle_sensor", "/pam/external_torque"}
+    optional |= {"/pam/pressure_state", "/pam/pressure_command"}  # of a joint with pressure regulators
     assert not allowed["topic", "publish"] - has["topic", "publish"] - optional
 
 
