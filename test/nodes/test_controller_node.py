@@ -324,6 +324,33 @@ def test_a_stiffness_that_cannot_be_used_gives_safe_voltages_until_a_better_one_
     assert node.published[-1][1] != SAFE and node.health(2)["commands"].level < 2
 
 
+def test_modes_and_law_that_change_while_it_is_stopped_move_no_valve_and_count_once_it_is_cleared(node: Any) -> None:
+    from std_srvs.srv import Trigger
+
+    begin = node.now_ns() + 10**9
+    choose(node, law="model")
+    refer(node, 2, 0.1, 6.0)
+    for k in range(50):
+        estimate(node, begin + k * MS)
+    assert node.published[-1][1] != SAFE
+    node.stop("somebody said so")
+    for k, (mode, value, stiffness) in enumerate([(2, 0.1, 6.0), (4, 0.0, 6.0), (3, 0.5, 6.0), (2, 0.1, -1.0)]):
+        refer(node, mode, value, stiffness)
+        estimate(node, begin + (50 + k) * MS)
+        assert node.published[-1][1] == SAFE
+    refer(node, 0, -0.1)
+    assert choose(node, law="pi") == (True, "")
+    estimate(node, begin + 54 * MS)
+    assert node.published[-1][1] == SAFE
+    assert node._on_clear(Trigger.Request(), Trigger.Response()).success
+    for k in range(55, 400):
+        estimate(node, begin + k * MS)
+    after = [voltage for stamp, voltage in node.published if stamp >= begin + 55 * MS]
+    assert after[0] == SAFE  # bumpless
+    assert after[-1][0] < SAFE[0] - 0.01 and after[-1][1] > SAFE[1] + 0.01
+    assert node.health(1)["reference"].values["mode"] == "angle"
+
+
 def test_a_reference_out_of_reach_becomes_the_nearest_one_and_that_is_said(node: Any) -> None:
     choose(node, law="model")
     refer(node, 2, 0.1, 60.0)
