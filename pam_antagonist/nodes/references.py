@@ -27,8 +27,8 @@ _LOOK = 0.005  # between two looks for references [s]
 _REPEAT_NS = 20_000_000  # between two messages by which a bag keeps what is followed [ns]
 MODES = {"angle": Mode.ANGLE, "torque": Mode.TORQUE}
 """What may be asked for, by the word that parameters and pages use."""
-MODE, ASKED = "mode", "asked for now [rad or N m]"
-"""Keys of part ``reference`` of ``/diagnostics``: what is followed, and its value."""
+MODE, ASKED, STIFFNESS = "mode", "asked for now [rad or N m]", "stiffness asked for [N m/rad]"
+"""Keys of part ``reference`` of ``/diagnostics``: what is followed, its value, and its stiffness."""
 
 
 class ReferenceInput:
@@ -217,7 +217,7 @@ class ReferenceInput:
             "source": f"{self._node.resolve_topic_name(self._topic)} ({self._kind.__name__})",
             MODE: references.mode.name.lower() if references.mode is not None else "none",
             ASKED: references.value,
-            "stiffness asked for [N m/rad]": references.stiffness,
+            STIFFNESS: references.stiffness,
             "age [s]": f"{age:.3f}",
             "limited": references.limited_count,
             "timed out": references.lost_count,

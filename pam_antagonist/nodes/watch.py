@@ -25,7 +25,7 @@ from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.network import stay_on_this_machine
-from pam_antagonist.nodes.references import ASKED, MODE, MODES
+from pam_antagonist.nodes.references import ASKED, MODE, MODES, STIFFNESS
 from pam_antagonist.nodes.spin import tune_middleware
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS, normalize_namespace
 from pam_antagonist.rig import RigIdentity
@@ -34,6 +34,7 @@ from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
 FIELDS = (
     *("time", "angle", "angle_std", "torque", "torque_std", "nis", "flags", "pressure_1", "pressure_2"),
     *("voltage_1", "voltage_2", "encoder", "torque_meter", "reference_angle", "reference_torque"),
+    *("stiffness", "reference_stiffness", "external_torque", "external_torque_std"),
 )
 """Numbers of a frame, in this order; SI units, None where there is none."""
 
@@ -142,9 +143,12 @@ class PipelineWatch:
         estimate = self._fresh("joint_estimate", now)
         if estimate is not None:
             values |= {"angle": estimate.angle, "torque": estimate.torque, "nis": estimate.nis}
-            values |= {"flags": estimate.flags}
-            for name, place in (("angle_std", 0), ("torque_std", 8)):
-                values[name] = math.sqrt(max(0.0, float(estimate.covariance[place])))
+            values |= {"flags": estimate.flags, "stiffness": -estimate.stiffness}
+            values["external_torque"] = estimate.external_torque
+            variances = {name: estimate.covariance[place] for name, place in (("angle_std", 0), ("torque_std", 8))}
+            variances["external_torque_std"] = estimate.external_torque_covariance[3]
+            for name, variance in variances.items():
+                values[name] = math.sqrt(max(0.0, float(variance))) if math.isfinite(variance) else math.nan
         for name in ("pressure_1", "pressure_2"):
             message = self._fresh(name, now)
             if message is not None:
@@ -226,10 +230,15 @@ class PipelineWatch:
         if now - heard > _GONE:
             return {}
         values = {item.key: item.value for item in status.values}
-        mode, value = values.get(MODE), _float(values.get(ASKED))
-        if message is not None and mode != "none":
-            mode, value = ("torque" if message.mode == Mode.TORQUE else "angle"), message.value
-        return {f"reference_{mode}": value} if mode in ("angle", "torque") and math.isfinite(value) else {}
+        mode = Mode.__members__.get(values.get(MODE, "").upper())
+        value, stiffness = _float(values.get(ASKED)), _float(values.get(STIFFNESS))
+        if message is not None and values.get(MODE) != "none":
+            mode = next((each for each in Mode if each == message.mode), None)
+            value, stiffness = message.value, message.stiffness
+        if mode is None:
+            return {}
+        asked = {"reference_stiffness": stiffness} if mode.has_stiffness else {}
+        return {f"reference_{mode.quantity.name.lower()}": value, **asked}
 
     # ---------------------------------------------------------------- what is commanded
 

@@ -244,7 +244,7 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
     from probe import Probe
 
     from pam_antagonist.nodes import qos
-    from pam_antagonist.nodes.references import ASKED, MODE
+    from pam_antagonist.nodes.references import ASKED, MODE, STIFFNESS
     from pam_antagonist.nodes.watch import FIELDS, PipelineWatch
 
     watch = PipelineWatch()
@@ -257,7 +257,8 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
             watch.listen(True)
             health = probe.node.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
             probe.until(lambda: all(map(probe.matched, names)) and health.get_subscription_count() > 0, 20.0, "a page")
-            estimate = probe.publisher("joint_estimate").msg_type(angle=0.2, torque=1.5, nis=2.0)
+            estimate = probe.publisher("joint_estimate").msg_type(angle=0.2, torque=1.5, nis=2.0, stiffness=-6.0)
+            estimate.external_torque, estimate.external_torque_covariance[3] = 0.3, 0.04
             estimate.covariance[0], estimate.covariance[8] = 0.0004, 0.01
             messages = {
                 "joint_estimate": estimate,
@@ -267,7 +268,8 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
                     name=["joint"], position=[0.21], effort=[float("nan")]
                 ),
             }
-            values = [KeyValue(key=MODE, value="angle"), KeyValue(key=ASKED, value="0.25")]
+            values = [KeyValue(key=MODE, value="impedance"), KeyValue(key=ASKED, value="0.25")]
+            values.append(KeyValue(key=STIFFNESS, value="5.0"))
             statuses = [
                 DiagnosticStatus(name="pam/controller: commands", level=b"\x02", message="stopped"),
                 DiagnosticStatus(name="pam/controller: reference", level=b"\x00", message="followed", values=values),
@@ -289,7 +291,19 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
             assert frame["encoder"] == 0.21 and frame["torque_meter"] is None and frame["pressure_2"] is None
             assert frame["reference_angle"] == 0.25 and frame["reference_torque"] is None
             status, reference = watch.report()["statuses"]
-            assert (reference["name"], reference["values"]) == ("controller: reference", {MODE: "angle", ASKED: "0.25"})
+            assert (frame["stiffness"], frame["reference_stiffness"]) == (6.0, 5.0)
+            assert frame["external_torque"] == 0.3 and frame["external_torque_std"] == pytest.approx(0.2)
+            assert reference["name"] == "controller: reference"
+            assert reference["values"] == {MODE: "impedance", ASKED: "0.25", STIFFNESS: "5.0"}
+            torques = probe.publisher("reference").msg_type(mode=3, value=1.0, stiffness=4.0)
+
+            def asked() -> bool:
+                probe.publisher("reference").publish(torques)
+                frame.update(zip(FIELDS, watch.frame(), strict=True))
+                return frame["reference_torque"] is not None
+
+            probe.until(asked, 20.0, "a reference of torque and stiffness")
+            assert frame["reference_stiffness"] == 4.0 and frame["reference_angle"] is None
             assert (status["name"], status["level"], status["text"]) == ("controller: commands", 2, "stopped")
             json.dumps(watch.report(), allow_nan=False)
             probe.wait(0.2)
