@@ -30,8 +30,8 @@ Give recordings of a joint that moves (free) and of one that is held (locked), w
 base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
 catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a recording of
 its own (--holdout), is kept to judge by. A rig whose valves are sealed needs a recording of its joint driven to and
-fro by a known torque (docs/evidence/sealed_joint.md). A rig with pressure regulators (drive: regulator) needs many
-short episodes in one recording (import_csv); whole episodes are held out.
+fro by a known torque (docs/evidence/sealed_joint.md). A rig with pressure regulators (drive: regulator) takes such
+recordings as well, or many short episodes in one recording (import_csv), of which whole ones are held out.
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
 recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. DIR/rig_extended.yaml is left out
@@ -96,14 +96,19 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     rig = load_rig(arguments.rig, regulators=True)
     common.lock_angle(arguments)
     share, bags = _split(arguments.holdout)
-    if rig.drive == "regulator":
-        return close_loop_episodes.run(arguments, rig, share, bags)
-    if arguments.also:
+    if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
+    recordings = given.read(arguments, rig, bags) if rig.drive == "regulator" else []
+    if any(recording.episode_ns is not None or recording.drive == "valve" for recording in recordings):
+        return close_loop_episodes.run(arguments, rig, share, recordings)
+    if arguments.also:
+        raise BadInput(
+            "--also: expected a recording of many episodes (import_csv: episode), whose pressures were measured"
+        )
     kept = arguments.out.parent / f"{arguments.out.name}.part"
     if kept.exists() and not arguments.resume:
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
-    recordings = given.read(arguments, rig, bags)
+    recordings = recordings or given.read(arguments, rig, bags)
     fitted, held_out = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
     hashes = [bag_hash(recording.path) for recording in recordings]
     holdout = [bag_name(recording.path) for recording in held_out] or share

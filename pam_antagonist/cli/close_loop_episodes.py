@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.cli import common
@@ -12,28 +13,27 @@ from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, diagnose
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.recording import bag_hash
+from pam_antagonist.recording import Recording, bag_hash
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report import html, terminal
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import write_rig
 
 
-def run(arguments: argparse.Namespace, rig: Rig, share: float, bags: list[Path]) -> int:
-    """Read, diagnose, write the report and the extended rig.
+def run(arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording]) -> int:
+    """Diagnose, write the report and the extended rig.
 
     Args:
         arguments: of the command.
         rig: whose pressures regulators hold.
         share: of the episodes that is held out at the end.
-        bags: recordings that are held out as a whole; one at most.
+        recordings: with the one that is held out as a whole behind, where there is one.
 
     Raises:
         BadInput: recordings from which nothing can be learned.
     """
-    if len(arguments.bags) > 1 or len(bags) > 1:
+    if len(arguments.bags) > 1 or len(recordings) > 2:
         raise BadInput(f"rig {rig.name} has pressure regulators: expected one recording, and one to hold out at most")
-    recordings = given.read(arguments, rig, bags)
     first = PressureDriven.of(recordings[0], rig, arguments.also, arguments.jobs)
     later = PressureDriven.of(recordings[1], first.rig, jobs=arguments.jobs) if recordings[1:] else None
     found = diagnose(first, share, later, lambda text: print(f"close_loop: {text}", file=sys.stderr, flush=True))
@@ -51,7 +51,7 @@ def _write_rig(folder: Path, joint: PressureDriven, found: EpisodeDiagnosis) -> 
     """The extended rig, with the further signals that it needs."""
     values = joint.values(found.model)
     rig = moved(joint.rig, values)
-    needed = [path for path in values if path.startswith("effects.friction_by_signal.")]
+    needed = [path for path in values if "_by_signal." in path]
     last = max((int(path[-1]) for path in needed), default=0)
     signals = dict(list(joint.rig.signals.items())[:last])
     source = f"extended by close_loop from {joint.name}; started from: {joint.rig.source}"

@@ -179,7 +179,7 @@ def _main(argv: Sequence[str] | None) -> int:
     common.only_available_figures(arguments)
     mode = _MODES[arguments.mode]
     arguments.rig = arguments.rig or _RIGS.get(mode, "shin2022")
-    rig = load_rig(arguments.rig)
+    rig = load_rig(arguments.rig, regulators=True)
     rig.tuning(arguments.tuning)
     if mode is Mode.IMPEDANCE and DISTURBANCE not in rig.effects:
         raise BadInput(
@@ -226,7 +226,7 @@ def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> No
     joint, lock_angle = ("free", None) if mode.quantity is Mode.ANGLE else ("locked", 0.0)
     with counted(len(recording.stamp_ns), "replay") as advance:
         done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=advance)
-    gains = "model" if mode.has_stiffness else arguments.gains
+    gains = "model" if mode.has_stiffness or rig.drive == "regulator" else arguments.gains
     judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), gains)
     print(f"\n{terminal.render(demo.summary(judged))}\n")
     demo.write_report(out, judged, with_figures=not arguments.no_figures)
@@ -248,12 +248,12 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
     )
     with Processes(out / "logs") as processes:
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
-        processes.start("controller", ros_arguments({**shared, **_gains(arguments.gains, mode)}, {}))
+        processes.start("controller", ros_arguments({**shared, **_gains(arguments.gains, mode, rig)}, {}))
         simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
         processes.start("plant", ros_arguments({**shared, **joint, **simulated}, {}))
         try:
             steps = references(mode, arguments.duration, rig.joint.stop or math.inf)
-            _steps(processes, mode, steps, pushes(mode, arguments.duration), arguments.duration, out / "bag")
+            _steps(processes, mode, steps, pushes(mode, arguments.duration), arguments.duration, out / "bag", rig.drive)
         finally:
             # From the source to the sink, so that every sample that was sent is estimated, commanded and recorded.
             processes.stop("plant")
@@ -261,9 +261,9 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
             processes.stop(*(name for name in ("controller", "estimator", "record") if name in processes.running))
 
 
-def _gains(name: str, mode: Mode) -> dict[str, object]:
+def _gains(name: str, mode: Mode, rig: Rig) -> dict[str, object]:
     """Parameters of the controller."""
-    if mode.has_stiffness:
+    if mode.has_stiffness or rig.drive == "regulator":
         return {"law": "model"}
     gains, of = _GAINS[name][mode], mode.name.lower()
     return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
@@ -276,13 +276,14 @@ def _steps(
     pushed: list[tuple[float, float]],
     duration: float,
     bag: Path,
+    drive: str,
 ) -> None:
     from tqdm import tqdm
 
     # ROS is imported while the nodes are starting.
     from pam_antagonist.nodes.client import ReferenceClient
 
-    with ReferenceClient() as watch:
+    with ReferenceClient(drive=drive) as watch:
         begin = time.monotonic()
 
         def missing() -> str:

@@ -126,6 +126,27 @@ def _volts(text: str) -> tuple[float, float]:
     return values
 
 
+def _gauge_range(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    read = _quantity("pressure", 0.0, 1.5e6)
+    values = (read(low), read(high)) if colon else (math.nan, math.nan)
+    if not values[0] < values[1]:
+        raise BadInput(f"{text!r}: expected the least and the largest gauge pressure, such as 0bar:6bar")
+    return values
+
+
+def _is_driven_by(drive: str) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda values: values.get("drive", "valve") == drive
+
+
+def _condition(option: str) -> str:
+    """With which other answer an option goes together."""
+    if option in ("valve", "voltage"):
+        return "--drive valve"
+    first = option.split("-", maxsplit=1)[0]
+    return "--drive regulator" if first == "regulator" else f"--{first} {_OWN}"
+
+
 def _is_own(name: str) -> Callable[[Mapping[str, Any]], bool]:
     return lambda values: values.get(name) == _OWN
 
@@ -190,7 +211,36 @@ _QUESTIONS = (
     _Question(
         "supply", "Gauge pressure of the supply", "the gauge of the regulator", _quantity("pressure", 6e4, 1.5e6)
     ),
-    _Question("valve", "Valve", "a name of the list above, or own", _part("valve", valve_parts)),
+    _Question(
+        "drive",
+        "Proportional valves or pressure regulators: valve or regulator",
+        "what your driver commands: a voltage, or a pressure",
+        _one_of("valve", "regulator"),
+        "valve",
+    ),
+    _Question(
+        "regulator-range",
+        "Least and largest gauge pressure of a regulator",
+        _SHEET,
+        _gauge_range,
+        "0bar:6bar",
+        _is_driven_by("regulator"),
+    ),
+    _Question(
+        "regulator-time",
+        "Time of a regulator from 10 to 90 % of a small step, with the muscle on it [s]",
+        "a recorded step, or its data sheet",
+        _number(0.002, 1.0, "s"),
+        "0.03",
+        _is_driven_by("regulator"),
+    ),
+    _Question(
+        "valve",
+        "Valve",
+        "a name of the list above, or own",
+        _part("valve", valve_parts),
+        wanted=_is_driven_by("valve"),
+    ),
     _Question(
         "valve-flow",
         "Standard nominal flow of the valve [l/min]",
@@ -198,7 +248,14 @@ _QUESTIONS = (
         _number(0.1, 5e3, "l/min"),
         wanted=_is_own("valve"),
     ),
-    _Question("voltage", "Least and largest voltage of a valve [V]", "what your driver may put out", _volts, "0:10"),
+    _Question(
+        "voltage",
+        "Least and largest voltage of a valve [V]",
+        "what your driver may put out",
+        _volts,
+        "0:10",
+        _is_driven_by("valve"),
+    ),
     _Question(
         "inertia",
         "Inertia of what turns [kg m²]",
@@ -224,7 +281,7 @@ def parser() -> common.Parser:
     out.add_argument("--out", required=True, type=Path, metavar="FILE", help="the rig file to write (.yaml), a new one")
     for question in _QUESTIONS:
         default = "" if question.default is None else f" (default: {question.default})"
-        own = "" if question.wanted({}) else "; of an own one"
+        own = "" if question.wanted({}) else f"; with {_condition(question.option)}"
         text = f"{question.text[0].lower()}{question.text[1:]}: {question.how}{own}{default}"
         out.add_argument(f"--{question.option}", metavar="ANSWER", help=text.replace("%", "%%"))
     return out
@@ -249,7 +306,7 @@ def _main(argv: Sequence[str] | None) -> int:
         write_rig(rig, path, _remarks(facts, assumed))
     except OSError as error:
         raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from None
-    load_rig(path)
+    load_rig(path, regulators=True)
     print(f"rig: {path}\n")
     print("Look at its head: it says what was measured and what is assumed. Then record and identify:")
     for words in ("record --out free_bag", f"check free_bag --rig {path}"):
@@ -271,7 +328,7 @@ def _answers(given: Mapping[str, str | None]) -> tuple[dict[str, Any], list[_Que
         text = given[question.name]
         if not question.wanted(values):
             if text is not None:
-                raise BadInput(f"--{question.option}: only with --{question.option.split('-')[0]} {_OWN}")
+                raise BadInput(f"--{question.option}: only with {_condition(question.option)}")
             continue
         if text is not None:
             try:
@@ -319,8 +376,11 @@ def _facts(values: Mapping[str, Any]) -> Facts:
         )
     else:
         muscle = named("muscle", values["muscle"], muscle_parts())
-    low, high = values["voltage"]
-    if values["valve"] == _OWN:
+    regulated = values["drive"] == "regulator"
+    low, high = values.get("voltage", (0.0, 10.0))
+    if regulated:
+        valve = valve_parts()["shin2022"].replaced(source="range and time as asked")  # its numbers play no part
+    elif values["valve"] == _OWN:
         curve = Curve(voltage=(low, high), open_rate=(0.0, 1.0))
         valve = ValvePart(
             flow=values["valve_flow"], curve=curve, closed_centre=False, source="its data sheet; the curve is a guess"
@@ -337,7 +397,7 @@ def _facts(values: Mapping[str, Any]) -> Facts:
         muscle_name=f"muscle {values['muscle']}",
         supply=values["supply"],
         valve=valve,
-        valve_name=f"valve {values['valve']}",
+        valve_name="pressure regulators" if regulated else f"valve {values['valve']}",
         voltage=(low, high),
         shaft_radius=values["shaft_radius"],
         mass=values["mass"],
@@ -346,6 +406,7 @@ def _facts(values: Mapping[str, Any]) -> Facts:
         pressure_range=values["sensor_range"],
         pressure_bits=round(values["sensor_bits"]),
         period=1.0 / values["rate"],
+        regulator=(*values["regulator_range"], values["regulator_time"]) if regulated else None,
     )
 
 
@@ -360,6 +421,8 @@ def _remarks(facts: Facts, assumed: Sequence[_Question]) -> list[str]:
     ]
     if assumed:
         lines.append(f"Default answers were taken for: {', '.join(question.option for question in assumed)}.")
+    if facts.regulator is not None:
+        lines.append("Of the regulators: range and time as asked, damping ratio assumed. Valves and flow play no part.")
     if facts.valve.closed_centre:
         lines.append(
             "Attention: this valve lets no air pass at its middle voltage. Equation (5) has no such place: steady"

@@ -63,7 +63,7 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.out is not None:
         common.check_output(arguments.out)
         common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig)
+    rig = load_rig(arguments.rig, regulators=True)
     box = Box.of(rig.parameters(), arguments.lowest_pressure, arguments.supply_margin, arguments.least_force)
     report = ReachableReport.of(rig, box)
     if arguments.out is not None:

@@ -185,11 +185,15 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
     Args:
         rig: start values; its ``priors`` replace the 5 % of a direction that is a single parameter.
     """
-    found = [_single(rig, f"valve_{i}.{name}") for i in (1, 2) for name in ("inflow_area", "outflow_area")]
+    flow = [f"valve_{i}.{name}" for i in (1, 2) for name in ("inflow_area", "outflow_area")]
+    if rig.drive == "regulator":
+        flow = [f"effects.regulator_lag.{name}" for name in ("frequency_1", "frequency_2", "damping")]
+    found = [_single(rig, path) for path in flow]
     for i in (1, 2):
         found += _force_map(rig, f"muscle_{i}.force.")
     found.append(_single(rig, "gas.polytropic_volume", free_only=True))
-    found.append(_single(rig, "supply.pressure"))
+    if rig.drive == "valve":
+        found.append(_single(rig, "supply.pressure"))
     for path in (*_MOTION, *_FRICTION[rig.model.friction]):
         found.append(_single(rig, path, free_only=True))
     return tuple(direction for direction in found if any(direction.changes.values()))
@@ -389,15 +393,16 @@ def _as_formed(item: EffectParameter, form: Form) -> EffectParameter:
     return replace(item, scale=form.scale.get(item.family, item.scale), low=form.low.get(item.family, item.low))
 
 
-def candidates(taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+def candidates(taken: Mapping[str, float], drive: str = "valve") -> tuple[Candidate, ...]:
     """All candidates beside the effects that a model has already.
 
     Args:
         taken: values of the effects' parameters of the model, by dotted path.
+        drive: one of the ways of driving a joint that ``Effect.tested_with`` names.
     """
     present = {path.split(".")[1] for path in taken}
     return tuple(
         Candidate(name)
         for name, effect in CATALOGUE.items()
-        if effect.deterministic and "valve" in effect.tested_with and name not in present
+        if effect.deterministic and drive in effect.tested_with and name not in present
     )

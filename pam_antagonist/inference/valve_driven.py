@@ -1,5 +1,7 @@
 """A joint that its valves drive, as an experiment: the recorded voltages are the input.
 
+Pressure regulators drive a joint likewise, with the pressures that they are asked for in the place of the voltages.
+
 The model runs by itself from the first sample on, effects and sensors included.
 """
 
@@ -110,7 +112,10 @@ class ValveDriven(Experiment):
         Args:
             taken: values of the model's effects' parameters, by dotted path.
         """
-        return candidates(taken)
+        # What a rig file says of its regulators is no candidate any more.
+        declared = dict.fromkeys((f"effects.{name}." for name in self.rig.effects), 0.0)
+        known = {**taken, **declared} if self.rig.drive == "regulator" else taken
+        return candidates(known, {"valve": "valve", "regulator": "command"}[self.rig.drive])
 
     def calibrations(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """Zeros, scales and late stamps that could be wrong, beside those that a model has already.

@@ -22,8 +22,8 @@ from sensor_msgs.msg import JointState
 from pam_antagonist.control import Mode
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.spin import tune_middleware
-from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS
-from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
+from pam_antagonist.recording.topics import COMMAND_TOPICS, DEFAULT_NAMESPACE, TOPICS
+from pam_antagonist_msgs.msg import JointEstimate, JointReference, PressureCommand, ValveCommand
 
 _SUBSCRIBERS = 2
 """Of what a client publishes: the node that obeys, and the recorder."""
@@ -155,13 +155,15 @@ class ReferenceClient(PipelineClient):
     Args:
         namespace: of the pipeline.
         listening: False: it publishes alone, and costs the pipeline no delivery of its messages.
+        drive: of the joint's rig: ``valve`` or ``regulator``.
     """
 
-    def __init__(self, namespace: str = DEFAULT_NAMESPACE, listening: bool = True) -> None:
+    def __init__(self, namespace: str = DEFAULT_NAMESPACE, listening: bool = True, drive: str = "valve") -> None:
+        command = {"valve": ValveCommand, "regulator": PressureCommand}[drive]
         subscribed = {
             "joint_estimate": JointEstimate,
             "measured_joint_states": JointState,
-            "valve_command": ValveCommand,
+            COMMAND_TOPICS[drive]: command,
         }
         subscribed = subscribed if listening else {}
         super().__init__("watch", namespace, subscribed, ("reference", JointReference, qos.REFERENCE))

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from pam_antagonist.estimation.filter import LATE
 from pam_antagonist.recording import Recording
+from pam_antagonist.recording.recording import Arrival
+from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS
 
 Stamps = NDArray[np.int64]
 
@@ -142,9 +144,16 @@ def over_time(recording: Recording, sample_period: float, block: float) -> OverT
     return OverTime(np.linspace(0.5, count - 0.5, count) * block, lost, *figures)
 
 
+def _arrivals(recording: Recording) -> dict[str, Arrival]:
+    """Stage -> its messages; of a joint with pressure regulators, their topics stand for those of the valves."""
+    own = {"valve_state": STATE_TOPICS[recording.drive], "valve_command": COMMAND_TOPICS[recording.drive]}
+    names = {stage: own.get(stage, stage) for stage in STAGES}
+    return {stage: recording.received_ns[name] for stage, name in names.items() if name in recording.received_ns}
+
+
 def _between(recording: Recording) -> tuple[dict[str, Stamps], int, int] | None:
     """Stage -> stamps of samples; the first and the last one that all of them have."""
-    arrivals = recording.received_ns
+    arrivals = _arrivals(recording)
     if any(stage not in arrivals or len(arrivals[stage].stamp_ns) == 0 for stage in STAGES):
         return None
     # Commands at safe voltages for lack of estimates carry the time at which they were sent, which is no sample's.
@@ -164,7 +173,7 @@ def _steps(samples: Stamps, sample_period: float) -> NDArray[np.float64]:
 
 
 def _out_of_order(recording: Recording, stage: str, first: int, last: int) -> int:
-    log, stamp = recording.received_ns[stage]
+    log, stamp = _arrivals(recording)[stage]
     keep = np.isin(stamp, recording.stamp_ns) & (stamp >= first) & (stamp <= last)
     order = np.argsort(stamp[keep], kind="stable")
     return int(np.count_nonzero(np.diff(log[keep][order]) < 0))
@@ -181,7 +190,8 @@ def round_trips(recording: Recording, first: int, last: int) -> tuple[Stamps, ND
     Returns:
         Stamps (N,) [ns], and the times (N,) [ms].
     """
-    pressure, command = recording.received_ns["pressure_1"], recording.received_ns["valve_command"]
+    arrivals = _arrivals(recording)
+    pressure, command = arrivals["pressure_1"], arrivals["valve_command"]
     stamp, one, two = np.intersect1d(pressure.stamp_ns, command.stamp_ns, return_indices=True)
     inside = (stamp >= first) & (stamp <= last)
     took = (command.log_ns[two] - pressure.log_ns[one])[inside]

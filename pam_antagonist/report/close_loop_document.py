@@ -138,7 +138,7 @@ def errors_table(report: CloseLoopReport) -> Table:
             if errors.extended.sliding is not None:
                 out.values(f"    torque {name}, RMSE [N m]", values)
     else:
-        out.heading("Model alone, driven by the voltages")
+        out.heading("Model alone, driven by what was commanded")
         _channel_rows(out, errors, ("angle", "torque"), largest=True)
     _pressure_rows(out, errors, report.driven)
     if report.driven and errors.extended.angle is not None:

@@ -173,7 +173,8 @@ def assumed(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
             ("Errors of the model", noise),
             thresholds,
         )
-    tested = ", ".join(name for name, effect in CATALOGUE.items() if "valve" in effect.tested_with)
+    tried = {item.name for item in report.ranking}
+    tested = ", ".join(name for name in CATALOGUE if name in tried)
     return (
         ("Start", "Each recording begins at rest, and slow effects have settled."),
         ("Base parameters", "Known to 5 % before the fit (the supply to 1 %). Each recording has its own values."),

@@ -53,6 +53,8 @@ _PRIORS = {
     "friction.shaft": 0.3, "friction.muscle": 0.2,
 }  # fmt: skip
 """Standard deviations before identification, as shares of the value."""
+_DAMPING = 0.6
+"""Damping ratio of a regulator whose step overshoots by 10 %, assumed [-]."""
 _FORCE_PRIOR = 0.15
 """Of a muscle's force: so far may two muscles of one kind, or a muscle and its data sheet, differ [-]."""
 
@@ -80,6 +82,8 @@ class Facts:
         pressure_range: of a pressure sensor [Pa].
         pressure_bits: of its converter.
         period: from sample to sample [s].
+        regulator: of a joint with pressure regulators: least and largest gauge pressure [Pa], and the time from 10 to
+            90 % of a small step [s]; None: it has valves.
     """
 
     name: str
@@ -100,6 +104,7 @@ class Facts:
     pressure_range: float
     pressure_bits: int
     period: float
+    regulator: tuple[float, float, float] | None = None
 
     def travel(self) -> tuple[float, float]:
         """Shortest and longest length of a muscle within the joint's range [m]."""
@@ -142,11 +147,37 @@ def starting_point(facts: Facts) -> Rig:
     valve = _rounded({**content["valve_1"], "inflow_area": area, "outflow_area": area})
     rig = validated(Rig, {**content, "valve_1": valve, "valve_2": valve}, facts.name, ("consider", "sealed"))
     priors = {**{name: share * rig.value(name) for name, share in _PRIORS.items()}, **_force_priors(facts)}
-    rig = rig.replaced(priors=_rounded(priors))
+    rig = _with_regulators(rig.replaced(priors=priors), facts)
+    rig = rig.replaced(priors=_rounded(rig.priors))
     complaint = unphysical(rig)
     if complaint:
         raise BadInput(f"these values make no rig: {complaint}")
     return rig
+
+
+def _with_regulators(rig: Rig, facts: Facts) -> Rig:
+    """The rig with pressure regulators in the place of valves, where the facts have some."""
+    if facts.regulator is None:
+        return rig
+    low, high, rise = facts.regulator
+    # A step of second order rises from 10 to 90 % within (1 + 1.1 ζ + 1.4 ζ²)/ω, about.
+    frequency = (1.0 + 1.1 * _DAMPING + 1.4 * _DAMPING**2) / rise
+    lag = {"frequency_1": frequency, "frequency_2": frequency, "damping": _DAMPING}
+    limits = {"lowest": low + ATMOSPHERE, "highest": min(high, facts.supply) + ATMOSPHERE}
+    names = {name: f"effects.regulator_lag.{name}" for name in lag}
+    flow = ("valve_", "gas.polytropic_flow")
+    return rig.replaced(
+        drive="regulator",
+        effects=_rounded({"regulator_lag": lag, "regulator_limits": limits}),
+        priors={
+            **{name: std for name, std in rig.priors.items() if not name.startswith(flow)},
+            **{path: 0.5 * lag[name] for name, path in names.items()},
+        },
+        uncertainty={
+            **{name: std for name, std in rig.uncertainty.items() if not name.startswith(flow)},
+            **{path: _rounded(0.1 * lag[name]) for name, path in names.items()},
+        },
+    )
 
 
 def _rounded(value: Any) -> Any:

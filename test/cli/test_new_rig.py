@@ -91,7 +91,7 @@ def test_what_makes_no_rig_is_refused_in_one_line(tmp_path, capsys, changes, mes
 
 def test_what_is_missing_is_asked_for_until_the_answer_makes_sense(tmp_path, capsys, monkeypatch) -> None:
     answers = {name: value for name, value in BOUGHT.items() if name not in ("radius", "stop")}
-    told = iter(["", "", "20", "20mm", "", "", "none", "", "", ""])
+    told = iter(["", "", "20", "20mm", "", "", "", "none", "", "", ""])
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda prompt: next(told))
     rig = written(answers, tmp_path / "rig.yaml")
@@ -110,3 +110,26 @@ def test_nothing_is_overwritten(tmp_path, capsys) -> None:
     path.write_text("mine")
     assert new_rig.main(typed(BOUGHT, path)) == 2
     assert "exists" in capsys.readouterr().err and path.read_text() == "mine"
+
+
+REGULATED = {
+    **{name: value for name, value in MEASURED.items() if name != "valve"}, "drive": "regulator",
+    "regulator-range": "0bar:6bar", "regulator-time": "0.035",
+}  # fmt: skip
+
+
+def test_a_joint_with_regulators_is_asked_for_their_range_and_time(tmp_path, capsys) -> None:
+    path = tmp_path / "rig.yaml"
+    assert new_rig.main(typed(REGULATED, path)) == 0
+    rig = load_rig(path, regulators=True)
+    assert rig.drive == "regulator"
+    assert rig.command_limits == pytest.approx((101.3e3, 701.3e3))
+    assert 40.0 < rig.value("effects.regulator_lag.frequency_1") < 80.0
+    assert not [name for name in rig.priors if name.startswith("valve_")]
+    # A joint whose regulators are as quick goes with the file.
+    true = load_rig("shin2022_regulators", regulators=True)
+    findings = check(simulate(true, duration=10.0, seed=5, mismatch=0.01), rig).findings
+    assert {item.status for item in findings} <= {"good", "untested"}
+    capsys.readouterr()
+    assert new_rig.main(typed({**REGULATED, "valve": "shin2022"}, tmp_path / "other.yaml")) == 2
+    assert "--valve: only with --drive valve" in capsys.readouterr().err

@@ -17,6 +17,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.hardware.calibration import Converter, load_calibration
 from pam_antagonist.nodes.processes import Processes, ros_arguments
+from pam_antagonist.replays.accounting import account
 from pam_antagonist.rig import load_rig
 from pam_antagonist.safety import SafeAction
 
@@ -70,7 +71,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
         given = {**rig, **patient, "mismatch": 0.01, "seed": 3, "wait_for_subscribers": 2}
         processes.start("plant", ros_arguments(given, {}))
         probe.until(
-            lambda: probe.matched("reference", 2) and len(probe.seen["pressure_command"]) > 200, 90.0, "a start"
+            lambda: probe.matched("reference", 2) and len(probe.seen["pressure_command"]) > 200, 240.0, "a start"
         )
         probe.refer(0, 0.0)
         probe.wait(1.0)
@@ -112,6 +113,8 @@ def test_a_replay_gives_the_bits_of_the_live_estimate(run: Run) -> None:
     assert report.live_equal is not None and report.live_equal.compared > 2000
     assert report.live_equal.equal == report.live_equal.compared
     assert report.ukf.angle is not None and report.ukf.angle.rmse < 1.0
+    counted = account(read_bag(run.bag), RIG.sample_period)
+    assert counted is not None and counted.expected > 2000 and set(counted.lost.values()) == {0}
 
 
 @pytest.mark.realtime

@@ -209,7 +209,8 @@ class Effect:
         needs_angle: whether it hardly shows without a measured angle.
         deterministic: False for a disturbance that no law gives. A filter estimates it, and a diagnosis judges it by
             its course.
-        tested_with: ways of driving a joint (``drive`` of a rig file) with which it is a candidate.
+        tested_with: ways of driving a joint with which it is a candidate: ``valve`` by voltages, ``command`` by what
+            pressure regulators are asked for, ``regulator`` by the pressures that these hold, as measured.
         module: where it is written; the registry fills it in.
         notes: what its documentation says beside the tables, in Markdown: the module's docstring without its first
             line; the registry fills it in.

@@ -95,5 +95,5 @@ EFFECT = Effect(
         experiment="hold the joint at one angle for a minute after a step: creep goes on, friction does not",
     ),
     needs_angle=True,
-    tested_with=("valve", "regulator"),
+    tested_with=("valve", "regulator", "command"),
 )

@@ -58,5 +58,5 @@ EFFECT = Effect(
     ),
     needs_motion=True,
     needs_angle=True,
-    tested_with=("valve", "regulator"),
+    tested_with=("valve", "regulator", "command"),
 )

@@ -42,5 +42,5 @@ EFFECT = Effect(
     sealed=SealedJoint(part=None, reason="its pressures move little, so that it looks like constant friction"),
     needs_motion=True,
     needs_angle=True,
-    tested_with=("regulator",),
+    tested_with=("regulator", "command"),
 )

@@ -47,4 +47,5 @@ EFFECT = Effect(
     ),
     needs_motion=True,
     needs_angle=True,
+    tested_with=("valve", "command"),
 )

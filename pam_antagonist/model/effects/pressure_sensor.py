@@ -111,4 +111,5 @@ EFFECT = Effect(
     sentence="the pressure sensor of {muscle} reads wrong (pressure_sensor)",
     experiment="compare the sensor with a gauge at three pressures",
     sealed=SealedJoint(part=None, reason="an offset or gain looks like another charge or another slope of the volume"),
+    tested_with=("valve", "command"),
 )

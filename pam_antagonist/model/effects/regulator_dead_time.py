@@ -73,6 +73,6 @@ EFFECT = Effect(
     hooks={"asked_pressure": delayed},
     sentence="the regulator of {muscle} hears its command late (regulator_dead_time)",
     experiment="step each commanded pressure by 1 bar every 0.3 s, and record the measured pressures",
-    tested_with=(),
+    tested_with=("command",),
     sealed=SealedJoint(part=None, reason="no regulator works"),
 )  # fmt: skip

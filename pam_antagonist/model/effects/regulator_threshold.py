@@ -60,6 +60,6 @@ EFFECT = Effect(
     sentence="the regulator of {muscle} leaves out small reversals of its command (regulator_threshold)",
     experiment="raise one commanded pressure in steps of 0.01 bar, hold each for 1 s, and lower it again by the same "
     "steps",
-    tested_with=(),
+    tested_with=("command",),
     sealed=SealedJoint(part=None, reason="no regulator works"),
 )

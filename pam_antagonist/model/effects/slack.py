@@ -44,4 +44,5 @@ EFFECT = Effect(
     },
     sealed=SealedJoint(part=None, reason="both muscles are charged, and pull at every angle"),
     needs_angle=True,
+    tested_with=("valve", "command"),
 )

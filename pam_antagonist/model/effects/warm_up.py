@@ -74,4 +74,5 @@ EFFECT = Effect(
     form=Form(low={"share": 0.0}),
     sealed=SealedJoint(part=None, reason="within one recording a slow drift of the force looks like creep"),
     needs_angle=True,
+    tested_with=("valve", "command"),
 )
