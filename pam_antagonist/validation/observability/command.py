@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ examples:
 SENSORS = {"pressures alone": math.inf, "IMU angle": math.radians(1.0), "encoder": 5e-4}
 """Standard deviation of the measured angle [rad]; infinite: none."""
 SECONDS = 1.0
+PRESSURES = (300e3, 400e3, 500e3)
+"""[Pa] Mean of both muscles, absolute."""
 _PRIOR = np.array([math.radians(10.0), 1.0, 20e3, 20e3])  # of angle, velocity and both pressures
 _MOVED = np.array([math.radians(0.5), 0.02, 500.0, 500.0, 0.05])  # to either side
 
@@ -49,6 +52,10 @@ def parser() -> common.Parser:
         "--rig", default="shin2022_external_torque", metavar="RIG", help="default: shin2022_external_torque"
     )
     common.add_new_json(out, "the figures")
+    out.add_argument(
+        "--maps", type=Path, metavar="DIR",
+        help="write torque.png and angle.png as well: the same over more angles, beside what the filter claims",
+    )  # fmt: skip
     return out
 
 
@@ -65,14 +72,20 @@ def _main(argv: Sequence[str] | None) -> int:
         print(terminal.table(table(found), indent=""))
     if arguments.json is not None:
         common.give_json(arguments.json, dumps(found) + "\n")
+    if arguments.maps is not None:
+        from pam_antagonist.validation.observability import maps
+
+        maps.write(arguments.maps, rig)
+        print(f"maps: {arguments.maps / 'torque.png'} and angle.png")
     return common.DONE
 
 
-def measure(rig: Rig) -> list[dict[str, Any]]:
-    """What can be known, for pressures of 300, 400 and 500 kPa, angle 0 and 10 degrees.
+def measure(rig: Rig, angles: Sequence[float] = (0.0, 10.0)) -> list[dict[str, Any]]:
+    """What can be known, for pressures of 300, 400 and 500 kPa on average.
 
     Args:
         rig: of whose effects the torque from outside alone counts.
+        angles: of the joint [°].
 
     Returns:
         A row for each place, with the standard deviations of angle [rad] and torque [N m] by sensor.
@@ -88,20 +101,33 @@ def measure(rig: Rig) -> list[dict[str, Any]]:
     for sealed in (False, True):
         valves = rig.valves.replaced(sealed=sealed)
         p = rig.replaced(effects={DISTURBANCE: still}, valves=valves).parameters()
-        for common_pressure in (300e3, 400e3, 500e3):
-            for degrees in (0.0, 10.0):
+        for common_pressure in PRESSURES:
+            for degrees in angles:
                 for motion in ("rest", "motion"):
                     where = {"chambers": "sealed" if sealed else "open valves", "pressure": common_pressure}
                     where |= {"angle_deg": degrees, "joint": motion}
-                    known = _known(p, rig, common_pressure, math.radians(degrees), motion == "motion", prior)
+                    x0, inputs = place(p, rig, common_pressure, math.radians(degrees), motion == "motion")
+                    known = _known(p, rig, x0, inputs, prior)
                     out.append({**where, "std": known})
     return out
 
 
-def _known(
-    p: NDArray[np.float64], rig: Rig, middle: float, angle: float, moving: bool, prior: float
-) -> dict[str, dict[str, float]]:
-    """Standard deviations of angle and torque from outside, by sensor."""
+def place(
+    p: NDArray[np.float64], rig: Rig, middle: float, angle: float, moving: bool, seconds: float = SECONDS
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A joint at rest at an angle, and what then drives it.
+
+    Args:
+        p: parameter vector (parameters.SIZE,).
+        rig: of the joint.
+        middle: mean of both pressures [Pa].
+        angle: [rad].
+        moving: whether it is swung by hand.
+        seconds: how long.
+
+    Returns:
+        State (n,), and both voltages and the torque from outside at each sample (N, 3).
+    """
     low, high = -250e3, 250e3
     for _ in range(40):
         half = 0.5 * (low + high)
@@ -109,7 +135,7 @@ def _known(
             low = half
         else:
             high = half
-    count = round(SECONDS / rig.sample_period)
+    count = round(seconds / rig.sample_period)
     voltage = np.full((count, 2), 5.5)
     x0 = equilibrium.initial_state(angle, middle + low, middle - low, voltage[0], p)
     if not p[par.VALVE : par.VALVE + 2 * par.VALVE_SIZE].any():
@@ -118,7 +144,13 @@ def _known(
         held = np.tile([_holding(i, x0, p) for i in range(2)], (count, 1))
     # In motion, the joint is swung by hand: the torque is known to the model as an input.
     swing = 0.6 * np.sin(2.0 * math.pi * 2.0 * np.arange(count) * rig.sample_period) if moving else np.zeros(count)
-    inputs = np.column_stack([held, swing])
+    return x0, np.column_stack([held, swing])
+
+
+def _known(
+    p: NDArray[np.float64], rig: Rig, x0: NDArray[np.float64], inputs: NDArray[np.float64], prior: float
+) -> dict[str, dict[str, float]]:
+    """Standard deviations of angle and torque from outside, by sensor."""
 
     def outputs(start: NDArray[np.float64]) -> NDArray[np.float64]:
         states, _ = dynamics.course(start, inputs, p, rig.sample_period, 1)
