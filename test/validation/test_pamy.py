@@ -25,6 +25,8 @@ def arm(folder: Path) -> Path:
     truth = Regulator(40.0, 0.5, 0.0, 1.0, 0.0)
     setpoints = [np.clip(one, 0.0, 1.0).ravel() for one in asked]
     held = [regulator.simulated(truth, first, time, one, one[first[:-1]]) for one in setpoints]
+    # A row of the file holds what was asked for up to it.
+    written = [np.column_stack([one[:, :1], one[:, :-1]]).ravel() for one in np.reshape(setpoints, (2, EPISODES, ROWS))]
     angle = np.zeros(EPISODES * ROWS)
     for begin in first[:-1]:
         position = speed = 0.0
@@ -42,7 +44,7 @@ def arm(folder: Path) -> Path:
     other = 0.5 + 0.1 * rng.standard_normal((2, EPISODES))[:, number]
     names = "episode,t_s,angle_rad,p1,p2,joint1_p1,joint1_p2,p1_set,p2_set"
     np.savetxt(
-        folder / "arm.csv", np.column_stack([number, time, angle, *held, *other, *setpoints]), "%.6f", ",",
+        folder / "arm.csv", np.column_stack([number, time, angle, *held, *other, *written]), "%.6f", ",",
         header=names, comments="",
     )  # fmt: skip
     return folder / "arm.csv"

@@ -108,16 +108,25 @@ def analysed(recording: Recording, jobs: int) -> page.ArmResult:
     later = asked.take(held.later)
     held_pressures = np.column_stack([_held(one, later, muscle) for muscle, one in enumerate(regulators)])
     errors = tuple(
-        (_rms(held_pressures[:, k] - later.pressure[:, k]), _rms(_setpoint(later, k) - later.pressure[:, k]))
+        (_rms(held_pressures[:, k] - later.pressure[:, k]), _rms(_asked(later, k) - later.pressure[:, k]))
         for k in (0, 1)
     )
     commanded = _error(replace(joint.take(held.later), pressure=held_pressures), found.model)
     return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, errors, 0.0)
 
 
-def _setpoint(asked: PressureDriven, muscle: int) -> np.ndarray:
-    """What a regulator was asked for (N,) [Pa]."""
+def _asked(asked: PressureDriven, muscle: int) -> np.ndarray:
+    """What a regulator was asked for up to each row (N,) [Pa]: the row's own action comes after it."""
     return np.asarray(asked.signals[:, muscle] + list(asked.rig.signals.values())[muscle])
+
+
+def _setpoint(asked: PressureDriven, muscle: int) -> np.ndarray:
+    """What a regulator is asked for from each row to the next one (N,) [Pa]."""
+    values = _asked(asked, muscle)
+    following = np.append(values[1:], values[-1])
+    last = asked.first[1:] - 1
+    following[last] = values[last]
+    return following
 
 
 def _regulator(asked: PressureDriven, held: Held, muscle: int) -> Regulator:
