@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.bootstrap import Interval, drawn, ratio, rmse
+from pam_antagonist.diagnosis.bootstrap import Interval, ratio, rmse
+from pam_antagonist.diagnosis.episode_values import intervals, shown
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
 
@@ -363,47 +364,3 @@ def _course(
         pair = (np.degrees(here.squares(here.residual(m)).rmse) for m in (everything, found))
         errors.append((float(next(pair)), float(next(pair))))
     return {name: tuple(values) for name, values in courses.items()}, tuple(errors)
-
-
-def shown(joint: PressureDriven, model: PressureModel) -> dict[str, float]:
-    """What a report shows of a model, by dotted path: no coefficients that only move together.
-
-    Args:
-        joint: the episodes.
-        model: of them.
-    """
-    values = joint.values(model)
-    out = {name: values[name] for name in ("joint.stiffness", "joint.viscous_friction")}
-    middle = joint.rig.geometry.length
-    for i in (1, 2):
-        path = f"muscle_{i}.force."
-        out[f"{path}v, at the middle length"] = values[f"{path}v1"] * middle + values[f"{path}v2"]
-    return out | dict(model.effects)
-
-
-def intervals(joint: PressureDriven, model: PressureModel) -> dict[str, Interval]:
-    """What :func:`shown` shows, with 95 % intervals by episode: a Gauss-Newton step for each draw of a bootstrap.
-
-    Args:
-        joint: the episodes that were fitted.
-        model: fitted to them.
-    """
-    left = joint.residual(model)
-    slopes = joint.jacobian(model, left)
-    spans = list(zip(joint.first[:-1], joint.first[1:], strict=True))
-    squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
-    pulls = np.stack([slopes[a:b].T @ left[a:b] for a, b in spans])
-    at = joint.coordinates(model)
-    draws = drawn(len(joint))[:300]
-    found = [
-        shown(
-            joint, joint.moved(model, at - np.linalg.lstsq(squares[d].sum(axis=0), pulls[d].sum(axis=0), rcond=None)[0])
-        )
-        for d in draws
-    ]
-    best = shown(joint, model)
-    out = {}
-    for name, value in best.items():
-        low, high = np.quantile([one[name] for one in found], [0.025, 0.975])
-        out[name] = Interval(value, float(low), float(high))
-    return out

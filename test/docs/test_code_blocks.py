@@ -39,4 +39,4 @@ def test_yaml(page: Path, tmp_path: Path) -> None:
             continue
         rig = tmp_path / "rig.yaml"
         rig.write_text(yaml.safe_dump({"based_on": "shin2022", **content}), encoding="utf-8")
-        load_rig(rig)
+        load_rig(rig, regulators=True)
