@@ -24,7 +24,7 @@ from pam_antagonist.inference.gauss_newton import (
     relinearised,
 )
 from pam_antagonist.inference.likelihood import solve
-from pam_antagonist.inference.standard_errors import well_known
+from pam_antagonist.inference.standard_errors import settled, well_known
 
 _IMITATED = ("torque_scale",)
 """Calibrations that base parameters imitate exactly: muscles, inertia and friction that are as much larger."""
@@ -62,13 +62,12 @@ def tried(
 
     fits = in_threads(delayed(fitted)(r, candidate) for (_, r), candidate in tasks.items())
     done = dict(zip(tasks, fits, strict=True))
-    if not model.effects:
-        far = [r for r, is_noisy in enumerate(noisy) if is_noisy]
-        others = in_threads(delayed(far_calibrations.fits)(experiments[r], model.fits[r], can[r]) for r in far)
-        for r, other in zip(far, others, strict=True):
-            for name, fit in other.items():
-                gains = [evidence(experiments[r], model.fits[r], one) for one in (done[name, r], fit)]
-                done[name, r] = fit if gains[1] > gains[0] else done[name, r]
+    far = [r for r, is_noisy in enumerate(noisy) if is_noisy]
+    others = in_threads(delayed(far_calibrations.fits)(experiments[r], model.fits[r], can[r]) for r in far)
+    for r, other in zip(far, others, strict=True):
+        for name, fit in other.items():
+            gains = [evidence(experiments[r], model.fits[r], one) for one in (done[name, r], fit)]
+            done[name, r] = fit if gains[1] > gains[0] else done[name, r]
     out = []
     for name in dict.fromkeys(name for name, _ in tasks):
         each = [done.get((name, r)) for r in range(len(experiments))]
@@ -224,7 +223,8 @@ def needed(experiments: Sequence[Experiment], base: Model, model: Model, jobs: i
             break
         prefixes = [*(calibration.path(name) for name in names), *(f"effects.{name}." for name in model.effects)]
         smaller = [without(experiments, model, prefix, jobs) for prefix in prefixes]
-        lost = [explained.evidence_of(experiments, other, model) for other in smaller]
+        lost = [_lost(experiments, other, model) for other in smaller[: len(names)]]
+        lost += [explained.evidence_of(experiments, other, model) for other in smaller[len(names) :]]
         least = int(np.argmin(lost))
         if lost[least] >= thresholds.STRONG:
             break
@@ -232,6 +232,34 @@ def needed(experiments: Sequence[Experiment], base: Model, model: Model, jobs: i
         if least < len(names):
             base = without(experiments, base, prefixes[least], jobs)
     return base, model if model.effects else base
+
+
+def _lost(experiments: Sequence[Experiment], smaller: Model, model: Model) -> float:
+    """Evidence for a model against one without a calibration: that of the posterior where both leave only noise."""
+    if not (explained.at_noise(experiments, smaller) and explained.at_noise(experiments, model)):
+        return explained.evidence_of(experiments, smaller, model)
+    total = 0.0
+    for experiment, before, after in zip(experiments, smaller.fits, model.fits, strict=True):
+        if len(before.free) < len(after.free):
+            total += _posterior_gain(experiment, before, after)[0]
+    return total
+
+
+def carried_on(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
+    """A model with calibrations, fitted to its end: their values are known so well that the fit's last steps show.
+
+    Args:
+        experiments: the recordings.
+        model: the model.
+        jobs: threads.
+    """
+
+    def one(experiment: Experiment, fitted: Fitted) -> Fitted:
+        needs = any(calibration.is_calibration(free.path) for free in fitted.free)
+        return settled(experiment, fitted) if needs else fitted
+
+    pairs = zip(experiments, model.fits, strict=True)
+    return Model(model.effects, tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*pair) for pair in pairs)))
 
 
 def without(experiments: Sequence[Experiment], model: Model, prefix: str, jobs: int) -> Model:
@@ -249,7 +277,7 @@ def without(experiments: Sequence[Experiment], model: Model, prefix: str, jobs: 
         if len(kept) == len(fitted.point.effects):
             return fitted
         free = tuple(free for free in fitted.free if not free.path.startswith(prefix))
-        return refit(experiment, Point(fitted.point.theta, kept), free)
+        return best_of_starts(experiment, refit(experiment, Point(fitted.point.theta, kept), free), 0)
 
     pairs = zip(experiments, model.fits, strict=True)
     fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*pair) for pair in pairs)

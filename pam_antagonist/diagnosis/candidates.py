@@ -203,7 +203,7 @@ def as_configured(experiment: Experiment, fitted: Fitted | None = None) -> Fitte
 
     Args:
         experiment: the recording.
-        fitted: a model without effects, whose calibrations are kept; default: none.
+        fitted: a model whose effects and calibrations are kept; default: none.
     """
     point = experiment.origin if fitted is None else Point(experiment.origin.theta, fitted.point.effects)
     free = () if fitted is None else fitted.free

@@ -163,6 +163,21 @@ def is_worth_taking(tried: TriedCandidate) -> bool:
     return tried.standing >= enough and removes
 
 
+def ends_at_noise(experiments: Sequence[Experiment], tried: TriedCandidate) -> bool:
+    """Whether a fitted candidate has enough evidence, and with it the model is at the sensors' noise.
+
+    It may remove little then: what an effect of the model left was little.
+
+    Args:
+        experiments: the recordings.
+        tried: the candidate beside the model.
+    """
+    if tried.delta_bic is None or tried.held_out_evidence is None or tried.model is None:
+        return False
+    certain = min(tried.delta_bic, tried.held_out_evidence) >= thresholds.POSITIVE
+    return certain and tried.standing >= thresholds.TAKEN and at_noise(experiments, tried.model)
+
+
 def near(best: TriedCandidate, others: Sequence[TriedCandidate]) -> tuple[str, ...]:
     """Candidates that do as well as the best one, by evidence and on held-out data.
 

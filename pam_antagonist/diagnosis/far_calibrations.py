@@ -37,7 +37,7 @@ def fits(experiment: Experiment, fitted: Fitted, candidates: Sequence[Candidate]
 
     Args:
         experiment: the recording.
-        fitted: its model without effects, whose calibrations are kept.
+        fitted: its model, whose effects and calibrations are kept.
         candidates: further calibrations, of one number each.
     """
     start = as_configured(experiment, fitted)

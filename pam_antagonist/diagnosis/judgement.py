@@ -65,6 +65,10 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
     if late is None:
         found = disturbance_search.search(experiments, base, chosen, verdict, jobs, progress)
     if found is not None:
+        # A law that foretells what no fit has seen goes before a torque that may do anything at any time.
+        stuck = _stuck(prepared, group, selection, about_base, settings) if verdict == "unexplained" else None
+        if stuck is not None and not explained.explains_in_part(stuck.group.experiments, stuck.base, stuck.model):
+            return stuck
         share = share if verdict == "effect" else found.share
         notes = (*about_base, *found.warnings)
         return Judged(group, base, selection, "effect", share, found.model, found.effects, found.values, notes)
@@ -72,13 +76,9 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
         judged = _by_effects(prepared, group, selection, share, about_base, settings)
         return judged if late is None else onset.dated(judged, late)
     if verdict == "unexplained":
-        along = sticking.search(group, selection, settings)
-        if along is not None:
-            moving, there = along
-            note = warnings.along_motion(moving.experiments, there.recalibrated, there.model)
-            judged = _by_effects(prepared, moving, there, _share(moving, there), (note, *about_base), settings)
-            if judged.verdict == "effect":
-                return judged
+        stuck = _stuck(prepared, group, selection, about_base, settings)
+        if stuck is not None:
+            return stuck
         parts = onset.parts_above_noise(group, base, jobs)
         about_base = (*warnings.changes(parts), *about_base)
         first = explained.leader(selection.tried)
@@ -88,6 +88,19 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
             if judged.verdict == "effect":
                 return judged
     return Judged(group, base, selection, verdict, share, base, warnings=about_base)
+
+
+def _stuck(
+    prepared: Prepared, group: Group, selection: Selection, about_base: Sequence[str], settings: Settings
+) -> Judged | None:
+    """Friction of a joint that sticks, where it explains what no effect does in a free run; None where it does not."""
+    along = sticking.search(group, selection, settings)
+    if along is None:
+        return None
+    moving, there = along
+    note = warnings.along_motion(moving.experiments, there.recalibrated, there.model)
+    judged = _by_effects(prepared, moving, there, _share(moving, there), (note, *about_base), settings)
+    return judged if judged.verdict == "effect" else None
 
 
 def _is_taken(late: onset.Changing, group: Group, selection: Selection) -> bool:

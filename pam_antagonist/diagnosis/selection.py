@@ -116,6 +116,7 @@ def select(
         tried = [*(candidate for candidate in tried if candidate.round != number), *found]
         others = calibrations.tried(experiments, first, model, number, jobs) if calibrate else []
         worth = [candidate for candidate in (*found, *others) if explained.is_worth_taking(candidate)]
+        worth += [candidate for candidate in others if explained.ends_at_noise(experiments, candidate)]
         best = max(worth, key=lambda candidate: candidate.standing, default=None)
         weighed += [replace(candidate, taken=candidate is best) for candidate in others]
         if best is None or best.model is None:
@@ -128,6 +129,8 @@ def select(
             first = explained.remaining_residuals(experiments, base.fits)
         progress(f"{best.effect} added")
     base, model = calibrations.needed(experiments, base, model, jobs)
+    fits = {each: calibrations.carried_on(experiments, each, jobs) for each in (base, model)}
+    base, model = fits[base], fits[model]
     return Selection(base, model, tuple(tried), tuple(weighed), rivals)
 
 

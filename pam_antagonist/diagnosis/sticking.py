@@ -63,7 +63,7 @@ def search(group: Group, selection: Selection, settings: Settings) -> tuple[Grou
     best = ranking[0]
     if best.effect != FRICTION or not explained.is_worth_taking(best) or best.model is None:
         return None
-    if not explained.explains(experiments, base, best.model):
+    if not explained.explains(experiments, base, best.model) and explained.leader(ranking) is not best:
         return None
     changed = replace(group, experiments=experiments, held_out=tuple(along_motion(other) for other in group.held_out))
     chosen = tuple(relinearised(e, f) for e, f in zip(experiments, best.model.fits, strict=True))

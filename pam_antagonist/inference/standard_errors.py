@@ -1,9 +1,9 @@
-"""How well a fit of one recording knows its numbers.
+"""The last steps of a fit, and how well it knows its numbers.
 
 A step of a fit takes one-sided differences in long steps. Where base parameters nearly imitate each other, the errors
-of such differences do not cancel, and look like information that the recording does not have. So here they are central
-and short. What no fit moves is uncertain as well, by what a ruler tells. What the recording does not determine is as
-uncertain as the rest of the rig file has turned out to be.
+of such differences do not cancel. They look like information that the recording does not have, and lead astray along
+such directions. So here they are central and short. What no fit moves is uncertain as well, by what a ruler tells. What
+the recording does not determine is as uncertain as the rest of the rig file has turned out to be.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Direction, measured_directions, moved, values_along
-from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, moved_by, relinearised
 from pam_antagonist.inference.likelihood import solve
 
 Floats = NDArray[np.float64]
@@ -24,6 +24,11 @@ _CLOSE = 1e-4, 0.1
 """Steps of derivatives that standard deviations rest on: of a base parameter, and of a start value."""
 _SHARE = 0.01
 """Likewise, of what no fit moves: a share of its standard deviation."""
+_ROUNDS = 6
+_SHARES = (1.0, 0.3)
+"""Shares of a last step that are tried."""
+_ENOUGH = 0.1
+"""A last step that gains less is none, in −2 log posterior."""
 _DETERMINED = 4.0
 """Information of a recording about a direction, over that of the prior, from which on it determines the direction."""
 _LEAST_DISTANCE = 0.2
@@ -37,6 +42,52 @@ def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
         experiment: the recording.
         fitted: its model.
     """
+    theta = fitted.point.theta
+    base, effect = _slopes(experiment, fitted)
+    near = replace(fitted, base=base, effect=effect)
+    measured = [_slope(experiment, fitted.point, direction) for direction in measured_directions(experiment.rig)]
+    both = np.concatenate([base, np.stack(measured, axis=2)], axis=2)
+    known = experiment.prior.copy()
+    known[: len(experiment.directions)] /= _distance(experiment, near) ** 2
+    prior, at_rest = np.append(known, np.ones(len(measured))), np.append(theta, np.zeros(len(measured)))
+    scale = fitted.scale
+    last = solve(fitted.residual, both, effect, scale, prior, at_rest, rounds=1, length=scale.length)
+    own = np.r_[0 : experiment.size, both.shape[2] : len(last.covariance)]
+    return replace(near, covariance=last.covariance[np.ix_(own, own)])
+
+
+def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
+    """A fit carried on to its end.
+
+    Args:
+        experiment: the recording.
+        fitted: its model.
+    """
+    for _ in range(_ROUNDS):
+        base, effect = _slopes(experiment, fitted)
+        begun = fitted.cost
+        while (better := _step(experiment, replace(fitted, base=base, effect=effect))) is not None:
+            fitted = better
+        if fitted.cost == begun:
+            break
+    return relinearised(experiment, fitted)
+
+
+def _step(experiment: Experiment, fitted: Fitted) -> Fitted | None:
+    """A step with the derivatives that a model has, maybe of a point nearby; None where it gains next to nothing."""
+    base, effect, scale, theta = fitted.base, fitted.effect, fitted.scale, fitted.point.theta
+    step = solve(fitted.residual, base, effect, scale, experiment.prior, theta, rounds=1)
+    for share in _SHARES:
+        point = moved_by(fitted.point, fitted.free, share * step.theta, share * step.effect)
+        residual = experiment.residual(point)
+        cost = cost_of(experiment, point, residual, scale)
+        if cost < fitted.cost - _ENOUGH:
+            return replace(fitted, point=point, residual=residual, cost=cost)
+    return None
+
+
+def _slopes(experiment: Experiment, fitted: Fitted) -> tuple[Floats, Floats]:
+    """Derivatives of the residual by the base coordinates (B, C, K + S) and by the effects' coordinates (B, C, m)."""
     theta, effects = fitted.point.theta, fitted.point.effects
     free = [k for k in range(experiment.size) if experiment.depends_on(k)]
     steps = [_CLOSE[k >= len(experiment.directions)] for k in free]
@@ -57,16 +108,7 @@ def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
     base = np.zeros_like(fitted.base)
     base[:, :, free] = np.stack(slopes[: len(free)], axis=2)
     effect = np.stack(slopes[len(free) :], axis=2) if fitted.free else fitted.effect
-    near = replace(fitted, base=base, effect=effect)
-    measured = [_slope(experiment, fitted.point, direction) for direction in measured_directions(experiment.rig)]
-    both = np.concatenate([base, np.stack(measured, axis=2)], axis=2)
-    known = experiment.prior.copy()
-    known[: len(experiment.directions)] /= _distance(experiment, near) ** 2
-    prior, at_rest = np.append(known, np.ones(len(measured))), np.append(theta, np.zeros(len(measured)))
-    scale = fitted.scale
-    last = solve(fitted.residual, both, effect, scale, prior, at_rest, rounds=1, length=scale.length)
-    own = np.r_[0 : experiment.size, both.shape[2] : len(last.covariance)]
-    return replace(near, covariance=last.covariance[np.ix_(own, own)])
+    return base, effect
 
 
 def _slope(experiment: Experiment, point: Point, direction: Direction) -> Floats:
