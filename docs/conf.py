@@ -19,6 +19,7 @@ NAVIGATION = {
     "Tutorial": ["tutorials/first_hour"],
     "How-to guides": [
         "how-to/your_rig",
+        "how-to/commission",
         "how-to/excite",
         "how-to/check",
         "how-to/import_csv",

@@ -28,6 +28,7 @@ COMMANDS: dict[str, Command] = {
         "pam_antagonist.cli.new_rig:main", "the rig file of a new joint, by ruler, scale and data sheet"
     ),
     "excite": Command("pam_antagonist.cli.excite:main", "drive a joint so that its recording tells most"),
+    "commission": Command("pam_antagonist.cli.commission:main", "from a rig file to a controlled joint, step by step"),
     "check": Command("pam_antagonist.cli.check:main", "is this a recording of this rig, in the right units?"),
     "replay": Command(
         "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"

@@ -39,6 +39,8 @@ Floats = NDArray[np.float64]
 
 SURE = 0.95
 """Chance of a decision from which on an experiment is long enough."""
+SHORTEST = 26.0
+"""[s] Of an experiment, since ``close_loop`` wants 20 s and more in which the valves move."""
 LIKELY = 0.5
 """Chance below which no experiment within the limits is said to tell."""
 _WIDE = 10.0
@@ -246,7 +248,7 @@ def told_apart(
         effect: its name.
         rivals: effects that explain the recordings as well.
         limits: that the experiment keeps.
-        seconds: longest time [s].
+        seconds: longest time [s]; :data:`SHORTEST` at least.
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
         seed: of the search.
@@ -290,9 +292,8 @@ def told_apart(
 
     taken: list[Floats] = []
     go_on(held(rest[None], REST, step))
-    while len(taken) < 2 or (
-        min(chance(question.distance) for question in everyone) < SURE
-        and sum(map(len, taken)) * step + BLOCK + REST <= seconds
+    while (length := sum(map(len, taken)) * step) + BLOCK + REST <= max(seconds, SHORTEST) and (
+        length + REST < SHORTEST or min(chance(question.distance) for question in everyone) < SURE
     ):
         rows = best_block(merit, limits.voltage, rest, BLOCK, step, rng)
         go_on(held(rest[None], BLOCK, step) if rows is None else rows)

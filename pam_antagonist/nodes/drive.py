@@ -42,6 +42,10 @@ class DriveClient(PipelineClient):
         """Command two voltages [V] now."""
         self._publish(ValveCommand(voltage=[float(value) for value in voltage]))
 
+    def now_ns(self) -> int:
+        """Time by the clock that stamps samples [ns]."""
+        return int(self._node.get_clock().now().nanoseconds)
+
     def missing(self) -> str:
         """What does not deliver or listen yet; a joint without an encoder is complete."""
         return ", ".join(part for part in super().missing().split(", ") if "joint_states" not in part)
@@ -52,6 +56,20 @@ class DriveClient(PipelineClient):
         pressures = np.array([math.nan if one is None else one.fluid_pressure for one in messages])
         joint = self.latest("measured_joint_states")
         return pressures, joint.position[0] if joint is not None and joint.position else math.nan
+
+    def settle(self, rest: Floats, within: Callable[[Floats], bool], check: Callable[[], None], longest: float) -> None:
+        """Hold the resting voltages until the pressures are where a plan may begin.
+
+        Args:
+            rest: voltages (2,) [V].
+            within: whether pressures (2,) [Pa] are there.
+            check: called often; it raises when there is no point in going on.
+            longest: time after which the plan begins all the same [s].
+        """
+        end = time.monotonic() + longest
+        while time.monotonic() < end and not within(self.seen()[0]):
+            check()
+            self._hold(rest, _PROGRESS_S)
 
     def drive(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -93,7 +94,7 @@ def _main(argv: Sequence[str] | None) -> int:
         for pair in pairs:
             for one in tried(rig, pair, arguments.seeds, arguments.plan_only):
                 found.append(one)
-                print(_line(one), flush=True)
+                print(_line(one), file=sys.stderr, flush=True)
         if not arguments.plan_only:
             print(terminal.table(_table(found), indent=""))
     if arguments.json is not None:

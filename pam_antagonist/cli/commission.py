@@ -1,0 +1,333 @@
+"""``commission``: from a rig file to a controlled joint, step by step, with a person at the rig."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.cli import common
+from pam_antagonist.cli.driving import Driven, Owner, add_limits, add_source, drive, limits_of, write_plan
+from pam_antagonist.cli.progress import counted
+from pam_antagonist.design import Plan, designed
+from pam_antagonist.design.apart import told_apart
+from pam_antagonist.design.first_fill import faults, first_fill
+from pam_antagonist.design.loop_gains import loop_gains
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.nodes.processes import ProcessFailed
+from pam_antagonist.optional import needs_ros
+from pam_antagonist.program import typed
+from pam_antagonist.recording import read_bag
+from pam_antagonist.report.commission import Step, write_report
+from pam_antagonist.rig import Rig, load_rig
+
+_DESCRIPTION = """\
+Take a joint from its rig file to control, with a person at the rig:
+
+  wiring      a little air at low pressure: does each valve fill its muscle, signs, zeros, supply, leaks
+  free        a designed experiment with the joint free
+  locked      the same with the joint locked at 0 degrees; asks for the lock
+  identify    parameters, noise and tuning from both recordings
+  close_loop  what the model lacks, traced to an effect
+  apart       where two effects explain it alike: the experiment that decides, and close_loop again
+  gains       a PI controller for the rig that was found, with bandwidth and margins
+
+Each step that is done stays done: type the same command again to go on after a fault, an interruption or a break. A
+step that found a fault says what to check. DIR holds a folder for each step, rig.yaml, parameters.yaml and report.html.
+
+Status: 0 done, 1 a step found a fault or failed, 2 bad input (one line says what and where), 130 interrupted.
+"""
+_EXAMPLES = """\
+examples:
+  {run} commission --rig my_rig.yaml --out commissioned --source bridge --port /dev/ttyACM0
+  {run} commission --rig shin2022 --out commissioned --unattended
+"""
+_FREE_S, _LOCKED_S = 30.0, 26.0
+"""[s] Shortest experiments: close_loop wants 20 s and more in which the valves move."""
+STEPS = ("wiring", "free", "locked", "identify", "close_loop", "apart", "gains")
+_LATEST_NS = 500_000_000
+Floats = NDArray[np.float64]
+
+
+class StepFailed(Exception):
+    """A step found a fault, or ended early. The message is what to do, in a sentence or more."""
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("commission", _DESCRIPTION, _EXAMPLES)
+    common.add_rig(out)
+    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder; one that was begun is continued")
+    out.add_argument(
+        "--duration", type=float, default=40.0, metavar="S", help="length of the free experiment [s] (default: 40)"
+    )
+    out.add_argument("--no-lock", action="store_true", help="the joint cannot be locked: leave that step out")
+    out.add_argument("--unattended", action="store_true", help="ask nobody; with a simulated joint only")
+    out.add_argument("--plant", metavar="RIG", help="what the simulated joint is in truth (default: the rig file)")
+    out.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of searches and the simulated joint (default: 0)"
+    )
+    add_limits(out)
+    add_source(out)
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(_main, argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
+    arguments = parser().parse_args(argv)
+    if not _FREE_S <= arguments.duration <= 3600.0:
+        raise BadInput(f"--duration {arguments.duration:g}: expected {_FREE_S:g} to 3600 s")
+    if arguments.source != "plant" and (arguments.unattended or arguments.plant):
+        raise BadInput("--unattended and --plant: only for a simulated joint; expected --source plant")
+    if arguments.seed < 0:
+        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
+    needs_ros("commission")
+    work = Commission(arguments)
+    try:
+        for name in STEPS:
+            if name == "locked" and arguments.no_lock:
+                continue
+            work.step(name)
+    except StepFailed as fault:
+        print(f"{fault}\nwhen that is done, type the same command again", file=sys.stderr)
+        return common.FAILED
+    except ProcessFailed as error:
+        print(f"error: {error}; type the same command again to go on", file=sys.stderr)
+        return common.FAILED
+    except KeyboardInterrupt:
+        print("\ninterrupted: type the same command again to go on", file=sys.stderr)
+        return common.INTERRUPTED
+    finally:
+        work.report()
+    print(f"report: {arguments.out / 'report.html'} and report.json")
+    print(common.next_command("demo", [], f"--rig {arguments.out / 'rig.yaml'}"))
+    return common.DONE
+
+
+class Commission:
+    """A commissioning, and what of it is done.
+
+    Args:
+        arguments: of the command.
+
+    Raises:
+        BadInput: a folder that is of another rig, or of no commissioning.
+    """
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments = arguments
+        self._out: Path = arguments.out
+        self._rig = load_rig(arguments.rig)
+        self._limits = limits_of(arguments, self._rig)
+        self._owner = Owner.of(arguments, arguments.plant or arguments.rig)
+        state = self._out / "state.json"
+        if self._out.exists() and not state.exists():
+            raise BadInput(f"{self._out}: exists, and is no folder of commission; expected a new one")
+        self._state: dict[str, Any] = {"rig": self._rig.name, "steps": {}}
+        if state.exists():
+            try:
+                self._state = json.loads(state.read_text(encoding="utf-8"))
+                self._state["steps"].items()
+            except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+                raise BadInput(f"{state}: cannot be read: {error}; expected what commission wrote") from None
+            if self._state.get("rig") != self._rig.name:
+                raise BadInput(f"{self._out}: was begun for rig {self._state.get('rig')}, not {self._rig.name}")
+        self._out.mkdir(parents=True, exist_ok=True)
+        self._keep()
+
+    @property
+    def _steps(self) -> dict[str, dict[str, Any]]:
+        steps: dict[str, dict[str, Any]] = self._state["steps"]
+        return steps
+
+    def _keep(self) -> None:
+        (self._out / "state.json").write_text(json.dumps(self._state, indent=1) + "\n", encoding="utf-8")
+
+    def step(self, name: str) -> None:
+        """Do a step, unless it is done.
+
+        Args:
+            name: one of :data:`STEPS`.
+
+        Raises:
+            StepFailed: it found a fault, or ended early.
+        """
+        before = self._steps.get(name, {})
+        if before.get("done"):
+            print(f"{name}: done before. {before['said']}")
+            return
+        print(f"{name} ...", flush=True)
+        begin = time.monotonic()
+        try:
+            result = getattr(self, f"_{name}")()
+        except StepFailed as fault:
+            self._steps[name] = {"done": False, "said": str(fault), "seconds": time.monotonic() - begin}
+            self._keep()
+            raise
+        self._steps[name] = {"done": True, "seconds": time.monotonic() - begin, **result}
+        self._keep()
+        print(f"{name}: {result['said']}", flush=True)
+
+    def _ask(self, text: str) -> None:
+        if not self._arguments.unattended:
+            try:
+                input(f"{text} [Enter] ")
+            except EOFError:
+                raise BadInput("nobody is there to answer; expected a terminal, or --unattended") from None
+
+    def _folder(self, name: str) -> Path:
+        """A new folder for an attempt of a step."""
+        number = 1
+        while (folder := self._out / f"{name}_{number}").exists():
+            number += 1
+        folder.mkdir()
+        return folder
+
+    def _drive(self, name: str, plan: Plan) -> Driven:
+        folder = self._folder(name)
+        write_plan(folder, plan, self._rig)
+        return drive(self._owner, plan, folder)
+
+    def _recorded(self, name: str, plan: Plan) -> dict[str, Any]:
+        """Drive a plan, to its end.
+
+        Raises:
+            StepFailed: it ended early.
+        """
+        driven = self._drive(name, plan)
+        if driven.ended:
+            raise StepFailed(f"{name}: it ended {driven.ended}; give tighter limits (--max-angle, --max-pressure)")
+        return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": plan.duration}
+
+    def _wiring(self) -> dict[str, Any]:
+        self._ask("Joint free, nothing in its way, supply on; keep away from it:")
+        plan = first_fill(self._rig)
+        driven = self._drive("wiring", plan)
+        if driven.ended:
+            raise StepFailed(f"wiring: it ended {driven.ended}; let the air out, and look at valves and sensors")
+        recording = read_bag(driven.bag, judge=False)
+        samples = driven.begun_ns + np.round(np.arange(len(plan.voltage)) * plan.period * 1e9).astype(np.int64)
+        if recording.stamp_ns[-1] < samples[-1] - _LATEST_NS:
+            raise StepFailed(
+                "wiring: the samples ended before the plan did; look at the device, its plug and its power"
+            )
+        place = np.clip(np.searchsorted(recording.stamp_ns, samples), 0, len(recording.stamp_ns) - 1)
+        angle = None if recording.angle is None else recording.angle[place]
+        found = faults(self._rig, recording.pressure[place], angle)
+        if found:
+            raise StepFailed("\n".join(fault.sentence for fault in found))
+        return {"said": "each valve fills its muscle, signs and zeros are right, no leak", "rig_s": plan.duration}
+
+    def _free(self) -> dict[str, Any]:
+        self._ask("Joint free:")
+        with counted(self._arguments.duration, "design") as advance:
+            seconds, seed = self._arguments.duration, self._arguments.seed
+            plan = designed(self._rig, self._limits, seconds, seed=seed, progress=advance)
+        return {"said": f"recorded {plan.duration:.0f} s", **self._recorded("free", plan)}
+
+    def _locked(self) -> dict[str, Any]:
+        self._ask("Lock the joint at 0 degrees:")
+        seconds = max(_LOCKED_S, 0.5 * self._arguments.duration)
+        with counted(seconds, "design") as advance:
+            plan = designed(
+                self._rig, self._limits, seconds, "locked", 0.0, seed=self._arguments.seed, progress=advance
+            )
+        result = self._recorded("locked", plan)
+        self._ask("Take the lock away:")
+        return {"said": f"recorded {plan.duration:.0f} s", **result}
+
+    def _bags(self) -> list[Path]:
+        return [self._out / step["bag"] for step in self._steps.values() if "bag" in step]
+
+    def _identify(self) -> dict[str, Any]:
+        from pam_antagonist.api.identify import identify
+
+        result = identify(self._bags(), self._rig, seed=self._arguments.seed)
+        folder = self._out / "identified"
+        result.save(folder, figures=False)
+        return {
+            "said": f"{len(result.rig.directions)} uncertain directions are left",
+            "warnings": list(result.warnings),
+        }
+
+    def _diagnosed(self, name: str) -> dict[str, Any]:
+        from pam_antagonist.api.diagnose import diagnose
+
+        result = diagnose(self._bags(), self._rig, seed=self._arguments.seed)
+        result.save(self._out / name, figures=False)
+        return {
+            "said": result.sentence,
+            "verdict": result.verdict,
+            "effects": [effect.name for effect in result.effects],
+            "rivals": [rival for rival in result.ambiguous_with if rival in CATALOGUE],
+            "folder": name,
+        }
+
+    def _close_loop(self) -> dict[str, Any]:
+        return self._diagnosed("found")
+
+    def _apart(self) -> dict[str, Any]:
+        before = self._steps["close_loop"]
+        if not (before["effects"] and before["rivals"]):
+            return {"said": "nothing is undecided"}
+        rig = load_rig(str(self._out / "found" / "rig_extended.yaml"))
+        with counted(60.0, "design") as advance:
+            verdict = told_apart(
+                rig, before["effects"][0], before["rivals"], self._limits, seed=self._arguments.seed, progress=advance
+            )
+        print(f"it decides with a chance of {verdict.chance:.0%}, in {verdict.plan.duration:.0f} s", flush=True)
+        self._ask("Joint free:")
+        recorded = self._recorded("apart", verdict.plan)
+        self._steps["apart"] = {"done": False, "said": "", **recorded}
+        return {**self._diagnosed("found_again"), **recorded, "chance": verdict.chance}
+
+    def found(self) -> Rig:
+        """The rig that the steps found: with its effects, or identified where there are none."""
+        last = self._steps["apart"] if "folder" in self._steps["apart"] else self._steps["close_loop"]
+        extended = self._out / last["folder"] / "rig_extended.yaml"
+        chosen = (
+            extended if last["verdict"] == "effect" and extended.exists() else self._out / "identified" / "rig.yaml"
+        )
+        (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
+        return load_rig(str(self._out / "rig.yaml"))
+
+    def _gains(self) -> dict[str, Any]:
+        rig = self.found()
+        gains = {mode: loop_gains(rig, mode) for mode in ("angle", "torque")}
+        lines = ["/**:", "  ros__parameters:", f"    rig: {(self._out / 'rig.yaml').resolve()}", "/**/controller:"]
+        lines.append("  ros__parameters:")
+        for mode, one in gains.items():
+            lines += [f"    {mode}_proportional: {one.proportional:.4g}", f"    {mode}_integral: {one.integral:.4g}"]
+        (self._out / "parameters.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        said = "; ".join(
+            f"{mode}: {one.bandwidth:.2g} Hz, gain margin {one.gain_margin:.2g}, "
+            f"phase margin {math.degrees(one.phase_margin):.0f} deg"
+            for mode, one in gains.items()
+        )
+        return {"said": said, "gains": {mode: asdict(one) for mode, one in gains.items()}}
+
+    def report(self) -> None:
+        """Write ``report.html`` and ``report.json`` on what was done so far."""
+        steps = [
+            Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0))
+            for name, one in self._steps.items()
+        ]
+        write_report(self._out, self._rig, steps, typed(f"commission --rig {self._arguments.rig} --out {self._out}"))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,243 @@
+"""What commands share that drive a joint by a plan: owner of the valves, limits, the plan's files, the recording."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pam_antagonist.cli.progress import counted
+from pam_antagonist.design import Limits, Plan, standard_errors
+from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
+from pam_antagonist.recording.notes import write_notes
+from pam_antagonist.rig import Rig
+
+PLAN_NOTE = "pam_antagonist.plan"
+"""Name of the note in a bag that holds ``plan.json``."""
+_DRAIN_S = 0.3
+_COMMAND_TIMEOUT = 0.1
+"""[s] The commands of a plan come from a process without real-time priority."""
+_STOP_BEYOND = 0.1
+"""The owner of the valves stops them where a pressure is so far above the limit, as a share of the limits' width."""
+_LONGEST_VENT_S = 20.0
+"""[s] So long a plan waits for the pressures to fall below half way to the limit."""
+_KPA = 1e3
+
+
+@dataclass(frozen=True)
+class Owner:
+    """Who owns the valves.
+
+    Attributes:
+        source: ``plant``, ``bridge`` or ``none``: a node that runs already.
+        rig: name or file, for that node.
+        seed: of a simulated joint.
+        mismatch: of a simulated joint's parameters from the rig file [-].
+        port: of a bridge's device; None: by the parameters.
+        hardware: calibration of a bridge's device; None likewise.
+        parameters: parameter file; None: without.
+    """
+
+    source: str
+    rig: str
+    seed: int = 0
+    mismatch: float = 0.0
+    port: str | None = None
+    hardware: str | None = None
+    parameters: Path | None = None
+
+    @classmethod
+    def of(cls, arguments: argparse.Namespace, rig: str) -> Owner:
+        """From the arguments of :func:`add_source`.
+
+        Args:
+            arguments: with these.
+            rig: name or file, for the node.
+
+        Raises:
+            BadInput: options that do not go together.
+        """
+        for option in ("port", "hardware"):
+            if getattr(arguments, option) is not None and arguments.source != "bridge":
+                raise BadInput(f"--{option}: only a bridge has one; give --source bridge as well")
+        path = str(Path(rig).resolve()) if rig.endswith((".yaml", ".yml")) else rig
+        return cls(
+            arguments.source, path, arguments.seed, arguments.mismatch, arguments.port, arguments.hardware,
+            arguments.parameters,
+        )  # fmt: skip
+
+    def command_line(self, plan: Plan) -> list[str]:
+        """Arguments of the node.
+
+        Args:
+            plan: whose limits it keeps as well.
+        """
+        low, high = plan.limits.pressure
+        given: dict[str, object] = {
+            "rig": self.rig,
+            "command_timeout": _COMMAND_TIMEOUT,
+            "safe_voltage": list(plan.rest),
+            "max_pressure": [high + _STOP_BEYOND * (high - low)] * 2,
+        }
+        if self.source == "plant":
+            given |= {"joint": plan.joint, "lock_angle": plan.lock_angle, "wait_for_subscribers": 1}
+            given |= {"seed": self.seed, "mismatch": self.mismatch, "initial_pressure": [plan.pressure] * 2}
+        given |= {
+            name: value for name, value in (("port", self.port), ("hardware", self.hardware)) if value is not None
+        }
+        files = [] if self.parameters is None else ["--params-file", str(self.parameters)]
+        return [*ros_arguments(given, {}), *files]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What came of a plan.
+
+    Attributes:
+        bag: the recording.
+        begun_ns: stamp at which the plan began [ns].
+        ended: why it ended early, in words; empty where it did not.
+    """
+
+    bag: Path
+    begun_ns: int
+    ended: str
+
+
+def add_limits(out: argparse.ArgumentParser) -> None:
+    """Limits of an experiment.
+
+    Args:
+        out: takes the arguments.
+    """
+    for name, unit, text in (
+        ("--min-pressure", "KPA", "least pressure, absolute [kPa] (default: 15 %% of the supply's gauge pressure)"),
+        ("--max-pressure", "KPA", "largest pressure, absolute [kPa] (default: 97 %% of it)"),
+        ("--max-angle", "DEG", "largest angle either way [deg] (default: nine tenths of the stop; 20 without one)"),
+        ("--max-rate", "RAD_S", "largest rate of the angle [rad/s] (default: 10)"),
+    ):
+        out.add_argument(name, type=float, metavar=unit, help=text)
+
+
+def limits_of(arguments: argparse.Namespace, rig: Rig) -> Limits:
+    """The limits that were given, with defaults.
+
+    Args:
+        arguments: with those of :func:`add_limits`.
+        rig: the joint.
+
+    Raises:
+        BadInput: limits that the rig cannot have.
+    """
+    usual = Limits.of(rig)
+    low, high = (
+        default if given is None else given * _KPA
+        for given, default in zip((arguments.min_pressure, arguments.max_pressure), usual.pressure, strict=True)
+    )
+    angle = None if arguments.max_angle is None else math.radians(arguments.max_angle)
+    return Limits.of(rig, (low, high), angle, arguments.max_rate)
+
+
+def add_source(out: argparse.ArgumentParser) -> None:
+    """Who owns the valves.
+
+    Args:
+        out: takes the arguments.
+    """
+    out.add_argument(
+        "--source", choices=("plant", "bridge", "none"), default="plant", help="owner of the valves (default: plant)"
+    )
+    out.add_argument("--port", metavar="PATH", help="serial port of the bridge's device")
+    out.add_argument("--hardware", metavar="FILE", help="calibration of the bridge's device")
+    out.add_argument("--parameters", type=Path, metavar="FILE", help="parameter file of plant or bridge")
+    out.add_argument(
+        "--mismatch", type=float, default=0.01, metavar="X", help="of the plant from the rig file (default: 0.01)"
+    )
+
+
+def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
+    """Write ``voltages.csv`` and ``plan.json``.
+
+    Args:
+        out: folder, which is there.
+        plan: the experiment.
+        rig: by whose model it was designed.
+
+    Returns:
+        The content of ``plan.json``.
+    """
+    changes = np.flatnonzero(np.any(np.diff(plan.voltage, axis=0) != 0.0, axis=1)) + 1
+    rows = [0, *changes, len(plan.voltage) - 1]
+    lines = [f"{k * plan.period:.6g},{plan.voltage[k, 0]:.4f},{plan.voltage[k, 1]:.4f}" for k in rows]
+    (out / "voltages.csv").write_text("\n".join(["t_s,u1,u2", *lines]) + "\n", encoding="utf-8")
+    start = (plan.pressure, plan.pressure)
+    errors = standard_errors(rig, plan.voltage, plan.period, plan.joint, plan.lock_angle, start)
+    rate = plan.limits.rate
+    document = {
+        "rig": rig.name,
+        "joint": plan.joint,
+        "lock_angle_rad": plan.lock_angle if plan.joint == "locked" else None,
+        "duration_s": plan.duration,
+        "limits": {
+            "pressure_pa": list(plan.limits.pressure),
+            "angle_rad": plan.limits.angle,
+            "rate_rad_s": rate if math.isfinite(rate) else None,
+        },
+        "rest_v": list(plan.rest),
+        "standard_errors": errors,
+    }
+    (out / "plan.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return document
+
+
+def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
+    """Run a plan on the joint and record it into ``out/bag``, with ``out/plan.json`` as a note where there is one.
+
+    Args:
+        owner: of the valves.
+        plan: the experiment.
+        out: folder, which is there.
+
+    Raises:
+        ProcessFailed: a node ended or does not start.
+    """
+    from pam_antagonist.nodes.drive import DriveClient
+
+    if owner.source != "none":
+        # A domain of its own keeps two experiments, or an experiment and a rig, from hearing each other.
+        if "ROS_DOMAIN_ID" not in os.environ:
+            os.environ["ROS_DOMAIN_ID"] = str(free_domain())
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    rest, ready = np.array(plan.rest), 0.5 * (plan.pressure + plan.limits.pressure[1])
+    (out / "logs").mkdir(exist_ok=True)
+    with Processes(out / "logs") as processes, DriveClient() as client:
+        processes.start("record", ["--out", str(out / "bag")])
+        if owner.source != "none":
+            processes.start(owner.source, owner.command_line(plan))
+        try:
+
+            def missing() -> str:
+                client.send(rest)
+                return client.missing()
+
+            processes.wait(missing)
+            client.settle(rest, lambda seen: bool(np.all(seen <= ready)), processes.check, _LONGEST_VENT_S)
+            with counted(plan.duration, f"excite, joint {plan.joint}") as advance:
+                begun_ns = client.now_ns()
+                ended = client.drive(plan.voltage, plan.period, rest, plan.limits.broken, processes.check, advance)
+        finally:
+            if owner.source in processes.running:
+                processes.stop(owner.source)
+            time.sleep(_DRAIN_S)
+            processes.stop(*processes.running)
+    if (out / "plan.json").exists():
+        write_notes(out / "bag", {PLAN_NOTE: (out / "plan.json").read_text(encoding="utf-8")})
+    return Driven(out / "bag", begun_ns, ended)

@@ -1,0 +1,122 @@
+"""PI gains for a rig from its linearised model, with bandwidth and margins.
+
+The model is linearised at rest in the middle of its pressures, without Coulomb friction, which only holds the joint.
+The input is half the difference of both voltages, the output the angle of the free joint or the torque of the locked
+one. Of all gains whose Nyquist curve keeps the distance :data:`DISTANCE` from −1, those with the largest integral gain
+are taken (Åström and Hägglund 2006): that distance bounds the peak of the sensitivity, and the integral gain is what
+removes a disturbance such as friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.design.optimal import steady_voltage
+from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import parameters as par
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+DISTANCE = 0.6
+"""Of the Nyquist curve from −1: a gain margin of 2.5 and a phase margin of 35 degrees at least."""
+_FASTEST = 2.0
+"""[Hz] Largest bandwidth: beyond, the valves' own dynamics and the noise of the estimate count, which are left out."""
+_DELAY_SAMPLES = 1.5
+"""Samples from a pressure to the voltage that answers it, half of the hold included."""
+_MOVES = np.array([1e-4, 1e-3, 100.0, 100.0])
+"""By which the state is moved to linearise [rad, rad/s, Pa, Pa]."""
+_VOLTS = 1e-2
+_MOST_GAIN = 1e3
+_MOST_CORNER = 10.0
+"""[rad/s] Largest ratio of integral to proportional gain."""
+
+
+@dataclass(frozen=True)
+class LoopGains:
+    """Gains of one mode, and what the loop is worth by the linearised model.
+
+    Attributes:
+        proportional: [V/rad] or [V/(N m)].
+        integral: [V/(rad s)] or [V/(N m s)].
+        bandwidth: frequency at which the loop's gain is 1 the last time [Hz].
+        gain_margin: factor by which the gain may grow; infinite where no phase reaches −180 degrees.
+        phase_margin: at the bandwidth [rad].
+    """
+
+    proportional: float
+    integral: float
+    bandwidth: float
+    gain_margin: float
+    phase_margin: float
+
+
+def loop_gains(rig: Rig, mode: str) -> LoopGains:
+    """Gains of the PI controller for a rig.
+
+    Args:
+        rig: the joint, as found.
+        mode: ``angle`` or ``torque``.
+    """
+    a, b, c = _linear(rig, mode)
+    slowest = float(np.min(np.abs(np.linalg.eigvals(a).real)))
+    omega = np.geomspace(1e-2, np.pi / rig.sample_period, 1500)
+    plant = np.array([c @ np.linalg.solve(1j * w * np.eye(len(a)) - a, b) for w in omega])
+    plant *= np.exp(-1j * omega * _DELAY_SAMPLES * rig.sample_period)
+    corners = np.geomspace(max(slowest, 0.05), _MOST_CORNER, 24)
+    gains = [_largest_gain(plant * (1.0 + corner / (1j * omega)), omega) for corner in corners]
+    best = int(np.argmax(np.array(gains) * corners))
+    gain, corner = gains[best], float(corners[best])
+    loop = gain * plant * (1.0 + corner / (1j * omega))
+    size, phase = np.abs(loop), np.unwrap(np.angle(loop))
+    above = np.flatnonzero(size >= 1.0)
+    last = int(above[-1]) if len(above) else 0
+    turned = np.flatnonzero((phase <= -np.pi) & (np.arange(len(omega)) >= last))
+    margin = 1.0 / float(np.max(size[turned])) if len(turned) else np.inf
+    return LoopGains(gain, gain * corner, float(omega[last] / (2.0 * np.pi)), margin, float(np.pi + phase[last]))
+
+
+def _largest_gain(loop: NDArray[np.complex128], omega: Floats) -> float:
+    """The largest gain up to which the loop keeps its distance and is not too fast; 0 where none does."""
+    fastest, gain = int(np.searchsorted(omega, 2.0 * np.pi * _FASTEST)), 0.0
+    for tried in np.geomspace(1e-3, _MOST_GAIN, 300):
+        if tried * abs(loop[fastest]) > 1.0 or np.min(np.abs(1.0 + tried * loop)) < DISTANCE:
+            break
+        gain = float(tried)
+    return gain
+
+
+def _linear(rig: Rig, mode: str) -> tuple[Floats, Floats, Floats]:
+    """Matrices A (n, n), b (n,) and c (n,) of the model at rest, n of its own states and those of effects."""
+    plain = rig.parameters("locked" if mode == "torque" else "free", 0.0)
+    p = par.changed(plain, {"friction.shaft": 0.0, "friction.muscle": 0.0})
+    pressure = 0.5 * (rig.atmosphere.pressure + rig.supply.pressure)
+    rest = np.array([*steady_voltage(rig, pressure), 0.0])
+    angle = 0.0 if mode == "torque" else equilibrium.rest_angle(pressure, pressure, p)
+    x = np.asarray(equilibrium.initial_state(angle, pressure, pressure, rest, p))
+    count = len(x)
+    moves = np.append(_MOVES, np.full(count - 4, 1e-4))
+    out = np.empty(count)
+
+    def rate(state: Floats, voltage: Floats) -> Floats:
+        dynamics.derivative(state, voltage, p, out)
+        return out.copy()
+
+    units = np.eye(count)
+    a = np.stack(
+        [(rate(x + m * e, rest) - rate(x - m * e, rest)) / (2.0 * m) for m, e in zip(moves, units, strict=True)], axis=1
+    )
+    push = np.array([_VOLTS, -_VOLTS, 0.0])
+    b = (rate(x, rest + push) - rate(x, rest - push)) / (2.0 * _VOLTS)
+    if mode == "angle":
+        return a, b, units[0]
+    c = [
+        (dynamics.torque(x + m * e, p) - dynamics.torque(x - m * e, p)) / (2.0 * m)
+        for m, e in zip(moves, units, strict=True)
+    ]
+    if mode == "torque":
+        a, b, c = a[2:, 2:], b[2:], c[2:]
+    return a, b, np.array(c)

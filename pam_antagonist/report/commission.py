@@ -1,0 +1,77 @@
+"""The report of ``commission``: what each step found, so that a second person can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pam_antagonist.report import html
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background
+from pam_antagonist.report.table import Table
+from pam_antagonist.rig import Rig
+
+_DEFINITIONS = (
+    ("Rig time", "How long the joint was driven: the rest is design, fits and waiting."),
+    ("Margins", "Of the loop with the linearised model: the rest of the joint's behaviour is not in them."),
+)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of a commissioning.
+
+    Attributes:
+        name: of the step.
+        done: whether it is done.
+        said: what it found, or what to do.
+        seconds: that it took.
+        rig_seconds: of these, that the joint was driven.
+    """
+
+    name: str
+    done: bool
+    said: str
+    seconds: float
+    rig_seconds: float
+
+
+@dataclass(frozen=True)
+class CommissionReport:
+    """What ``report.json`` holds.
+
+    Attributes:
+        rig: name of the rig file's rig.
+        steps: in their order.
+        rig_seconds: that the joint was driven in all.
+    """
+
+    rig: str
+    steps: tuple[Step, ...]
+    rig_seconds: float
+
+
+def write_report(folder: Path, rig: Rig, steps: Sequence[Step], command: str) -> None:
+    """Write ``report.json`` and ``report.html``.
+
+    Args:
+        folder: that exists.
+        rig: of the rig file.
+        steps: in their order.
+        command: that goes on, or was given.
+    """
+    report = CommissionReport(rig.name, tuple(steps), sum(step.rig_seconds for step in steps))
+    findings = Findings(tuple(Finding("good" if step.done else "warn", f"{step.name}: {step.said}") for step in steps))
+    rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in steps)
+    table = Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
+    undone = [step.name for step in steps if not step.done]
+    lede = f"Step {undone[0]} is not done: do what it says, then type the command again." if undone else "All is done."
+    if not steps:
+        lede = "Nothing is done yet."
+    blocks: tuple[Block, ...] = (
+        Text(lede, "lede"),
+        findings,
+        table,
+        *background(_DEFINITIONS, [("Rig", rig.name), ("Command", command)]),
+    )
+    html.write(folder, Document("Commissioning", rig.name, blocks), report)
