@@ -71,6 +71,7 @@ NAVIGATION = {
         "paper",
         "faults",
         "evidence/speed",
+        "performance",
         "soak",
         "evidence/security",
     ],

@@ -129,6 +129,9 @@ def likelier(scale: Scale, before: Floats, after: Floats) -> float:
     return scale.share * float(scale.misfits(before).sum() - scale.misfits(after).sum())
 
 
+_Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...]]
+
+
 def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) -> dict[str, Score]:
     """Score of every candidate beside a fitted model, by the effect's name.
 
@@ -144,22 +147,20 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     # Weights from several starts: that of one channel near its noise hides what another could tell.
     firsts = (scale.variances(here.residual), scale.noise**2, np.var(experiment.measured, axis=0))
     known = here.effect.shape[2]
-    columns: dict[tuple[tuple[str, ...], tuple[tuple[str, float], ...]], Floats] = {}
-
-    def column(size: FreeEffectParameter, shape: Mapping[str, float]) -> Floats:
-        key = size.paths, tuple(sorted(shape.items()))
-        if key not in columns:
-            values = dict.fromkeys(size.paths, size.item.scale)
-            changed = Point(here.point.theta, {**here.point.effects, **shape, **values})
-            columns[key] = experiment.residual(changed) - here.residual
-        return columns[key]
+    offered = experiment.candidates(fitted.point.effects)
+    # A score is a first guess, for which the steps of a derivative are fine enough.
+    steps = {_key(size, shape): (size, shape) for each in offered for shape in each.grid() for size in each.sizes}
+    moved = (_with(here.point, size, shape) for size, shape in steps.values())
+    columns = dict(zip(steps, experiment.differences(here.point, here.residual, moved), strict=True))
 
     def cost(step: Step) -> float:
         return float(scale.misfits(step.residual).sum()) + prior_cost(experiment, here.point.theta + step.theta)
 
     def score(candidate: Candidate, shape: Mapping[str, float], sizes: Sequence[FreeEffectParameter]) -> Score:
         while sizes:
-            effect = np.concatenate([here.effect, np.stack([column(size, shape) for size in sizes], axis=2)], axis=2)
+            effect = np.concatenate(
+                [here.effect, np.stack([columns[_key(size, shape)] for size in sizes], axis=2)], axis=2
+            )
             step = min(
                 (
                     solve(here.residual, here.base, effect, scale, experiment.prior, here.point.theta, 4, first=first)
@@ -178,7 +179,7 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
         return Score(candidate, 0.0, {**shape, **{path: 0.0 for size in candidate.sizes for path in size.paths}})
 
     result: dict[str, Score] = {}
-    for candidate in experiment.candidates(fitted.point.effects):
+    for candidate in offered:
         grid = candidate.grid()
         found = max((score(candidate, shape, candidate.sizes) for shape in grid), key=lambda tried: tried.gain)
         simpler = result.get(candidate.effect)
@@ -191,6 +192,17 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
             first, second = (score(found.candidate, shape, sizes).gain for sizes in each)
             result[name] = replace(found, muscles=(first, second))
     return result
+
+
+def _key(size: FreeEffectParameter, shape: Mapping[str, float]) -> _Key:
+    """What a step along a size depends on: the parameters that move, and the effect's shape."""
+    return size.paths, tuple(sorted(shape.items()))
+
+
+def _with(point: Point, size: FreeEffectParameter, shape: Mapping[str, float]) -> Point:
+    """A point with an effect of a shape, neither small nor large."""
+    values = dict.fromkeys(size.paths, size.item.scale)
+    return Point(point.theta, {**point.effects, **shape, **values})
 
 
 def _further_price(fitted: Fitted, candidate: Candidate, simpler: Score) -> float:

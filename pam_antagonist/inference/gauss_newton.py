@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,10 +292,20 @@ def held_residual(experiment: Experiment, fitted: Fitted) -> Floats:
         experiment: the recording.
         fitted: its model.
     """
-    if not experiment.splits:
-        return experiment.held(experiment.residual(fitted.point, whole=True))
-    linear = Linear.of(experiment, fitted)
-    return np.concatenate([linear.on(split.fitted).residual[split.held] for split in experiment.splits])
+    known = _HELD.get(fitted)
+    if known is None or known[0] is not experiment:
+        if experiment.splits:
+            linear = Linear.of(experiment, fitted)
+            parts = [linear.on(split.fitted).residual[split.held] for split in experiment.splits]
+            known = experiment, np.concatenate(parts)
+        else:
+            known = experiment, experiment.held(experiment.residual(fitted.point, whole=True))
+        _HELD[fitted] = known
+    return known[1].copy()
+
+
+_HELD: WeakKeyDictionary[Fitted, tuple[Experiment, Floats]] = WeakKeyDictionary()
+"""What was worked out before: each model is compared with several others."""
 
 
 def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS, finer: bool = True) -> Fitted:

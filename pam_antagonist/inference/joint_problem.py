@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.free_parameters import FreeParameter
+from pam_antagonist.inference.long_steps import stride_blocks
 from pam_antagonist.inference.trial import CHANNELS, Trial
-from pam_antagonist.inference.valve_driven import STARTS, ValveDriven, predict, stride_blocks
+from pam_antagonist.inference.valve_driven import STARTS, ValveDriven, predict
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.inference import calibration
+from pam_antagonist.inference import calibration, valve_driven
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 
 DT = 1e-3
+PREDICT = valve_driven.predict
 ALL = {
     "encoder_zero": 0.01, "torque_zero": -0.2, "torque_scale": 0.03, "delay_voltage": 0.0304, "delay_torque": -0.002,
 }  # fmt: skip
@@ -77,3 +78,23 @@ def test_a_fit_finds_calibrations_beside_the_base_parameters(experiment_of, reco
     # The force map has a prior, and gives way a little.
     assert found["torque_zero"] == pytest.approx(1.0, abs=0.3)
     assert np.max(wrong.times_noise(fitted.residual)) < 1.2
+
+
+def test_calibrations_are_tried_on_one_simulation(experiment_of, recorded, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = recorded("none", joint="locked", seconds=10.0)
+    experiment, fresh = experiment_of(recording, "locked"), experiment_of(recording, "locked")
+    runs = []
+    monkeypatch.setattr(valve_driven, "predict", lambda *a, **k: runs.append(1) or PREDICT(*a, **k))
+    for values in ({}, {"torque_zero": 0.1}, {"delay_torque": 0.01, "torque_scale": 0.02}):
+        point = Point(np.zeros(experiment.size), {f"calibration.{name}": value for name, value in values.items()})
+        assert np.array_equal(experiment.simulated(point), fresh.simulated(point), equal_nan=True)
+        fresh._recent.clear()
+    assert len(runs) == 1 + 3
+    moved = np.zeros(experiment.size)
+    moved[0] = 0.5
+    other = experiment.simulated(Point(moved, {}))
+    assert not np.array_equal(other, experiment.simulated(Point(np.zeros(experiment.size), {})))
+    assert len(runs) == 1 + 3 + 1
+    # What a caller does to its copy changes no other.
+    other[:] = 0.0
+    assert np.any(experiment.simulated(Point(moved, {})) != 0.0)

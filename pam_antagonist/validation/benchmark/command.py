@@ -8,6 +8,7 @@ import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 
 from pam_antagonist.cli import common
@@ -16,7 +17,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number
-from pam_antagonist.rig import load_rig
+from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.software import versions
 from pam_antagonist.strict_json import dumps
 from pam_antagonist.validation.benchmark.figure import Figure
@@ -36,6 +37,11 @@ Measure what the package costs on this machine.
   watch     the pipeline with the live page's process, in turns of some 10 s with a page open and without (needs
             ROS 2): the round trip with, against that without, and what the page takes of a core; only by --only
 
+  before    close_loop and identify against those of an earlier checkout (--before), over recordings (--cases):
+            processor time, and whether the verdicts are the same; only by --only
+  growth    replay, identify and close_loop against the length of recordings (--minutes) and their number
+            (--recordings): processor time and memory; only by --only, and takes an hour with the defaults
+
   --soak S  instead of all that: the pipeline for S seconds, with what grows, what is lost and what drifts (600 is a
             good while); looks at every process once a second, and with --json FILE writes the series as a page beside
             it (FILE with the suffix .html)
@@ -45,7 +51,7 @@ Status: 0 whether or not a bound holds, 2 bad input.
 """
 PARTS = ("kernels", "replay", "pipeline")
 """What is measured unless something else is asked for."""
-_ALL = (*PARTS, "joints", "interaction", "watch")
+_ALL = (*PARTS, "joints", "interaction", "watch", "before", "growth")
 
 
 def parser() -> common.Parser:
@@ -60,10 +66,38 @@ def parser() -> common.Parser:
         "--duration", type=float, default=60.0, metavar="S", help="length of the pipeline's run [s] (default: 60)"
     )
     out.add_argument(
+        "--before",
+        type=Path,
+        metavar="DIR",
+        help="an earlier checkout: git worktree add DIR COMMIT (for --only before)",
+    )
+    out.add_argument(
+        "--cases", type=Path, metavar="DIR", help="a folder for each case with its bags in it (for --only before); "
+        "the case 'nominal' is identified as well",
+    )  # fmt: skip
+    out.add_argument(
+        "--minutes", type=_numbers, default=(1, 5, 30), metavar="N,N", help="lengths of --only growth (default: 1,5,30)"
+    )
+    out.add_argument(
+        "--recordings", type=_numbers, default=(2, 8, 32), metavar="N,N",
+        help="numbers of recordings of --only growth (default: 2,8,32)",
+    )  # fmt: skip
+    out.add_argument(
         "--soak", type=float, metavar="S", help="run the pipeline for so long, from 15 s on, and no other part"
     )
     common.add_new_json(out, "the figures")
     return out
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    """Increasing whole numbers, such as 1,5,30."""
+    try:
+        values = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or values[0] < 1 or list(values) != sorted(set(values)):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected increasing whole numbers from 1 on, such as 1,5,30")
+    return values
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -77,39 +111,36 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.soak is not None:
         return _soak(arguments)
     parts = [part for part in _ALL if part in (arguments.only or PARTS)]
+    if "before" in parts and (arguments.before is None or arguments.cases is None):
+        raise BadInput("--only before: expected --before DIR (an earlier checkout) and --cases DIR (recordings)")
     for part in ("pipeline", "joints", "interaction", "watch"):
         if part in parts:
             needs_ros(f"benchmark --only {part}")
     figures: list[Figure] = []
     with counted(len(parts), "benchmark") as done:
         for part in parts:
-            if part == "kernels":
-                from pam_antagonist.validation.benchmark import kernels
-
-                figures += kernels.measure(rig)
-            elif part == "replay":
-                from pam_antagonist.validation.benchmark import offline
-
-                figures += offline.measure(arguments.rig, arguments.bag)
-            elif part == "joints":
-                from pam_antagonist.validation.benchmark import joints
-
-                figures += joints.measure(rig, arguments.duration)
-            elif part == "interaction":
-                from pam_antagonist.validation.benchmark import interaction
-
-                figures += interaction.measure(rig, arguments.duration)
-            elif part == "watch":
-                from pam_antagonist.validation.benchmark import watch
-
-                figures += watch.measure(arguments.rig, arguments.duration)
-            else:
-                from pam_antagonist.validation.benchmark import pipeline
-
-                figures += pipeline.measure(arguments.rig, arguments.duration)
+            figures += _measured(part, arguments, rig)
             done(1)
     _report(figures, arguments.json)
     return common.DONE
+
+
+def _measured(part: str, arguments: argparse.Namespace, rig: Rig) -> list[Figure]:
+    """The figures of a part, whose module is imported only now."""
+    given: dict[str, tuple[object, ...]] = {
+        "kernels": (rig,),
+        "replay": (arguments.rig, arguments.bag),
+        "pipeline": (arguments.rig, arguments.duration),
+        "joints": (rig, arguments.duration),
+        "interaction": (rig, arguments.duration),
+        "watch": (arguments.rig, arguments.duration),
+        "before": (arguments.rig, arguments.before, arguments.cases),
+        "growth": (arguments.rig, arguments.minutes, arguments.recordings),
+    }
+    name = {"replay": "offline"}.get(part, part)
+    module = import_module(f"pam_antagonist.validation.benchmark.{name}")
+    figures: list[Figure] = module.measure(*given[part])
+    return figures
 
 
 def _soak(arguments: argparse.Namespace) -> int:
