@@ -113,7 +113,9 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None) -> list[Fault]:
         return found
     zeros = _zeros(pressure, rig, ends)
     full = (np.array([seen[1, 0], seen[3, 1]]) - air) / (np.array([expected[1, 0], expected[3, 1]]) - air)
-    return [*zeros, *(_lost(full) if not zeros else []), *_encoder(turned)]
+    lost = [] if zeros else _lost(full)
+    # A muscle that leaks may not move the joint at all.
+    return [*zeros, *lost, *(fault for fault in _encoder(turned) if not (lost and fault.name == "still"))]
 
 
 def _course(rig: Rig, plan: Plan) -> Floats:

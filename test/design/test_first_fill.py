@@ -64,6 +64,8 @@ def test_sensors_that_are_dead_or_off_are_named() -> None:
     ):
         (found,) = faults(RIG, values, angle)
         assert found.name == name and words in found.sentence
+    leaking, still = recorded(3, "leak=2")[0], np.zeros_like(angle)
+    assert [one.name for one in faults(RIG, leaking, still)] == ["leak_2"]
     (stopped,) = faults(RIG, pressure, np.zeros_like(angle))
     assert stopped.name == "still"
 
