@@ -198,6 +198,8 @@ def test_trajectory(rig, case, locked, base, u, duration):
     effects = flat(CASES[case])
     p = vector(rig, CASES[case], "locked" if locked else "free")
     u = tuple(_asked(case, value) for value in u)
+    if case.startswith("regulator"):
+        duration = min(duration, 0.1)  # a regulator is quicker than a valve
     inputs = np.array([*u, 0.05])
     before = np.array([_asked(case, 5.5)] * 2)
     x = equilibrium.initial_state(base[0], base[2], base[3], before, p)
