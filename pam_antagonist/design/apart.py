@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 from scipy.stats import norm
 
 from pam_antagonist.design.information import Course, Departure, Information, predicted_std, unknowns
@@ -187,13 +188,12 @@ def _departures(rig: Rig, rival: str) -> list[Departure]:
 def imitation(rig: Rig, effect: str, rival: str) -> Rig:
     """The rig with a rival in the place of an effect, such that typical recordings show little difference.
 
+    A rival that can do nothing of what the effect does has a typical size.
+
     Args:
         rig: with the effect.
         effect: its name.
         rival: name of the rival.
-
-    Raises:
-        BadInput: the rival does nothing that the effect does.
     """
     plain = without(rig, effect)
     departures, base = _departures(plain, rival), unknowns(plain)
@@ -211,11 +211,17 @@ def imitation(rig: Rig, effect: str, rival: str) -> Rig:
     target = (shown / scale)[::5].ravel()
     columns = (course.slopes / scale[:, None])[::5].reshape(len(target), -1)
     sizes = Candidate(rival).sizes
+    unbounded = np.full(len(base), np.inf)
+    bounds = (
+        np.append(-unbounded, [size.item.low / size.item.scale for size in sizes]),
+        np.append(unbounded, [size.item.high / size.item.scale for size in sizes]),
+    )
     for k, shapes in enumerate(Candidate(rival).grid()):
         first = len(base) + k * len(sizes)
         chosen = np.column_stack([columns[:, : len(base)], columns[:, first : first + len(sizes)]])
-        weights = np.append(np.full(len(base), 1e-2), np.full(len(sizes), 1e-6))
-        amounts = np.linalg.solve(chosen.T @ chosen + np.diag(weights), chosen.T @ target)
+        weights = np.append(np.full(len(base), 0.1), np.full(len(sizes), 1e-3))
+        rows = np.vstack([chosen, np.diag(weights)])
+        amounts = lsq_linear(rows, np.append(target, np.zeros(len(weights))), bounds).x
         left = float(np.sum((target - chosen @ amounts) ** 2))
         values = dict(shapes)
         for size, amount in zip(sizes, amounts[len(base) :], strict=True):
@@ -223,9 +229,8 @@ def imitation(rig: Rig, effect: str, rival: str) -> Rig:
         if any(values[path] for size in sizes for path in size.paths) and (best is None or left < best[0]):
             best = left, moved(plain, values)
     if best is None:
-        raise BadInput(
-            f"{rival} does nothing that {effect} does: the recordings need no further one to tell them apart"
-        )
+        shapes = next(iter(Candidate(rival).grid()))
+        return moved(plain, {**shapes, **{path: size.item.scale for size in sizes for path in size.paths}})
     return best[1]
 
 

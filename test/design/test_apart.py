@@ -53,6 +53,13 @@ def test_a_rival_imitates_the_effect_in_its_steady_pressures(rig: Rig) -> None:
     assert any(abs(value) > 1e-3 for value in other.effects["valve_offset"].values())
 
 
+def test_a_rival_that_can_do_nothing_of_an_effect_is_still_a_question() -> None:
+    slow = load_rig("shin2022").replaced(effects={"valve_lag": {"time_1": 0.02, "time_2": 0.02}})
+    other = imitation(slow, "valve_lag", "line_resistance")
+    assert set(other.effects) == {"line_resistance"}
+    assert any(value > 0.0 for value in other.effects["line_resistance"].values())
+
+
 def test_what_cannot_show_promises_nothing(rig: Rig) -> None:
     pressure = 400e3
     rest = steady_voltage(rig, pressure)

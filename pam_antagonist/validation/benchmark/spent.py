@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 from pam_antagonist.errors import BadInput
+
+# Linux counts what a process was forked from as memory of its own, so it is started from one that has next to none.
+_LAUNCHER = """
+import json, os, sys, time
+begin = time.perf_counter()
+process = os.spawnv(os.P_NOWAIT, sys.argv[2], sys.argv[2:])
+_, status, usage = os.wait4(process, 0)
+figures = {
+    "cpu_s": usage.ru_utime + usage.ru_stime,
+    "wall_s": time.perf_counter() - begin,
+    "peak_mb": usage.ru_maxrss / 1e3,
+}
+with open(sys.argv[1], "w", encoding="utf-8") as file:
+    json.dump(figures, file)
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
 
 
 class Spent(NamedTuple):
@@ -42,23 +59,20 @@ def spent(*arguments: str, checkout: Path | None = None) -> Spent:
     environment = dict(os.environ)
     if checkout is not None:
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(checkout), environment.get("PYTHONPATH"))))
-    with tempfile.TemporaryFile() as output:
-        begin = time.perf_counter()
+    with tempfile.TemporaryFile() as output, tempfile.NamedTemporaryFile("r", encoding="utf-8") as figures:
         process = subprocess.Popen(
-            [sys.executable, "-m", "pam_antagonist", *arguments],
+            [sys.executable, "-c", _LAUNCHER, figures.name, sys.executable, "-m", "pam_antagonist", *arguments],
             cwd=checkout, env=environment, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+            start_new_session=True,
         )  # fmt: skip
         try:
-            _, status, usage = os.wait4(process.pid, 0)
+            status = process.wait()
         except BaseException:
-            process.kill()
+            os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             raise
-        wall = time.perf_counter() - begin
-        # Popen would wait for a process that is gone.
-        process.returncode = os.waitstatus_to_exitcode(status)
-        if process.returncode != 0:
+        if status != 0:
             output.seek(0)
             said = output.read().decode(errors="replace").strip()[-300:]
-            raise BadInput(f"{arguments[0]} ended with status {process.returncode}: {said}")
-    return Spent(usage.ru_utime + usage.ru_stime, wall, usage.ru_maxrss / 1e3)
+            raise BadInput(f"{arguments[0]} ended with status {status}: {said}")
+        return Spent(**json.load(figures))

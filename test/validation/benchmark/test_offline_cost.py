@@ -28,6 +28,7 @@ def test_a_command_that_fails_is_said_with_its_own_words(tmp_path: Path) -> None
 def test_the_code_of_another_checkout_runs(tmp_path: Path) -> None:
     package = tmp_path / "pam_antagonist"
     package.mkdir()
+    (package / "__init__.py").touch()
     (package / "__main__.py").write_text("raise SystemExit('the other code ran')\n")
     with pytest.raises(BadInput, match="the other code ran"):
         spent("close_loop", checkout=tmp_path)
