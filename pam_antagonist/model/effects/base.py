@@ -20,6 +20,7 @@ __all__ = [
     "Kernel",
     "Loop",
     "SealedJoint",
+    "along_signals",
     "inlined",
     "kernel",
     "per_muscle",
@@ -278,6 +279,23 @@ def per_muscle(
         EffectParameter(f"{name}_{i}", unit, 0.0, low, high, scale, f"{meaning} of muscle {i}", _numbered(symbol, i))
         for i in (1, 2)
     )
+
+
+@inlined
+def along_signals(slope1, slope2, slope3, slope4, signal1, signal2, signal3, signal4):
+    """What goes with the further signals, for hooks of effects with :func:`per_signal` parameters: their weighted sum.
+
+    Args:
+        slope1: of signal 1 [unit of the hook by SI].
+        slope2: of signal 2, likewise.
+        slope3: of signal 3, likewise.
+        slope4: of signal 4, likewise.
+        signal1: s_1 − s̄_1 [SI].
+        signal2: s_2 − s̄_2 [SI].
+        signal3: s_3 − s̄_3 [SI].
+        signal4: s_4 − s̄_4 [SI].
+    """
+    return slope1 * signal1 + slope2 * signal2 + slope3 * signal3 + slope4 * signal4
 
 
 def per_signal(

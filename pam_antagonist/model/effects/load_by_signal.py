@@ -11,25 +11,7 @@ has its weight elsewhere; a tendon that runs through this joint pulls on it.
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_signal
-
-
-@inlined
-def pulling(slope1, slope2, slope3, slope4, signal1, signal2, signal3, signal4):
-    """Torque on the joint [N m].
-
-    Args:
-        slope1: c_1 [N m by the unit of the signal].
-        slope2: c_2, likewise.
-        slope3: c_3, likewise.
-        slope4: c_4, likewise.
-        signal1: s_1 − s̄_1 [SI].
-        signal2: s_2 − s̄_2 [SI].
-        signal3: s_3 − s̄_3 [SI].
-        signal4: s_4 − s̄_4 [SI].
-    """
-    return slope1 * signal1 + slope2 * signal2 + slope3 * signal3 + slope4 * signal4
-
+from pam_antagonist.model.effects.base import Effect, SealedJoint, along_signals, per_signal
 
 EFFECT = Effect(
     name="load_by_signal",
@@ -38,7 +20,7 @@ EFFECT = Effect(
     source="statics: the moment of a weight, or of a tendon, that something else moves",
     signature="The joint rests elsewhere at some times, and those go with a signal of another joint.",
     parameters=per_signal("slope", "N m/SI", -10.0, 10.0, 1e-7, "torque that goes with the signal", "c"),
-    hooks={"joint_torque": pulling},
+    hooks={"joint_torque": along_signals},
     sentence="a torque on the joint goes with a signal from outside of it (load_by_signal)",
     experiment="hold the joint's own pressures, and move the other joint slowly",
     distinguished_by={
