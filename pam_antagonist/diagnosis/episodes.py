@@ -16,22 +16,21 @@ from numpy.typing import NDArray
 
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.bootstrap import Interval, ratio, rmse
-from pam_antagonist.diagnosis.episode_values import intervals, shown
+from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, course, forecast
+from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
+from pam_antagonist.inference.episode_values import intervals
 from pam_antagonist.inference.free_parameters import Candidate
+from pam_antagonist.inference.held_episodes import Held, held_out, last, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-FIFTH = 5
 MOST = 6
 """Effects at most; each signal that friction goes with counts as one."""
 LEAST_OF_ALL = 0.01
 """Share of the squared error without effects that an effect removes at least. What is left at the end may be due to the
 form of the others: on a simulated joint, creep that was not there removed 5 % of what was nearly nothing."""
-WINDOWS = (1.0, 0.5, 0.25, 0.125, 0.0625)
-"""Shares of the fitted episodes, the last ones, from which a model for later episodes may be fitted."""
 _FITTED, _SCORED, _USED = 300, 400, 600
 """Episodes in a fit of the search, in its judgement, and in a final fit: more tell hardly more and take longer."""
 _REFITTED = 3
@@ -87,9 +86,10 @@ class EpisodeDiagnosis:
         values: its parameters that differ from the rig file, with 95 % intervals by episode, by dotted path.
         window: share of the fitted episodes from which a model for later ones is fitted.
         forecasts: error [deg] of each window of ``WINDOWS`` on fitted episodes that follow it.
-        course: parameters of the extended model over the recording, fitted to each part of it anew.
-        course_errors: error [deg] in each part, of the extended model fitted to all, and of that fitted to the part.
+        drift: numbers of the extended model over the recording, fitted to each part of it anew.
         counts: episodes fitted, later and interleaved.
+        others: errors of the extended model with an effect in the place of one that it was not told apart from, each
+            with the names of both: the one, and the one whose place it takes.
         ratio: squared error of the extended model on interleaved episodes by that of the model with Coulomb friction
             alone; None where that is not known.
     """
@@ -101,44 +101,10 @@ class EpisodeDiagnosis:
     values: Mapping[str, Interval]
     window: float
     forecasts: tuple[float, ...]
-    course: Mapping[str, tuple[float, ...]]
-    course_errors: tuple[tuple[float, float], ...]
+    drift: Drift
     counts: tuple[int, int, int]
+    others: tuple[tuple[str, str, Row], ...] = ()
     ratio: Interval | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """Which episodes are what.
-
-    Attributes:
-        pool: that may be fitted (E,).
-        interleaved: every fifth one among them, held out.
-        later: the last ones, held out.
-    """
-
-    pool: Indices
-    interleaved: Indices
-    later: Indices
-
-
-def held_out(episodes: int, share: float) -> Held:
-    """Hold out the last share of the episodes, and every fifth of the others.
-
-    Args:
-        episodes: how many there are.
-        share: that is held out at the end.
-    """
-    before = np.arange(round(episodes * (1.0 - share)))
-    fifth = before % FIFTH == FIFTH - 1
-    return Held(before[~fifth], before[fifth], np.arange(len(before), episodes))
-
-
-def thinned(episodes: Indices, most: int) -> Indices:
-    """At most so many of them, evenly spread."""
-    if len(episodes) <= most:
-        return episodes
-    return episodes[np.linspace(0, len(episodes) - 1, most).round().astype(int)]
 
 
 @one_blas_thread
@@ -158,38 +124,43 @@ def diagnose(
     held = held_out(len(joint), 0.0 if later is not None else share)
     unseen = joint.take(held.later) if later is None else replace(later, usual=joint.usual)
     progress("base parameters")
-    base, model, tried = search(joint, held.pool, progress)
+    base, model, tried, replaced = search(joint, held.pool, progress)
     coulomb = _with(base, joint.candidates({}).get("friction", ()), {})
     models = {"mechanics with viscous friction": base}
     if coulomb is not None:
         models["with Coulomb friction alone"] = coulomb
     models["extended"] = model
     progress("from how many episodes a model for later ones is fitted")
-    forecasts = tuple(_forecast(joint, held.pool, model, window) for window in WINDOWS)
+    forecasts = tuple(forecast(joint, held.pool, model, window) for window in WINDOWS)
     window = WINDOWS[int(np.argmin(forecasts))]
     rows, squares = [_configured(joint, unseen, held)], {}
     for name, start in models.items():
         progress(f"errors: {name}")
-        row, squares[name], fitted = _row(joint, unseen, held, name, start, window)
+        row, squares[name], whole, fitted = _row(joint, unseen, held, name, start, window)
         rows.append(row)
-        models[name] = fitted
-    extended = models["extended"]
+    others = []
+    for (name, instead_of), start in replaced.items():
+        progress(f"errors: {name} in the place of {instead_of}")
+        title = f"extended, {name} in the place of {instead_of}"
+        others.append((name, instead_of, _row(joint, unseen, held, title, start, window)[0]))
     recent = joint.take(thinned(last(held.pool, window), _USED))
     progress("drift")
-    course, course_errors = _course(joint, held, extended)
+    drift = course(joint, held, whole)
     compared = None
     if coulomb is not None:
         compared = ratio(squares["extended"], squares["with Coulomb friction alone"])
     return EpisodeDiagnosis(
-        tuple(item.name for item in tried if item.taken), tried, tuple(rows), extended, intervals(recent, extended),
-        window, forecasts, course, course_errors, (len(held.pool), len(unseen), len(held.interleaved)), compared,
+        tuple(item.name for item in tried if item.taken), tried, tuple(rows), fitted, intervals(recent, fitted),
+        window, forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), tuple(others), compared,
     )  # fmt: skip
 
 
 def search(
     joint: PressureDriven, pool: Indices, progress: Callable[[str], None]
-) -> tuple[PressureModel, PressureModel, tuple[Tried, ...]]:
-    """The base model, the extended one, and all that was tried.
+) -> tuple[PressureModel, PressureModel, tuple[Tried, ...], dict[tuple[str, str], PressureModel]]:
+    """The base model, the extended one, all that was tried, and the extended one with an effect that is not told apart.
+
+    Of the latter there is one for each effect that may remove as much as one that was taken, by both their names.
 
     Args:
         joint: the episodes.
@@ -200,6 +171,7 @@ def search(
     base = model = fitted.fit(fitted.as_configured)
     whole = float(judged.squares(judged.residual(base)).sums.sum())
     tried: list[Tried] = []
+    rivals: dict[tuple[str, str], tuple[PressureModel, PressureModel]] = {}
     for number in range(1, MOST + 1):
         offered = fitted.candidates(model.effects)
         progress(f"round {number}: {len(offered)} candidates")
@@ -214,20 +186,31 @@ def search(
             after = judged.squares(judged.residual(refitted)).sums
             removed = ratio(before - after, before, len(offered))
             found.append((Tried(name, number, score, removed), refitted))
-        best = _best(judged, found, float(before.sum()), whole)
-        for item, _ in found:
-            taken = best is not None and item is best[0]
-            tried.append(Tried(item.name, item.round, item.score, item.removed, taken))
+        near = _best(judged, found, float(before.sum()), whole)
+        best = near[0][0] if near else None
+        tried += [replace(item, taken=item is best) for item, _ in found]
         if best is None:
             break
-        model = best[1]
-    return base, model, tuple(tried)
+        rivals |= {(item.name, best.name): (near[0][1], other) for item, other in near[1:]}
+        model = near[0][1]
+    also = [item.name for item in tried if item.taken]
+    replaced = {
+        names: _exchanged(model, taken, other) for names, (taken, other) in rivals.items() if names[0] not in also
+    }
+    return base, model, tuple(tried), replaced
+
+
+def _exchanged(model: PressureModel, taken: PressureModel, other: PressureModel) -> PressureModel:
+    """A model with what another one has of its own in the place of what it shares with one of its round."""
+    out = model.without([path for path in taken.effects if path not in other.effects])
+    free = [item for item in other.free if item not in out.free]
+    return PressureModel(out.amounts, (*out.free, *free), {**other.effects, **out.effects})
 
 
 def _best(
     judged: PressureDriven, found: Sequence[tuple[Tried, PressureModel | None]], left: float, whole: float
-) -> tuple[Tried, PressureModel] | None:
-    """The effect that removes most; of those that may remove as much, the one with the fewest numbers.
+) -> list[tuple[Tried, PressureModel]]:
+    """Effects that may remove as much as the best one, with the fewest numbers first; none that is worth it: none.
 
     Args:
         judged: episodes that decide.
@@ -243,11 +226,11 @@ def _best(
         and item.removed.value * left >= LEAST_OF_ALL * whole
     ]  # fmt: skip
     if not worth:
-        return None
+        return []
     first = min(worth, key=lambda entry: entry[2].sum())
     near = [entry for entry in worth if entry is first or ratio(entry[2], first[2], len(found)).low <= 1.0]
-    item, refitted, _ = min(near, key=lambda entry: (len(entry[1].free), entry[2].sum()))
-    return item, refitted
+    near.sort(key=lambda entry: (len(entry[1].free), entry[2].sum()))
+    return [(item, refitted) for item, refitted, _ in near]
 
 
 def _with(
@@ -299,30 +282,6 @@ def _scores(
     return out
 
 
-def last(pool: Indices, window: float) -> Indices:
-    """The last share of the episodes that may be fitted.
-
-    Args:
-        pool: these (E,).
-        window: the share.
-    """
-    return pool[round(len(pool) * (1.0 - window)) :]
-
-
-def _forecast(joint: PressureDriven, pool: Indices, model: PressureModel, window: float) -> float:
-    """Error [deg] on the fitted episodes that follow a window, at three places of the pool; each eighth is one."""
-    eighths = np.array_split(pool, 8)
-    sums, counts = 0.0, 0.0
-    for number in (5, 6, 7):
-        before = pool[: sum(len(part) for part in eighths[:number])]
-        length = max(1, round(len(pool) * window))
-        fitted = joint.take(thinned(before[-length:], _FITTED // 2))
-        test = joint.take(thinned(eighths[number], _SCORED // 4))
-        found = test.squares(test.residual(fitted.fit(model, 8)))
-        sums, counts = sums + found.sums.sum(), counts + found.counts.sum()
-    return float(np.degrees(np.sqrt(sums / counts)))
-
-
 def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Row:
     between = joint.take(held.interleaved)
     model = joint.as_configured
@@ -334,8 +293,11 @@ def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Ro
 
 def _row(
     joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, start: PressureModel, window: float
-) -> tuple[Row, Floats, PressureModel]:
-    """Errors of a model that is fitted for each way of holding out; squares of the interleaved; that for later ones."""
+) -> tuple[Row, Floats, PressureModel, PressureModel]:
+    """Errors of a model that is fitted for each way of holding out, squares of the interleaved, and the fits.
+
+    The first fit is to all that may be fitted, the second one, for later episodes, to the last of them.
+    """
     pool = joint.take(thinned(held.pool, _USED))
     everything = pool.fit(start)
     later = rmse(*unseen.squares(unseen.residual(everything)))
@@ -345,22 +307,4 @@ def _row(
         recent = rmse(*unseen.squares(unseen.residual(fitted)))
     between = joint.take(held.interleaved)
     squares = between.squares(between.residual(everything))
-    return Row(name, later, recent, rmse(*squares)), squares.sums, fitted
-
-
-def _course(
-    joint: PressureDriven, held: Held, model: PressureModel
-) -> tuple[dict[str, tuple[float, ...]], tuple[tuple[float, float], ...]]:
-    """Parameters and errors over the recording, each part fitted by itself."""
-    parts = np.array_split(np.union1d(held.pool, held.later), 8)
-    courses: dict[str, list[float]] = {}
-    errors = []
-    everything = joint.take(thinned(held.pool, _USED)).fit(model)
-    for part in parts:
-        here = joint.take(thinned(part, _FITTED // 2))
-        found = here.fit(everything, 8)
-        for name, value in shown(here, found).items():
-            courses.setdefault(name, []).append(value)
-        pair = (np.degrees(here.squares(here.residual(m)).rmse) for m in (everything, found))
-        errors.append((float(next(pair)), float(next(pair))))
-    return {name: tuple(values) for name, values in courses.items()}, tuple(errors)
+    return Row(name, later, recent, rmse(*squares)), squares.sums, everything, fitted

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
-from pam_antagonist.diagnosis.bootstrap import Interval
-from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Row
+from pam_antagonist.diagnosis.episode_drift import PARTS, WINDOWS
+from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
+from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background
-from pam_antagonist.report.figure import Axis, Figure, Line, Panel
-from pam_antagonist.report.style import MODEL, SECOND
+from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
+from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
@@ -46,6 +48,10 @@ def interval(value: Interval | None, digits: int = 3) -> str:
     if value is None:
         return MISSING
     return f"{number(value.value, digits)} ({number(value.low, digits)} to {number(value.high, digits)})"
+
+
+def _times(factor: float, value: Interval) -> Interval:
+    return Interval(*(factor * part for part in value))
 
 
 def unit(rig: Rig, name: str) -> tuple[str, float]:
@@ -92,7 +98,7 @@ def _later(row: Row) -> Interval:
 
 def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, ...]:
     """Statements that the numbers support."""
-    out = []
+    out = [_not_told_apart(found, name, instead_of, row) for name, instead_of, row in found.others]
     last = max(item.round for item in found.tried)
     not_needed = [item for item in found.tried if item.round == last and not item.taken]
     for item in not_needed:
@@ -111,6 +117,14 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
                 f"The rig drifts: fitted to the last {percent(found.window)} of the fitted episodes, the model errs by "
                 f"{number(recent.value)}° on later ones, fitted to all of them by {number(whole.value)}°. The share "
                 "was chosen by forecasts within the fitted episodes.",
+            )
+        )
+    moved = _moved(found, joint.rig)
+    if moved:
+        out.append(
+            Finding(
+                "warn",
+                f"Over the recording change, along straight lines, with corrected 95 % intervals: {'; '.join(moved)}.",
             )
         )
     if found.ratio is not None and found.effects:
@@ -140,10 +154,35 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
     return tuple(out)
 
 
+def _not_told_apart(found: EpisodeDiagnosis, name: str, instead_of: str, row: Row) -> Finding:
+    taken = next(item for item in found.tried if item.taken and item.name == instead_of)
+    other = next(item for item in found.tried if item.round == taken.round and item.name == name)
+    assert taken.removed is not None and other.removed is not None
+    after = [item.score for item in found.tried if item.name == name and item.round > taken.round]
+    left = f" With the first in the model, the second scores {percent(after[0])}." if after else ""
+    return Finding(
+        "warn",
+        f"Not told apart: {in_words(instead_of)} removes {percent(taken.removed.value)} of what was left, "
+        f"{in_words(name)} {percent(other.removed.value)}.{left} With the second in the place of the first, the error "
+        f"on later episodes is {number(_later(row).value)}° instead of {number(_later(found.rows[-1]).value)}°.",
+    )
+
+
+def _moved(found: EpisodeDiagnosis, rig: Rig) -> list[str]:
+    """Numbers that drift, with what they change by."""
+    out = []
+    for name, change in found.drift.changes.items():
+        if change.low > 0.0 or change.high < 0.0:
+            shown, factor = unit(rig, name)
+            out.append(f"{value_name(rig, name)} by {interval(_times(factor, change), 2)} {shown}")
+    return out
+
+
 def errors_table(found: EpisodeDiagnosis) -> Table:
     """Errors of all models on episodes that no fit and no choice has seen."""
     rows = tuple(
-        (row.model, interval(row.later), interval(row.recent), interval(row.interleaved)) for row in found.rows
+        (row.model, interval(row.later), interval(row.recent), interval(row.interleaved))
+        for row in (*found.rows, *(other for *_, other in found.others))
     )
     head = (
         "RMSE of the angle [°], 95 % interval by episode", "later, all before fitted",
@@ -157,21 +196,49 @@ def errors_table(found: EpisodeDiagnosis) -> Table:
     )  # fmt: skip
 
 
+def value_name(rig: Rig, name: str) -> str:
+    """What a value is called in a report.
+
+    Args:
+        rig: with its further signals.
+        name: dotted path of the value.
+    """
+    title = name.removeprefix("effects.")
+    effect = title.partition(".")[0]
+    return f"{effect}, {list(rig.signals)[int(title[-1]) - 1]}" if effect in _BY_SIGNAL else title
+
+
 def values_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
-    """Numbers of the extended model, and their course over the recording."""
+    """Numbers of the extended model, and what they change by over the recording."""
     rows = []
-    names = list(rig.signals)
     for name, value in found.values.items():
         shown, factor = unit(rig, name)
-        course = "  ".join(number(part * factor, 2) for part in found.course.get(name, ()))
-        title = name.removeprefix("effects.")
-        effect = title.partition(".")[0]
-        if effect in _BY_SIGNAL:
-            title = f"{effect}, {names[int(title[-1]) - 1]}"
-        rows.append((title, interval(Interval(*(factor * part for part in value))), shown, course))
+        rows.append((
+            value_name(rig, name), interval(_times(factor, value)), shown,
+            interval(_times(factor, found.drift.changes[name]), 2),
+        ))  # fmt: skip
     return Table(
-        ("Value", "95 % interval by episode", "Unit", "Over the recording, in eight parts"), tuple(rows),
-        f"The extended model, fitted to the last {percent(found.window)} of the fitted episodes, and to each part",
+        ("Value", "95 % interval by episode", "Unit", "Change over the recording, corrected 95 % interval"),
+        tuple(rows),
+        f"The extended model, fitted to the last {percent(found.window)} of the fitted episodes. The change is that of "
+        f"a straight line from the first to the last of {PARTS} parts",
+    )  # fmt: skip
+
+
+def drift_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
+    """Numbers of the extended model in each part of the recording, and its errors there."""
+    rows = []
+    for name, parts in found.drift.values.items():
+        shown, factor = unit(rig, name)
+        rows.append((
+            f"{value_name(rig, name)} [{shown}]",
+            *(interval(_times(factor, part), 2) for part in parts),
+        ))  # fmt: skip
+    for k, fit in enumerate(("fitted to all that may be fitted", "fitted to the part")):
+        rows.append((f"RMSE [°], {fit}", *(number(pair[k]) for pair in found.drift.errors)))
+    return Table(
+        ("Part of the recording", *(str(k) for k in range(1, PARTS + 1))), tuple(rows),
+        "Fitted to each part by itself, with 95 % intervals by episode",
     )  # fmt: skip
 
 
@@ -198,17 +265,26 @@ def summary(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Block, ...]
     return Text(verdict(found)), Findings(findings(found, joint)), errors_table(found), values_table(found, joint.rig)
 
 
-def figure(found: EpisodeDiagnosis) -> Figure:
-    """The drift: errors over the recording."""
-    parts = np.arange(1.0, len(found.course_errors) + 1.0)
-    one, own = (np.array([pair[k] for pair in found.course_errors]) for k in (0, 1))
+def figure(found: EpisodeDiagnosis, rig: Rig) -> Figure:
+    """The drift: errors and numbers over the recording."""
+    parts = np.arange(1.0, PARTS + 1.0)
+    one, own = (np.array([pair[k] for pair in found.drift.errors]) for k in (0, 1))
     series = (
         Line("fitted to all that may be fitted", parts, one, MODEL),
         Line("fitted to each part", parts, own, SECOND),
     )
-    panel = Panel(Axis("Eighth of the recording"), Axis("RMSE [°]", from_zero=True), series)
-    about = "Errors of the extended model over the recording. What lies between the curves is drift of its numbers."
-    return Figure("Drift", about, (panel,))
+    panels = [Panel(Axis(), Axis("RMSE [°]", from_zero=True), series)]
+    for name, values in found.drift.values.items():
+        shown, factor = unit(rig, name)
+        value, low, high = factor * np.array(values).T
+        drawn = (
+            Band("95 % interval by episode", parts, low, high, BAND, len(panels) > 1),
+            Line("the number", parts, value, ESTIMATE, quiet=len(panels) > 1),
+        )
+        panels.append(Panel(Axis(), Axis(f"{value_name(rig, name)} [{shown}]", from_zero=True), drawn))
+    panels[-1] = replace(panels[-1], x=Axis("Eighth of the recording"))
+    about = "Errors and numbers of the extended model over the recording. What lies between the errors is drift."
+    return Figure("Drift", about, tuple(panels))
 
 
 def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, ...], with_figures: bool) -> Document:
@@ -239,8 +315,8 @@ def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, 
     blocks: tuple[Block, ...] = (
         Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
         Text(verdict(found), "verdict"), tiles, Findings(findings(found, joint)), errors_table(found),
-        values_table(found, joint.rig), tried_table(found),
-        *((figure(found),) if with_figures else ()), forecasts,
+        values_table(found, joint.rig), tried_table(found), drift_table(found, joint.rig),
+        *((figure(found, joint.rig),) if with_figures else ()), forecasts,
         *background(definitions, [("Rig", joint.rig.name), *((f"Recording {k}", h) for k, h in enumerate(hashes, 1))]),
     )  # fmt: skip
     return Document("What the model of a joint lacks", joint.name, blocks)
@@ -264,8 +340,10 @@ def numbers(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, .
         "tried": found.tried,
         "window": found.window,
         "forecasts_deg": dict(zip(map(str, WINDOWS), found.forecasts, strict=True)),
-        "course": found.course,
-        "course_errors_deg": found.course_errors,
+        "course": found.drift.values,
+        "changes": found.drift.changes,
+        "course_errors_deg": found.drift.errors,
+        "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
         "episodes": {"fitted": found.counts[0], "later": found.counts[1], "interleaved": found.counts[2]},
         "rig": joint.rig.name,
         "units": {"pressure": joint.rig.units.pressure, "force": joint.rig.units.force},

@@ -17,25 +17,28 @@ import pytest
 
 from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.bootstrap import drawn, ratio
-from pam_antagonist.diagnosis.episodes import diagnose, held_out, search
+from pam_antagonist.diagnosis.episode_drift import course
+from pam_antagonist.diagnosis.episodes import diagnose, search
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.bootstrap import drawn, ratio
+from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.signals import FurtherSignal
+from pam_antagonist.report import episodes as report
 
 EPISODES, ROWS, PERIOD = 120, 60, 0.0125
 GAIN, STIFFNESS, VISCOUS = 2.4e-4, 60.0, 6.0  # [rad/s² by Pa], [1/s²], [1/s]
 SUBSTEPS = 25
 
 
-def joint(by_signal: float, coulomb: float = 8.0, seed: int = 1) -> Recording:
-    """Episodes of a joint whose friction grows with one of two signals by so many rad/s² a Pa."""
+def joint(by_signal: float, coulomb: float | np.ndarray = 8.0, seed: int = 1) -> Recording:
+    """Episodes of a joint whose friction grows with one of two signals by so many rad/s² a Pa, or with time."""
     rng = np.random.default_rng(seed)
     time = PERIOD * np.arange(ROWS)
     parts: dict[str, list[np.ndarray]] = {"pressure": [], "angle": [], "other": [], "decoy": []}
-    for _ in range(EPISODES):
+    for constant in np.broadcast_to(coulomb, EPISODES):
         waves = [
             350e3 + 150e3 * rng.uniform() * np.sin(rng.uniform(4.0, 16.0) * time + rng.uniform(0.0, 6.3)) for _ in "12"
         ]
@@ -43,7 +46,7 @@ def joint(by_signal: float, coulomb: float = 8.0, seed: int = 1) -> Recording:
         parts["pressure"].append(np.column_stack(waves))
         parts["other"].append(other)
         parts["decoy"].append(decoy)
-        friction = coulomb + by_signal * (other - 400e3)
+        friction = constant + by_signal * (other - 400e3)
         parts["angle"].append(_moved(waves[0] - waves[1], friction) + 2e-4 * rng.standard_normal(ROWS))
     whole = {name: np.concatenate(values) for name, values in parts.items()}
     stamps = 10**18 + np.concatenate([e * 3 * 10**9 + np.rint(time * 1e9).astype(np.int64) for e in range(EPISODES)])
@@ -91,9 +94,44 @@ def test_nothing_is_found_where_friction_is_constant_but_that() -> None:
     episodes = PressureDriven.of(
         joint(by_signal=0.0, seed=2), load_rig("regulator_joint", regulators=True), ["decoy", "other"]
     )
-    _, model, tried = search(episodes, held_out(len(episodes), 1.0 / 3.0).pool, lambda text: None)
+    _, model, tried, _ = search(episodes, held_out(len(episodes), 1.0 / 3.0).pool, lambda text: None)
     assert [item.name for item in tried if item.taken] == ["friction"]
     assert list(model.effects) == ["effects.friction.coulomb"]
+
+
+def test_a_signal_that_goes_with_another_one_is_not_told_apart_from_it(tied: Recording) -> None:
+    other = tied.signals["other"]
+    noise = 2e3 * np.random.default_rng(7).standard_normal(len(tied))
+    both = replace(tied, signals={"other": other, "alike": FurtherSignal(other.values + noise, "Pa")})
+    episodes = PressureDriven.of(both, load_rig("regulator_joint", regulators=True), ["other", "alike"])
+    found = diagnose(episodes, 1.0 / 3.0)
+    assert set(found.effects) < {"friction", "friction_by_signal: other", "friction_by_signal: alike"}
+    (one, place, row), *_ = [item for item in found.others if item[0].startswith("friction_by_signal")]
+    assert {one, place} == {"friction_by_signal: other", "friction_by_signal: alike"}
+    assert row.later.value == pytest.approx(found.rows[-1].later.value, rel=0.3)
+    said = [item.text for item in report.findings(found, episodes) if item.text.startswith("Not told apart")]
+    assert any("friction that grows with other" in text and "friction that grows with alike" in text for text in said)
+
+
+def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
+    """Coulomb friction grows from 4 to 12 rad/s²; the stiffness stays."""
+    episodes = PressureDriven.of(
+        joint(by_signal=0.0, coulomb=np.linspace(4.0, 12.0, EPISODES), seed=6),
+        load_rig("regulator_joint", regulators=True),
+    )
+    held = held_out(len(episodes), 1.0 / 3.0)
+    _, model, _, _ = search(episodes, held.pool, lambda text: None)
+    found = course(episodes, held, episodes.take(held.pool).fit(model))
+    inertia = episodes.rig.joint.inertia
+    friction = found.changes["effects.friction.coulomb"]
+    assert friction.value / inertia == pytest.approx(7.1, rel=0.15), (
+        "between the middles of the first and the last part"
+    )
+    assert 0.0 < friction.low < friction.value < friction.high
+    still = found.changes["joint.stiffness"]
+    assert still.low < 0.0 < still.high
+    first = found.values["effects.friction.coulomb"][0]
+    assert first.low / inertia < 4.5 < first.high / inertia
 
 
 def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: Path, capsys: Any) -> None:
@@ -102,13 +140,13 @@ def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: P
     assert main([str(tmp_path / "bag"), *run, "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "friction that grows with other" in said
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    numbers = json.loads((tmp_path / "out" / "report.json").read_text())
     rig = load_rig(tmp_path / "out" / "rig_extended.yaml", regulators=True)
     assert rig.drive == "regulator" and list(rig.signals) == ["other"]
     again = PressureDriven.of(tied, rig)
     later = again.take(held_out(len(again), 1.0 / 3.0).later)
     error = np.degrees(later.squares(later.residual(later.as_configured)).rmse)
-    row = report["errors_deg"][-1]
+    row = numbers["errors_deg"][-1]
     assert error == pytest.approx((row["recent"] or row["later"])[0], rel=1e-6)
 
 

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.bootstrap import rmse
-from pam_antagonist.diagnosis.episodes import Held, Row, last
+from pam_antagonist.diagnosis.episodes import Row
+from pam_antagonist.inference.bootstrap import rmse
+from pam_antagonist.inference.held_episodes import Held, last
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import available
 

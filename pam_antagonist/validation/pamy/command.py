@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from pam_antagonist.cli import common
-from pam_antagonist.diagnosis.bootstrap import Interval, rmse
-from pam_antagonist.diagnosis.episodes import Held, diagnose, held_out, thinned
+from pam_antagonist.diagnosis.episodes import diagnose
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import regulator
 from pam_antagonist.identification.regulator import Regulator
+from pam_antagonist.inference.bootstrap import Interval, rmse
+from pam_antagonist.inference.held_episodes import Held, held_out, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
 from pam_antagonist.optional import available
 from pam_antagonist.recording.csv_import import read_csv

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from pam_antagonist.diagnosis.bootstrap import Interval
-from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Row
+from pam_antagonist.diagnosis.episode_drift import WINDOWS
+from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
 from pam_antagonist.identification.regulator import Regulator
+from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
@@ -94,13 +95,14 @@ def markdown(result: ArmResult) -> str:
         ("Last episodes fitted", "RMSE on those that follow [°]"),
         tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
     )
+    values, drift = report.values_table(found, result.joint.rig), report.drift_table(found, result.joint.rig)
     parts = [
         _HEAD.format(address=_ADDRESS), "## What the model lacks", report.verdict(found), notes, "## Errors",
         f"{errors.caption}. Every fit and every choice of the extended model saw the other episodes only. {trees}",
         _table(errors), "## Candidates", report.tried_table(found).caption + ".", _table(report.tried_table(found)),
         "## Numbers, and their drift",
         "Torques are per inertia; a bar is one of the recording, a quarter of the normalised range.",
-        _table(report.values_table(found, result.joint.rig)),
+        f"{values.caption}.", _table(values), f"{drift.caption}:", _table(drift),
         "Fitted to so many of the last episodes, the extended model forecasts those that follow (fitted part only):",
         _table(forecasts), "## The regulators", _regulators(result), _RULES,
         f"The command took {result.took:.0f} s.",

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.bootstrap import Interval, drawn
+from pam_antagonist.inference.bootstrap import Interval, drawn
 from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+
+_DRAWS = 300
 
 
 def shown(joint: PressureDriven, model: PressureModel) -> dict[str, float]:
@@ -24,12 +27,13 @@ def shown(joint: PressureDriven, model: PressureModel) -> dict[str, float]:
     return out | dict(model.effects)
 
 
-def intervals(joint: PressureDriven, model: PressureModel) -> dict[str, Interval]:
-    """What :func:`shown` shows, with 95 % intervals by episode: a Gauss-Newton step for each draw of a bootstrap.
+def draws(joint: PressureDriven, model: PressureModel, seed: int = 0) -> dict[str, NDArray[np.float64]]:
+    """What :func:`shown` shows, for draws of a bootstrap by episode: a Gauss-Newton step for each (D,).
 
     Args:
         joint: the episodes that were fitted.
         model: fitted to them.
+        seed: of the draws.
     """
     left = joint.residual(model)
     slopes = joint.jacobian(model, left)
@@ -37,16 +41,21 @@ def intervals(joint: PressureDriven, model: PressureModel) -> dict[str, Interval
     squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
     pulls = np.stack([slopes[a:b].T @ left[a:b] for a, b in spans])
     at = joint.coordinates(model)
-    draws = drawn(len(joint))[:300]
     found = [
         shown(
             joint, joint.moved(model, at - np.linalg.lstsq(squares[d].sum(axis=0), pulls[d].sum(axis=0), rcond=None)[0])
         )
-        for d in draws
+        for d in drawn(len(joint), seed)[:_DRAWS]
     ]
+    return {name: np.array([one[name] for one in found]) for name in found[0]}
+
+
+def intervals(joint: PressureDriven, model: PressureModel) -> dict[str, Interval]:
+    """What :func:`shown` shows, with 95 % intervals by episode.
+
+    Args:
+        joint: the episodes that were fitted.
+        model: fitted to them.
+    """
     best = shown(joint, model)
-    out = {}
-    for name, value in best.items():
-        low, high = np.quantile([one[name] for one in found], [0.025, 0.975])
-        out[name] = Interval(value, float(low), float(high))
-    return out
+    return {name: Interval.of(best[name], values) for name, values in draws(joint, model).items()}

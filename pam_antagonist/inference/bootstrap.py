@@ -12,6 +12,8 @@ Indices = NDArray[np.intp]
 
 BLOCK = 10
 """Episodes that are drawn together: neighbouring ones err alike where a rig drifts."""
+_LEAST_BLOCKS = 8
+"""Blocks are shorter where there would be fewer: of one block all draws are the same."""
 DRAWS = 1000
 CHANCE = 0.05
 """Chance that any of the effects that were offered is taken although it is not there."""
@@ -30,6 +32,18 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    @classmethod
+    def of(cls, value: float, draws: Floats, chance: float = CHANCE) -> Interval:
+        """The interval of a bootstrap.
+
+        Args:
+            value: the value.
+            draws: what it is in each draw (D,).
+            chance: that it lies outside.
+        """
+        low, high = np.quantile(draws, [0.5 * chance, 1.0 - 0.5 * chance])
+        return cls(float(value), float(low), float(high))
+
 
 def drawn(episodes: int, seed: int = 0) -> Indices:
     """Episodes of each draw of a bootstrap of blocks (DRAWS, about E).
@@ -38,7 +52,7 @@ def drawn(episodes: int, seed: int = 0) -> Indices:
         episodes: how many there are.
         seed: of the draws.
     """
-    blocks = max(1, round(episodes / BLOCK))
+    blocks = max(round(episodes / BLOCK), min(episodes, _LEAST_BLOCKS))
     edges = np.linspace(0, episodes, blocks + 1).round().astype(int)
     size = int(np.min(np.diff(edges)))
     which = np.random.default_rng(seed).integers(0, blocks, (DRAWS, blocks))
@@ -54,8 +68,7 @@ def rmse(sums: Floats, counts: Floats) -> Interval:
     """
     draws = drawn(len(sums))
     spread = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
-    low, high = np.quantile(spread, [0.025, 0.975])
-    return Interval(*(float(np.degrees(value)) for value in (np.sqrt(sums.sum() / counts.sum()), low, high)))
+    return Interval.of(np.degrees(np.sqrt(sums.sum() / counts.sum())), np.degrees(spread))
 
 
 def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
@@ -68,5 +81,4 @@ def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
     """
     draws = drawn(len(first))
     spread = first[draws].sum(axis=1) / second[draws].sum(axis=1)
-    low, high = np.quantile(spread, [0.5 * CHANCE / offered, 1.0 - 0.5 * CHANCE / offered])
-    return Interval(float(first.sum() / second.sum()), float(low), float(high))
+    return Interval.of(first.sum() / second.sum(), spread, CHANCE / offered)

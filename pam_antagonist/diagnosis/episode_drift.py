@@ -1,0 +1,88 @@
+"""How the numbers of a joint drift over many episodes, and from how many of the last ones a model is best fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.bootstrap import CHANCE, Interval
+from pam_antagonist.inference.episode_values import draws, shown
+from pam_antagonist.inference.held_episodes import Held, thinned
+from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+
+Indices = NDArray[np.intp]
+
+WINDOWS = (1.0, 0.5, 0.25, 0.125, 0.0625)
+"""Shares of the fitted episodes, the last ones, from which a model for later episodes may be fitted."""
+PARTS = 8
+_FITTED, _JUDGED, _ROUNDS = 150, 100, 8
+"""Episodes of a part that are fitted, that judge a forecast, and simulations of a fit at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """A model over a recording.
+
+    Attributes:
+        values: its numbers in each part of the recording, fitted to the part alone, with 95 % intervals by episode, by
+            dotted path.
+        changes: of each from the first to the last part along a straight line, with an interval that is corrected for
+            how many numbers there are.
+        errors: error [deg] in each part, of the model fitted to all that may be fitted, and of that fitted to the part.
+    """
+
+    values: Mapping[str, tuple[Interval, ...]]
+    changes: Mapping[str, Interval]
+    errors: tuple[tuple[float, float], ...]
+
+
+def course(joint: PressureDriven, held: Held, everything: PressureModel) -> Drift:
+    """The model's numbers and errors over the recording, each part fitted by itself.
+
+    Args:
+        joint: the episodes.
+        held: the interleaved ones of which stay out.
+        everything: the model, fitted to all that may be fitted.
+    """
+    best: list[dict[str, float]] = []
+    spread = []
+    errors = []
+    for number, part in enumerate(np.array_split(np.union1d(held.pool, held.later), PARTS)):
+        here = joint.take(thinned(part, _FITTED))
+        found = here.fit(everything, _ROUNDS)
+        best.append(shown(here, found))
+        spread.append(draws(here, found, number))
+        pair = (np.degrees(here.squares(here.residual(m)).rmse) for m in (everything, found))
+        errors.append((float(next(pair)), float(next(pair))))
+    line = np.linspace(-0.5, 0.5, PARTS)
+    line /= line @ line
+    values, changes = {}, {}
+    for name in best[0]:
+        at, drawn = np.array([one[name] for one in best]), np.array([one[name] for one in spread])
+        values[name] = tuple(Interval.of(value, row) for value, row in zip(at, drawn, strict=True))
+        changes[name] = Interval.of(line @ at, line @ drawn, CHANCE / len(best[0]))
+    return Drift(values, changes, tuple(errors))
+
+
+def forecast(joint: PressureDriven, pool: Indices, model: PressureModel, window: float) -> float:
+    """Error [deg] on the fitted episodes that follow a window, at three places of the pool; each eighth is one.
+
+    Args:
+        joint: the episodes.
+        pool: that may be fitted (E,).
+        model: where the fits start.
+        window: share of the pool that is fitted.
+    """
+    eighths = np.array_split(pool, PARTS)
+    sums, counts = 0.0, 0.0
+    for number in (5, 6, 7):
+        before = pool[: sum(len(part) for part in eighths[:number])]
+        length = max(1, round(len(pool) * window))
+        fitted = joint.take(thinned(before[-length:], _FITTED))
+        test = joint.take(thinned(eighths[number], _JUDGED))
+        found = test.squares(test.residual(fitted.fit(model, _ROUNDS)))
+        sums, counts = sums + found.sums.sum(), counts + found.counts.sum()
+    return float(np.degrees(np.sqrt(sums / counts)))

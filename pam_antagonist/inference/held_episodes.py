@@ -1,0 +1,56 @@
+"""Which of many episodes a fit may see, and which are held out whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Indices = NDArray[np.intp]
+
+FIFTH = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Which episodes are what.
+
+    Attributes:
+        pool: that may be fitted (E,).
+        interleaved: every fifth one among them, held out.
+        later: the last ones, held out.
+    """
+
+    pool: Indices
+    interleaved: Indices
+    later: Indices
+
+
+def held_out(episodes: int, share: float) -> Held:
+    """Hold out the last share of the episodes, and every fifth of the others.
+
+    Args:
+        episodes: how many there are.
+        share: that is held out at the end.
+    """
+    before = np.arange(round(episodes * (1.0 - share)))
+    fifth = before % FIFTH == FIFTH - 1
+    return Held(before[~fifth], before[fifth], np.arange(len(before), episodes))
+
+
+def thinned(episodes: Indices, most: int) -> Indices:
+    """At most so many of them, evenly spread."""
+    if len(episodes) <= most:
+        return episodes
+    return episodes[np.linspace(0, len(episodes) - 1, most).round().astype(int)]
+
+
+def last(pool: Indices, window: float) -> Indices:
+    """The last share of the episodes that may be fitted.
+
+    Args:
+        pool: these (E,).
+        window: the share.
+    """
+    return pool[round(len(pool) * (1.0 - window)) :]
