@@ -71,6 +71,9 @@ COMMANDS: dict[str, Command] = {
     "tell_apart": Command(
         "pam_antagonist.validation.excitation.pairs:main", "whether designed experiments tell similar effects apart"
     ),
+    "rehearse": Command(
+        "pam_antagonist.validation.excitation.rehearse:main", "whole commissionings of simulated joints with an effect"
+    ),
     "pamy": Command(
         "pam_antagonist.validation.pamy.command:main", "what close_loop makes of a measured arm with regulators"
     ),

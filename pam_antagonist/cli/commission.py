@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -16,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.driving import Driven, Owner, add_limits, add_source, drive, limits_of, write_plan
+from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, add_limits, add_source, drive, limits_of, write_plan
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Plan, designed
 from pam_antagonist.design.apart import told_apart
-from pam_antagonist.design.first_fill import faults, first_fill
+from pam_antagonist.design.first_fill import dead_sensors, faults, first_fill
 from pam_antagonist.design.loop_gains import loop_gains
+from pam_antagonist.design.optimal import steady_voltage
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.nodes.processes import ProcessFailed
@@ -91,11 +93,12 @@ def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     if not _FREE_S <= arguments.duration <= 3600.0:
         raise BadInput(f"--duration {arguments.duration:g}: expected {_FREE_S:g} to 3600 s")
-    if arguments.source != "plant" and (arguments.unattended or arguments.plant):
-        raise BadInput("--unattended and --plant: only for a simulated joint; expected --source plant")
+    if arguments.source not in SIMULATED and (arguments.unattended or arguments.plant):
+        raise BadInput("--unattended and --plant: only for a simulated joint; expected --source plant or rehearsal")
     if arguments.seed < 0:
         raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
-    needs_ros("commission")
+    if arguments.source != "rehearsal":
+        needs_ros("commission")
     work = Commission(arguments)
     try:
         for name in STEPS:
@@ -155,7 +158,10 @@ class Commission:
         return steps
 
     def _keep(self) -> None:
-        (self._out / "state.json").write_text(json.dumps(self._state, indent=1) + "\n", encoding="utf-8")
+        # In one go: an interruption must not cost the steps that are done.
+        new = self._out / "state.json.new"
+        new.write_text(json.dumps(self._state, indent=1) + "\n", encoding="utf-8")
+        new.replace(self._out / "state.json")
 
     def step(self, name: str) -> None:
         """Do a step, unless it is done.
@@ -197,6 +203,13 @@ class Commission:
         folder.mkdir()
         return folder
 
+    def _again(self, name: str) -> Path:
+        """A result's folder; what an attempt left there that was interrupted is removed."""
+        folder = self._out / name
+        if folder.exists():
+            shutil.rmtree(folder)
+        return folder
+
     def _drive(self, name: str, plan: Plan) -> Driven:
         folder = self._folder(name)
         write_plan(folder, plan, self._rig)
@@ -217,9 +230,12 @@ class Commission:
         self._ask("Joint free, nothing in its way, supply on; keep away from it:")
         plan = first_fill(self._rig)
         driven = self._drive("wiring", plan)
-        if driven.ended:
-            raise StepFailed(f"wiring: it ended {driven.ended}; let the air out, and look at valves and sensors")
         recording = read_bag(driven.bag, judge=False)
+        if driven.ended:
+            # A sensor that always shows a high pressure ends the plan as well.
+            dead = [fault.sentence for fault in dead_sensors(recording.pressure)]
+            other = f"wiring: it ended {driven.ended}; let the air out, and look at valves and sensors"
+            raise StepFailed("\n".join(dead) or other)
         samples = driven.begun_ns + np.round(np.arange(len(plan.voltage)) * plan.period * 1e9).astype(np.int64)
         if recording.stamp_ns[-1] < samples[-1] - _LATEST_NS:
             raise StepFailed(
@@ -257,8 +273,7 @@ class Commission:
         from pam_antagonist.api.identify import identify
 
         result = identify(self._bags(), self._rig, seed=self._arguments.seed)
-        folder = self._out / "identified"
-        result.save(folder, figures=False)
+        result.save(self._again("identified"), figures=False)
         return {
             "said": f"{len(result.rig.directions)} uncertain directions are left",
             "warnings": list(result.warnings),
@@ -268,7 +283,7 @@ class Commission:
         from pam_antagonist.api.diagnose import diagnose
 
         result = diagnose(self._bags(), self._rig, seed=self._arguments.seed)
-        result.save(self._out / name, figures=False)
+        result.save(self._again(name), figures=False)
         return {
             "said": result.sentence,
             "verdict": result.verdict,
@@ -308,8 +323,9 @@ class Commission:
     def _gains(self) -> dict[str, Any]:
         rig = self.found()
         gains = {mode: loop_gains(rig, mode) for mode in ("angle", "torque")}
+        bias = sum(steady_voltage(rig, 0.5 * (rig.atmosphere.pressure + rig.supply.pressure))) / 2.0
         lines = ["/**:", "  ros__parameters:", f"    rig: {(self._out / 'rig.yaml').resolve()}", "/**/controller:"]
-        lines.append("  ros__parameters:")
+        lines += ["  ros__parameters:", f"    bias: {bias:.4g}"]
         for mode, one in gains.items():
             lines += [f"    {mode}_proportional: {one.proportional:.4g}", f"    {mode}_integral: {one.integral:.4g}"]
         (self._out / "parameters.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")

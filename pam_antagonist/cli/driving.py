@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.cli.progress import counted
+from pam_antagonist.cli.rehearsal import rehearse
 from pam_antagonist.design import Limits, Plan, standard_errors
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
 from pam_antagonist.recording.notes import write_notes
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig, load_rig
 
+SOURCES = ("plant", "bridge", "none", "rehearsal")
+SIMULATED = ("plant", "rehearsal")
 PLAN_NOTE = "pam_antagonist.plan"
 """Name of the note in a bag that holds ``plan.json``."""
 _DRAIN_S = 0.3
@@ -37,7 +40,7 @@ class Owner:
     """Who owns the valves.
 
     Attributes:
-        source: ``plant``, ``bridge`` or ``none``: a node that runs already.
+        source: ``plant``, ``bridge``, ``none`` (a node that runs already), or ``rehearsal`` (no node at all).
         rig: name or file, for that node.
         seed: of a simulated joint.
         mismatch: of a simulated joint's parameters from the rig file [-].
@@ -153,7 +156,10 @@ def add_source(out: argparse.ArgumentParser) -> None:
         out: takes the arguments.
     """
     out.add_argument(
-        "--source", choices=("plant", "bridge", "none"), default="plant", help="owner of the valves (default: plant)"
+        "--source",
+        choices=SOURCES,
+        default="plant",
+        help="owner of the valves (default: plant); rehearsal: a simulated joint without ROS, faster than real time",
     )
     out.add_argument("--port", metavar="PATH", help="serial port of the bridge's device")
     out.add_argument("--hardware", metavar="FILE", help="calibration of the bridge's device")
@@ -209,6 +215,18 @@ def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
     Raises:
         ProcessFailed: a node ended or does not start.
     """
+    if owner.source == "rehearsal":
+        rig = load_rig(owner.rig)
+        begun_ns, ended = rehearse(rig, plan, owner.seed, owner.mismatch, out / "bag")
+    else:
+        begun_ns, ended = _through_nodes(owner, plan, out)
+    if (out / "plan.json").exists():
+        write_notes(out / "bag", {PLAN_NOTE: (out / "plan.json").read_text(encoding="utf-8")})
+    return Driven(out / "bag", begun_ns, ended)
+
+
+def _through_nodes(owner: Owner, plan: Plan, out: Path) -> tuple[int, str]:
+    """Stamp at which the plan began [ns], and in words why it ended early; empty where it did not."""
     from pam_antagonist.nodes.drive import DriveClient
 
     if owner.source != "none":
@@ -238,6 +256,4 @@ def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
                 processes.stop(owner.source)
             time.sleep(_DRAIN_S)
             processes.stop(*processes.running)
-    if (out / "plan.json").exists():
-        write_notes(out / "bag", {PLAN_NOTE: (out / "plan.json").read_text(encoding="utf-8")})
-    return Driven(out / "bag", begun_ns, ended)
+    return begun_ns, ended

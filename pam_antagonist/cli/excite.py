@@ -85,7 +85,7 @@ def _main(argv: Sequence[str] | None) -> int:
     if arguments.seed < 0:
         raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     owner = Owner.of(arguments, arguments.rig)
-    if not arguments.plan_only:
+    if not arguments.plan_only and arguments.source != "rehearsal":
         needs_ros("excite")
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig)

@@ -87,9 +87,8 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None) -> list[Fault]:
         pressure: measured ones (N, 2) [Pa], on the even grid of the rig's period from the experiment's begin on.
         angle: measured one (N,) [rad], None where there is none.
     """
-    dead = [fault for i in (0, 1) for fault in _dead(i, pressure[:, i])]
-    if dead:
-        return dead
+    if found := dead_sensors(pressure):
+        return found
     ends = np.cumsum([_SETTLE_S, _HOLD_S, _HOLD_S, _HOLD_S, _HOLD_S, _VENT_S])
     seen = _means(pressure, rig.sample_period, ends)
     model = first_fill(rig)
@@ -136,6 +135,15 @@ def _turns(angle: Floats, period: float, ends: Floats) -> Floats:
     """How far the joint turns while valve 1 fills, and while valve 2 does (2,) [rad]."""
     there = _means(angle[:, None], period, ends)[:, 0]
     return np.array([there[1] - there[0], there[3] - there[2]])
+
+
+def dead_sensors(pressure: Floats) -> list[Fault]:
+    """Pressure sensors that show nothing, nothing possible, or the same all the time; empty where there is none.
+
+    Args:
+        pressure: measured ones (N, 2) [Pa], also of an experiment that ended early.
+    """
+    return [fault for i in (0, 1) for fault in _dead(i, pressure[:, i])]
 
 
 def _dead(i: int, values: Floats) -> list[Fault]:

@@ -13,16 +13,11 @@ from sensor_msgs.msg import FluidPressure, JointState
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.client import PipelineClient
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
+from pam_antagonist.safety.lookout import RETREAT, TICK, Lookout
 from pam_antagonist_msgs.msg import ValveCommand
 
 Floats = NDArray[np.float64]
 
-_TICK = 0.004
-"""[s] Between two commands."""
-_TIMES = 3
-"""So many looks in a row have to find a limit broken: one is noise."""
-_RETREAT_S = 1.0
-"""[s] Resting voltages after a limit was reached."""
 _PROGRESS_S = 0.2
 _PRESSURES = ("pressure_1", "pressure_2")
 
@@ -93,19 +88,17 @@ class DriveClient(PipelineClient):
         Returns:
             Why it ended early, in words; empty where it did not.
         """
-        begin, reported, times = time.monotonic(), 0.0, 0
+        begin, reported, lookout = time.monotonic(), 0.0, Lookout()
         while (elapsed := time.monotonic() - begin) < len(voltage) * period:
             self.send(voltage[min(int(elapsed / period), len(voltage) - 1)])
-            reason = broken(*self.seen())
-            times = times + 1 if reason else 0
-            if times >= _TIMES:
-                self._hold(rest, _RETREAT_S)
+            if reason := lookout.ends(broken(*self.seen())):
+                self._hold(rest, RETREAT)
                 return f"after {elapsed:.1f} s {reason}"
             if elapsed - reported > _PROGRESS_S:
                 check()
                 progress(elapsed - reported)
                 reported = elapsed
-            time.sleep(_TICK)
+            time.sleep(TICK)
         progress(elapsed - reported)
         return ""
 
@@ -113,4 +106,4 @@ class DriveClient(PipelineClient):
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.send(voltage)
-            time.sleep(_TICK)
+            time.sleep(TICK)

@@ -111,6 +111,7 @@ def run(
     mismatch: float = MISMATCH,
     push: Callable[[int], float] = lambda k: 0.0,
     push_is_known: bool = False,
+    truth: Rig | None = None,
 ) -> Course:
     """Run the loop: one sample of the plant, one of the filter, one command.
 
@@ -123,8 +124,9 @@ def run(
         mismatch: standard deviation of the parameters [-].
         push: torque from outside [N m] at sample k.
         push_is_known: whether the law is told of it, as by a torque sensor.
+        truth: what the joint is, but for its mismatch; default: as declared.
     """
-    plant, estimator = Plant(rig, joint, seed=seed, mismatch=mismatch), Estimator(rig, "default", joint)
+    plant, estimator = Plant(truth or rig, joint, seed=seed, mismatch=mismatch), Estimator(rig, "default", joint)
     p, period = plant.parameters, round(rig.sample_period * 1e9)
     assert laws.pi is not None  # a rig with valves
     voltage = laws.pi.safe_voltage

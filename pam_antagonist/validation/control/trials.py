@@ -33,8 +33,15 @@ YIELDING = (6.0, 0.5)
 _YIELD_TORQUE = 0.6
 
 
-def _settling(true: Floats, wanted: float, height: float, period: float) -> tuple[float, float]:
-    """Time until it stays within 5 % of the step's height [s], inf where it does not, and overshoot, in its unit."""
+def settling(true: Floats, wanted: float, height: float, period: float) -> tuple[float, float]:
+    """Time until a step settles [s], inf where it does not, and overshoot, in its unit.
+
+    Args:
+        true: course from the step on (N,) [rad] or [N m].
+        wanted: value after the step.
+        height: of the step, with its sign; it has settled where it stays within 5 % of that.
+        period: of a sample [s].
+    """
     outside = np.flatnonzero(np.abs(true - wanted) > SETTLED * abs(height))
     settled = 0 if not len(outside) else math.inf if outside[-1] == len(true) - 1 else (outside[-1] + 1) * period
     return float(settled), float(max(np.max(math.copysign(1.0, height) * (true - wanted)), 0.0))
@@ -67,9 +74,9 @@ def steps(rig: Rig, seed: int) -> dict[str, Any]:
         found = []
         for k, way in ((1, 1.0), (2, -1.0)):
             part, value = true[k * n : (k + 1) * n], float(course.value[k * n])
-            settling, overshoot = _settling(part, value, way * STEP[quantity], rig.sample_period)
+            after, overshoot = settling(part, value, way * STEP[quantity], rig.sample_period)
             steady = float(np.mean(np.abs(part[-round(STEADY_S / rig.sample_period) :] - value)))
-            found.append({"settling_s": settling, "overshoot": overshoot, "steady_error": steady})
+            found.append({"settling_s": after, "overshoot": overshoot, "steady_error": steady})
         out[f"{quantity.name.lower()}, {law}"] = found
     return out
 

@@ -1,0 +1,60 @@
+"""A planned experiment on a simulated joint in this process: without ROS, and faster than real time.
+
+The joint is that of the plant node, and so are the limits at which the plan ends. What is not in it is time: delays of
+messages, and a computer that is busy.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pam_antagonist.design import Plan
+from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.rig import Rig
+from pam_antagonist.safety.lookout import RETREAT, TICK, Lookout
+from pam_antagonist.simulation.plant import Plant, PlantSample
+
+_FIRST_STAMP_NS = 1_000_000_000_000_000_000
+
+
+def rehearse(rig: Rig, plan: Plan, seed: int, mismatch: float, bag: Path) -> tuple[int, str]:
+    """Drive a simulated joint by a plan, and write the recording.
+
+    Args:
+        rig: what the joint is in truth.
+        plan: the experiment.
+        seed: of the joint's parameters and the sensors' noise.
+        mismatch: standard deviation of the parameters from the rig's [-].
+        bag: folder to be made.
+
+    Returns:
+        Stamp at which the plan began [ns], and in words why it ended early; empty where it did not.
+    """
+    start = (plan.pressure, plan.pressure)
+    plant = Plant(rig, plan.joint, plan.lock_angle, seed, mismatch=mismatch, initial_pressure=start)
+    lookout, every = Lookout(), max(1, round(TICK / plan.period))
+    samples: list[PlantSample] = []
+    rest, ended, left = np.array(plan.rest), "", len(plan.voltage)
+    while left:
+        k = len(samples)
+        sample = plant.step(rest if ended else plan.voltage[k])
+        samples.append(sample)
+        left -= 1
+        if ended or k % every:
+            continue
+        if reason := lookout.ends(plan.limits.broken(sample.pressure, sample.angle)):
+            ended, left = f"after {k * plan.period:.1f} s {reason}", round(RETREAT / plan.period)
+    stamps = _FIRST_STAMP_NS + np.rint(np.arange(1, len(samples) + 1) * plan.period * 1e9).astype(np.int64)
+    recording = Recording(
+        path=bag,
+        stamp_ns=stamps,
+        pressure=np.array([sample.pressure for sample in samples]),
+        voltage=np.array([sample.voltage for sample in samples]),
+        angle=np.array([sample.angle for sample in samples]),
+        torque=np.array([sample.torque for sample in samples]),
+        angle_sensor=None if rig.encoder is None else np.array([sample.encoder for sample in samples]),
+    )
+    write_bag(bag, recording, pressure_variance=rig.sensors.pressure_std**2)
+    return _FIRST_STAMP_NS, ended

@@ -1,0 +1,111 @@
+"""``commission`` that is stopped by Ctrl-C in the middle of each step goes on where it was."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+
+from pam_antagonist.cli import commission
+from pam_antagonist.design import Plan
+from pam_antagonist.design.apart import Verdict
+from pam_antagonist.design.first_fill import first_fill
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.write import write_rig
+
+RIG = load_rig("shin2022")
+LEAKING = moved(RIG, {"effects.leak.area_1": 1e-9})
+
+
+def short(joint: str = "free") -> Plan:
+    """A second at rest, in the place of a design that takes long."""
+    plan = first_fill(RIG)
+    return replace(plan, voltage=plan.voltage[:1000], joint=joint)
+
+
+class Stopped:
+    """Whatever is called: the first call of each kind does its work, and is stopped by Ctrl-C before it is noted."""
+
+    def __init__(self) -> None:
+        self.calls: Counter[str] = Counter()
+
+    def once(self, kind: str) -> None:
+        self.calls[kind] += 1
+        if self.calls[kind] == 1:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture
+def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
+    """Commissioning with quick designs and findings; air goes in by the rehearsal as ever."""
+    out, driven = Stopped(), commission.drive
+
+    def drive(owner: Any, plan: Plan, folder: Path) -> Any:
+        result = driven(owner, plan, folder)
+        out.once(folder.name.partition("_")[0])
+        return result
+
+    class Found(SimpleNamespace):
+        def save(self, path: Path, figures: bool) -> None:
+            path.mkdir()
+            write_rig(RIG, path / "rig.yaml")
+            write_rig(LEAKING, path / "rig_extended.yaml")
+            out.once(path.name)
+
+    def diagnose(bags: list[Path], rig: Any, seed: int) -> Found:
+        rivals = ("valve_offset",) if len(bags) == 2 else ()
+        sentence = f"a leak, by {len(bags)} recordings"
+        return Found(verdict="effect", effects=[SimpleNamespace(name="leak")], ambiguous_with=rivals, sentence=sentence)
+
+    monkeypatch.setattr(commission, "drive", drive)
+    monkeypatch.setattr(commission, "designed", lambda rig, limits, s, joint="free", *more, **k: short(joint))
+    monkeypatch.setattr(commission, "told_apart", lambda *given, **k: Verdict(short(), 0.97, {"valve_offset": 0.97}))
+    monkeypatch.setattr("pam_antagonist.api.identify.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=()))
+    monkeypatch.setattr("pam_antagonist.api.diagnose.diagnose", diagnose)
+    return out
+
+
+def test_each_step_goes_on_after_ctrl_c(stopped: Stopped, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "commissioned"
+    words = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"]
+    kinds = ("wiring", "free", "locked", "identified", "found", "apart", "found_again")
+    for kind in kinds:
+        assert commission.main(words) == 130
+        assert stopped.calls[kind] == 1, "stopped in this step"
+        assert "type the same command again" in capsys.readouterr().err
+        assert json.loads((out / "report.json").read_text())["rig"] == "shin2022"
+    assert commission.main(words) == 0
+    said = capsys.readouterr().out
+    assert "locked: done before. recorded 1 s" in said and "apart: a leak, by 3 recordings" in said
+    # The last step is stopped twice: in its recording, and in its diagnosis, which needs the recording anew.
+    assert stopped.calls == {**dict.fromkeys(kinds, 2), "apart": 3}
+    steps = json.loads((out / "state.json").read_text())["steps"]
+    assert list(steps) == list(commission.STEPS) and all(step["done"] for step in steps.values())
+    assert steps["wiring"]["rig_s"] == pytest.approx(19.0) and steps["free"]["bag"] == "free_2/bag"
+    assert "leak" in load_rig(str(out / "rig.yaml")).effects
+    gains = yaml.safe_load((out / "parameters.yaml").read_text())["/**/controller"]["ros__parameters"]
+    assert 5.0 < gains["bias"] < 5.6 and gains["angle_proportional"] > 1.0
+
+
+def test_a_sensor_that_always_shows_the_same_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from pam_antagonist.cli import rehearsal
+
+    class Frozen(rehearsal.Plant):
+        def step(self, *given: Any) -> Any:
+            sample = super().step(*given)
+            sample.pressure[0] = 450.3e3
+            return sample
+
+    monkeypatch.setattr(rehearsal, "Plant", Frozen)
+    words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
+    assert commission.main(words) == 1
+    assert "pressure sensor 1 shows 450.3 kPa all the time" in capsys.readouterr().err
