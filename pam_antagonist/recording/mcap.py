@@ -2,19 +2,26 @@
 
 A plain scan from front to back instead of rosbags' indexed reader, for three reasons: a recording that was cut off has
 no index but still all its messages up to the cut; every length is held against the bytes that are there before anything
-is allocated; and payloads are collected by topic as blocks for array decoding, which is about four times as fast as
-taking messages one by one. The scan ignores the index, so a file without one reads the same.
+is allocated; and the message records that follow one another are taken by a kernel, as blocks for array decoding, not
+one by one. The scan ignores the index, so a file without one reads the same.
 """
 
 from __future__ import annotations
 
 import mmap
 import struct
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist._jit import in_place
+
+from .cdr import Payloads
 from .compression import MAX_MESSAGE, CompressionError, Room, inflate
 from .raw import Channel, Collector, RawTopic
 
@@ -29,7 +36,8 @@ _NAMES = {
     0x0C: "metadata", 0x0D: "metadata index", 0x0E: "summary offset", 0x0F: "data end",
 }  # fmt: skip
 _MESSAGE_HEAD = 22  # channel, sequence, log time, publish time [bytes]
-_BLOCK = 1 << 16  # messages outside chunks that are collected before they are joined
+_RUN = 1 << 16  # messages that are taken at once
+_CHANNEL_OF, _LOG, _BEGIN, _SIZE = range(4)  # columns of a run
 
 
 class Damage(Exception):
@@ -85,10 +93,14 @@ class _Scan:
 
     def walk(self, view: memoryview, position: int, end: int) -> None:
         """Go through the records of the file or, called by itself, of one chunk."""
-        head, message = struct.Struct("<BQ").unpack_from, struct.Struct("<HIQ").unpack_from
-        collectors = self.collectors
-        count = 0
+        head = struct.Struct("<BQ").unpack_from
+        data = np.frombuffer(view, np.uint8)
+        run = np.empty((min(_RUN, end // (9 + _MESSAGE_HEAD) + 1), 4), np.int64)
         while position < end:
+            count, position = _messages(data, position, end, run)
+            if count:
+                self._take(data, run[:count])
+                continue
             if end - position < 9:
                 raise Damage(f"a record is cut off {self._at(position)}")
             opcode, size = head(view, position)
@@ -100,31 +112,38 @@ class _Scan:
                 record = f"{_NAMES.get(opcode, 'unknown')} record {self._at(position)}"
                 raise Damage(f"the {record} has {size} bytes, of which {end - body} are there")
             if opcode == _MESSAGE:
-                if size < _MESSAGE_HEAD:
-                    raise Damage(f"a message record {self._at(position)} has {size} bytes, expected 22 or more")
-                channel, _, log_ns = message(view, body)
-                collector = collectors.get(channel)
-                if collector is None:
-                    raise Damage(f"a message {self._at(position)} belongs to channel {channel}, which is not declared")
-                if size > MAX_MESSAGE and collector.wanted:
-                    raise Damage(f"a message of {collector.channel.msgtype} {self._at(position)} has {size} bytes")
-                collector.log_ns.append(log_ns)
-                if collector.wanted:
-                    collector.pieces.append(view[body + _MESSAGE_HEAD : stop])
-                count += 1
-                if count % _BLOCK == 0:
-                    self._join()
-            elif opcode == _FOOTER and self.chunk_at is None:
+                raise Damage(f"a message record {self._at(position)} has {size} bytes, expected 22 or more")
+            if opcode == _FOOTER and self.chunk_at is None:
                 self.finished = bytes(view[stop : stop + len(MAGIC)]) == MAGIC
                 break
-            else:
-                self._record(opcode, view[body:stop], position)
+            self._record(opcode, view[body:stop], position)
             position = stop
-        self._join()
 
-    def _join(self) -> None:
-        for collector in self.collectors.values():
-            collector.join()
+    def _take(self, data: NDArray[np.uint8], run: NDArray[np.int64]) -> None:
+        """Messages that follow one another: columns are channel, log time [ns], first byte and size of the payload."""
+        wrong = [(int(np.argmax(of)), why) for of, why in self._wrong(run) if of.any()]
+        first, why = min(wrong, default=(len(run), ""))
+        for channel in np.unique(run[:first, _CHANNEL_OF]):
+            collector, its = self.collectors[int(channel)], run[:first][run[:first, _CHANNEL_OF] == channel]
+            payloads = None
+            if collector.wanted:
+                payloads = Payloads(np.empty(its[:, _SIZE].sum(), np.uint8), its[:, _SIZE].copy())
+                _payloads(data, its, payloads.data)
+            collector.add(its[:, _LOG].copy(), payloads)
+        if wrong:
+            size = int(run[first, _SIZE]) + _MESSAGE_HEAD
+            at = self._at(int(run[first, _BEGIN]) - _MESSAGE_HEAD - 9)
+            raise Damage(why.format(at=at, size=size))
+
+    def _wrong(self, run: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.bool_], str]]:
+        """What is wrong with messages (N,), and what to say of the first one."""
+        for channel in np.unique(run[:, _CHANNEL_OF]):
+            of, collector = run[:, _CHANNEL_OF] == channel, self.collectors.get(int(channel))
+            if collector is None:
+                yield of, f"a message {{at}} belongs to channel {channel}, which is not declared"
+            elif collector.wanted:
+                too_large = of & (run[:, _SIZE] + _MESSAGE_HEAD > MAX_MESSAGE)
+                yield too_large, f"a message of {collector.channel.msgtype} {{at}} has {{size}} bytes"
 
     def _at(self, position: int) -> str:
         return f"at byte {position}" + ("" if self.chunk_at is None else f" of the chunk at byte {self.chunk_at}")
@@ -172,6 +191,53 @@ class _Scan:
         self.chunk_at = position
         self.walk(memoryview(data), 0, len(data))
         self.chunk_at = None
+
+
+@in_place
+def _number(data: NDArray[np.uint8], at: int, count: int) -> Any:
+    """Unsigned number of some bytes, the least significant first; the largest signed one for what does not fit."""
+    value = np.int64(0)
+    for k in range(count):
+        value |= np.int64(data[at + k]) << (8 * k)
+    return value if value >= 0 else np.int64(2**63 - 1)
+
+
+@in_place
+def _messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray[np.int64]) -> tuple[int, int]:
+    """Whole message records that follow one another, up to any other record.
+
+    Args:
+        data: bytes of the file or chunk (B,).
+        position: where a record begins.
+        end: where the records end.
+        run: result (M, 4): channel, log time [ns], first byte and size of the payload of each.
+
+    Returns:
+        How many were taken, and the position after them.
+    """
+    count = 0
+    while count < run.shape[0] and position + 9 + _MESSAGE_HEAD <= end and data[position] == _MESSAGE:
+        size = _number(data, position + 1, 8)
+        body = position + 9
+        if size < _MESSAGE_HEAD or size > end - body:
+            break
+        run[count, _CHANNEL_OF] = _number(data, body, 2)
+        run[count, _LOG] = _number(data, body + 6, 8)
+        run[count, _BEGIN] = body + _MESSAGE_HEAD
+        run[count, _SIZE] = size - _MESSAGE_HEAD
+        position = body + size
+        count += 1
+    return count, position
+
+
+@in_place
+def _payloads(data: NDArray[np.uint8], run: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
+    """Copy the payloads of messages, end to end."""
+    at = 0
+    for k in range(run.shape[0]):
+        for j in range(run[k, _SIZE]):
+            out[at + j] = data[run[k, _BEGIN] + j]
+        at += run[k, _SIZE]
 
 
 def _text(body: memoryview, at: int) -> tuple[str, int]:

@@ -56,34 +56,28 @@ class RawTopic:
 
 @dataclass
 class Collector:
-    """Gathers messages of one channel: appends are cheap, and ``join`` packs what came since the last one.
+    """Gathers messages of one channel, block by block.
 
     Attributes:
         channel: whose messages these are.
         wanted: whether the messages are kept, or their times only.
-        log_ns: times of reception that are not packed yet [ns].
-        pieces: messages that are not packed yet.
     """
 
     channel: Channel
     wanted: bool
-    log_ns: list[int] = field(default_factory=list)
-    pieces: list[bytes | memoryview] = field(default_factory=list)
     _blocks: list[RawTopic] = field(default_factory=list)
 
-    def join(self) -> None:
-        """Pack the pending messages into one block."""
-        if not self.log_ns:
-            return
-        # Log times are unsigned in the file; what does not fit a signed number is no time.
-        log_ns = np.minimum(np.array(self.log_ns, np.uint64), np.uint64(2**63 - 1)).astype(np.int64)
-        payloads = Payloads.of(self.pieces) if self.wanted else None
+    def add(self, log_ns: NDArray[np.int64], payloads: Payloads | None) -> None:
+        """Messages that follow those before.
+
+        Args:
+            log_ns: times of reception (N,) [ns].
+            payloads: the messages; None where they are not wanted.
+        """
         self._blocks.append(RawTopic(self.channel, log_ns, payloads))
-        self.log_ns, self.pieces = [], []
 
     def finish(self) -> RawTopic:
         """Everything that was collected."""
-        self.join()
         if not self._blocks:
             return RawTopic(self.channel, np.empty(0, np.int64), Payloads.of([]) if self.wanted else None)
         return RawTopic.joined(self.channel, self._blocks)

@@ -14,6 +14,9 @@ from contextlib import closing
 from pathlib import Path
 from urllib.parse import quote
 
+import numpy as np
+
+from .cdr import Payloads
 from .raw import Channel, Collector, RawTopic
 
 MAGIC = b"SQLite format 3\0"
@@ -108,6 +111,8 @@ def _read(database: sqlite3.Connection, types: Collection[str], size: int) -> li
             raise SqliteDamage("a row of its table 'topics' is not what it should be")
         channel = Channel(topic, msgtype, encoding, definitions.get(msgtype, ""), str(digest_text or ""))
         collectors[key] = Collector(channel, msgtype in types)
+    times: dict[int, list[int]] = {key: [] for key in collectors}
+    messages: dict[int, list[bytes]] = {key: [] for key in collectors}
     total = 0
     for key, log_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"):
         collector = collectors.get(key) if isinstance(key, int) else None
@@ -116,7 +121,9 @@ def _read(database: sqlite3.Connection, types: Collection[str], size: int) -> li
         total += len(data) + 1
         if total > size:
             raise SqliteDamage("its messages are larger than the file")
-        collector.log_ns.append(log_ns)
+        times[key].append(log_ns)
         if collector.wanted:
-            collector.pieces.append(data)
+            messages[key].append(data)
+    for key, collector in collectors.items():
+        collector.add(np.array(times[key], np.int64), Payloads.of(messages[key]) if collector.wanted else None)
     return [collector.finish() for collector in collectors.values()]
