@@ -95,3 +95,29 @@ def test_compiling_is_told_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) 
     compiling.on_start(None)
     compiling.on_end(None)
     assert log.getvalue() == "" and compiling.kernels == 3 and compiling.seconds > 0.0
+
+
+FIRST = """
+from pam_antagonist.cli.first_start import compile_first
+from pam_antagonist._jit import COMPILING
+from pam_antagonist.cli.first_start import _PARTS
+
+compile_first()
+assert COMPILING.kernels == 0, "this process compiled by itself"
+for _, part in _PARTS.values():
+    part()
+print(COMPILING.kernels)
+"""
+
+
+@pytest.mark.slow(30)
+def test_at_a_first_start_filter_and_model_are_compiled_by_processes_of_their_own(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    said = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", FIRST], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
+        )
+        assert done.stdout == "0\n"
+        said.append(done.stderr)
+    assert "compiling, once" in said[0] and said[1] == ""

@@ -300,7 +300,8 @@ def _begin(stamp, y, u, angle, memory, settings, work, row):
     _start_clock(memory.clock, stamp)
     flags = _NO_FLAGS
     if settings.angle_noise > 0.0:
-        flags = _angle(angle, 0.0, y, True, memory, settings, work)
+        # Both are finite here. numba would compile all of this once more for a True that stands in the code.
+        flags = _angle(angle, 0.0, y, math.isfinite(y[0]), memory, settings, work)
     memory.counts[_PROCESSED] += 1
     return _write(row, memory, settings, np.nan, flags, work)
 

@@ -17,6 +17,8 @@ the band is wide.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pam_antagonist._jit import in_place
@@ -68,7 +70,9 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
     if p[LOCKED] == 0.0 and p[CHARGE] > 0.0 and p[CHARGE + 1] > 0.0:
         _closed_covariance(x, covariance, work.scratch, p)
         innovation[:] = 0.0
-        _update(x, covariance, cross, innovation, noise, gain_noise, True, True, work)
+        # Both are. numba would compile the update once more for a True that stands in the code.
+        known = math.isfinite(y[0])
+        _update(x, covariance, cross, innovation, noise, gain_noise, known, known, work)
         innovation[:] = np.nan
         _torque_from_outside(x, covariance, p)
     elif p[LOCKED] == 0.0 and p[_PRIOR] < UNBOUNDED:
