@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 from scipy.special import ndtr, ndtri
 
 from pam_antagonist.diagnosis.thresholds import CHANCE
@@ -217,12 +216,12 @@ def cross_correlations(residual: Floats, given: Mapping[str, Floats], step: floa
     """
     most = max(1, min(round(_REACH / step), len(residual) // 4))
     filtered = whitener(residual)
-    white = lfilter(filtered, [1.0], residual - residual.mean())[len(filtered) :]
+    white = np.convolve(residual - residual.mean(), filtered, "valid")[1:]
     tried = most * len(given)
     limit = float(-ndtri(CHANCE / (2.0 * tried)))
     out = {}
     for name, signal in given.items():
-        driving = lfilter(filtered, [1.0], signal - signal.mean())[len(filtered) :]
+        driving = np.convolve(signal - signal.mean(), filtered, "valid")[1:]
         scale = float(np.sqrt(np.sum(white**2) * np.sum(driving**2)))
         if scale <= 1e-9 * float(np.sqrt(np.sum(white**2))) * float(np.max(np.abs(signal)) or 1.0):
             continue

@@ -16,7 +16,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
@@ -117,6 +116,9 @@ def motion_of(measured: Floats, dt: float) -> Motion:
     noise = float(np.sqrt(np.mean(np.diff(measured[known], 6) ** 2) / 924.0))
     fuzzy = noise * np.sqrt(0.5) / dt
     if noise > _SMOOTH:
+        # It takes a third of a second to import, and only joints that a torque drives need it.
+        from scipy import signal
+
         corner = signal.butter(2, _CORNER_HZ, fs=1.0 / dt, output="sos")
         angle = signal.sosfiltfilt(corner, angle)
         _, response = signal.sosfreqz(corner, 4096, fs=1.0 / dt)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.inference.angle_driven import Motion, filled_in
@@ -114,7 +114,7 @@ def motion_of(trial: Trial) -> ShownMotion:
     told = windows @ weights.T
     noise = trial.noise(ANGLE) * np.sqrt(trial.block)
     left = np.einsum("nk,nk->n", windows, windows) - np.einsum("ni,ij,nj->n", told, basis.T @ basis, told)
-    rough = left > noise**2 * float(chi2.isf(_ROUGH, len(time) - 3))
+    rough = left > noise**2 * float(chdtri(len(time) - 3, _ROUGH))
     rough[:half] = rough[len(rough) - half :] = True
     unclear = np.convolve(rough | ~known, np.ones(half + 1), mode="same") > 0.0
     std = noise * np.sqrt(np.sum(weights**2, axis=1))

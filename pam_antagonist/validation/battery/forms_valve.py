@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import lfilter
 
 from pam_antagonist.validation.battery.form import (
     Deviation,
@@ -92,6 +91,9 @@ def _warm_coil(amount: float, muscle: int | None, rng: Random) -> Deviation:
     def warmed(time: Floats, voltage: Floats) -> Floats:
         share = float(time[1] - time[0]) / slow
         heat = (voltage / 6.0) ** 2
+        # It takes a third of a second to import, which --help need not.
+        from scipy.signal import lfilter
+
         warmth, _ = lfilter([share], [1.0, share - 1.0], heat, zi=[(1.0 - share) * 0.7])
         return np.asarray(voltage - loss * warmth * voltage / 6.0)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
-from scipy.stats import binomtest
 
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.validation.battery.draw import LARGE, LEVELS
@@ -41,6 +40,9 @@ class Share:
         """Its 95 % interval by Clopper and Pearson (1934); None of no case."""
         if not self.count:
             return None
+        # It takes a third of a second to import, which --help need not.
+        from scipy.stats import binomtest
+
         found = binomtest(self.hits, self.count).proportion_ci(0.95, "exact")
         return float(found.low), float(found.high)
 
