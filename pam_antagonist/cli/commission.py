@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, add_limits, add_source, drive, limits_of, write_plan
+from pam_antagonist.cli.driving import (
+    SIMULATED,
+    Driven,
+    Owner,
+    add_limits,
+    add_source,
+    drive,
+    limits_of,
+    stay_apart,
+    write_plan,
+)
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Plan, designed
 from pam_antagonist.design.apart import told_apart
@@ -101,10 +113,11 @@ def _main(argv: Sequence[str] | None) -> int:
         needs_ros("commission")
     work = Commission(arguments)
     try:
-        for name in STEPS:
-            if name == "locked" and arguments.no_lock:
-                continue
-            work.step(name)
+        with work.announced():
+            for name in STEPS:
+                if name == "locked" and arguments.no_lock:
+                    continue
+                work.step(name)
     except StepFailed as fault:
         print(f"{fault}\nwhen that is done, type the same command again", file=sys.stderr)
         return common.FAILED
@@ -136,6 +149,7 @@ class Commission:
         self._out: Path = arguments.out
         self._rig = load_rig(arguments.rig)
         self._limits = limits_of(arguments, self._rig)
+        self._say: Callable[[str, float | None], None] = lambda text, seconds: None
         self._owner = Owner.of(arguments, arguments.plant or arguments.rig)
         state = self._out / "state.json"
         if self._out.exists() and not state.exists():
@@ -151,6 +165,21 @@ class Commission:
                 raise BadInput(f"{self._out}: was begun for rig {self._state.get('rig')}, not {self._rig.name}")
         self._out.mkdir(parents=True, exist_ok=True)
         self._keep()
+
+    @contextmanager
+    def announced(self) -> Iterator[None]:
+        """Say meanwhile on ``/diagnostics`` which step it is at, where there is ROS."""
+        if self._owner.source == "rehearsal":
+            yield
+            return
+        from pam_antagonist.nodes.announcer import Announcer
+
+        stay_apart(self._owner)
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        print(f"to watch it in the browser: ROS_DOMAIN_ID={domain} {typed('watch')}", flush=True)
+        with Announcer("commission") as announcer:
+            self._say = announcer.say
+            yield
 
     @property
     def _steps(self) -> dict[str, dict[str, Any]]:
@@ -177,6 +206,7 @@ class Commission:
             print(f"{name}: done before. {before['said']}")
             return
         print(f"{name} ...", flush=True)
+        self._at(name, "working")
         begin = time.monotonic()
         try:
             result = getattr(self, f"_{name}")()
@@ -188,8 +218,12 @@ class Commission:
         self._keep()
         print(f"{name}: {result['said']}", flush=True)
 
-    def _ask(self, text: str) -> None:
+    def _at(self, name: str, what: str, seconds: float | None = None) -> None:
+        self._say(f"step {STEPS.index(name) + 1} of {len(STEPS)}, {name}: {what}", seconds)
+
+    def _ask(self, name: str, text: str) -> None:
         if not self._arguments.unattended:
+            self._at(name, "waiting for Enter")
             try:
                 input(f"{text} [Enter] ")
             except EOFError:
@@ -213,6 +247,7 @@ class Commission:
     def _drive(self, name: str, plan: Plan) -> Driven:
         folder = self._folder(name)
         write_plan(folder, plan, self._rig)
+        self._at(name, "driving the joint", plan.duration)
         return drive(self._owner, plan, folder)
 
     def _recorded(self, name: str, plan: Plan) -> dict[str, Any]:
@@ -227,7 +262,7 @@ class Commission:
         return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": plan.duration}
 
     def _wiring(self) -> dict[str, Any]:
-        self._ask("Joint free, nothing in its way, supply on; keep away from it:")
+        self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
         plan = first_fill(self._rig)
         driven = self._drive("wiring", plan)
         recording = read_bag(driven.bag, judge=False)
@@ -249,21 +284,23 @@ class Commission:
         return {"said": "each valve fills its muscle, signs and zeros are right, no leak", "rig_s": plan.duration}
 
     def _free(self) -> dict[str, Any]:
-        self._ask("Joint free:")
+        self._ask("free", "Joint free:")
+        self._at("free", "designing the experiment")
         with counted(self._arguments.duration, "design") as advance:
             seconds, seed = self._arguments.duration, self._arguments.seed
             plan = designed(self._rig, self._limits, seconds, seed=seed, progress=advance)
         return {"said": f"recorded {plan.duration:.0f} s", **self._recorded("free", plan)}
 
     def _locked(self) -> dict[str, Any]:
-        self._ask("Lock the joint at 0 degrees:")
+        self._ask("locked", "Lock the joint at 0 degrees:")
         seconds = max(_LOCKED_S, 0.5 * self._arguments.duration)
+        self._at("locked", "designing the experiment")
         with counted(seconds, "design") as advance:
             plan = designed(
                 self._rig, self._limits, seconds, "locked", 0.0, seed=self._arguments.seed, progress=advance
             )
         result = self._recorded("locked", plan)
-        self._ask("Take the lock away:")
+        self._ask("locked", "Take the lock away:")
         return {"said": f"recorded {plan.duration:.0f} s", **result}
 
     def _bags(self) -> list[Path]:
@@ -300,12 +337,13 @@ class Commission:
         if not (before["effects"] and before["rivals"]):
             return {"said": "nothing is undecided"}
         rig = load_rig(str(self._out / "found" / "rig_extended.yaml"))
+        self._at("apart", "designing the experiment")
         with counted(60.0, "design") as advance:
             verdict = told_apart(
                 rig, before["effects"][0], before["rivals"], self._limits, seed=self._arguments.seed, progress=advance
             )
         print(f"it decides with a chance of {verdict.chance:.0%}, in {verdict.plan.duration:.0f} s", flush=True)
-        self._ask("Joint free:")
+        self._ask("apart", "Joint free:")
         recorded = self._recorded("apart", verdict.plan)
         self._steps["apart"] = {"done": False, "said": "", **recorded}
         return {**self._diagnosed("found_again"), **recorded, "chance": verdict.chance}

@@ -204,6 +204,20 @@ def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
     return document
 
 
+def stay_apart(owner: Owner) -> None:
+    """Have the nodes of this process hear those that it starts, and no others, unless the environment says otherwise.
+
+    Args:
+        owner: of the valves; one that runs already is heard.
+    """
+    if owner.source == "none":
+        return
+    # A domain of its own keeps two experiments, or an experiment and a rig, from hearing each other.
+    if "ROS_DOMAIN_ID" not in os.environ:
+        os.environ["ROS_DOMAIN_ID"] = str(free_domain())
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
 def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
     """Run a plan on the joint and record it into ``out/bag``, with ``out/plan.json`` as a note where there is one.
 
@@ -229,11 +243,7 @@ def _through_nodes(owner: Owner, plan: Plan, out: Path) -> tuple[int, str]:
     """Stamp at which the plan began [ns], and in words why it ended early; empty where it did not."""
     from pam_antagonist.nodes.drive import DriveClient
 
-    if owner.source != "none":
-        # A domain of its own keeps two experiments, or an experiment and a rig, from hearing each other.
-        if "ROS_DOMAIN_ID" not in os.environ:
-            os.environ["ROS_DOMAIN_ID"] = str(free_domain())
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stay_apart(owner)
     rest, ready = np.array(plan.rest), 0.5 * (plan.pressure + plan.limits.pressure[1])
     (out / "logs").mkdir(exist_ok=True)
     with Processes(out / "logs") as processes, DriveClient() as client:

@@ -52,6 +52,8 @@ _FRESH = 0.3
 """[s] A value that is older is not shown."""
 _GONE = 3.0
 """[s] A node that has been silent on /diagnostics for so long is called silent."""
+COMMANDS_AT_WORK = ("commission",)
+"""Nodes of commands that say what they are at; one that has ended is silent, and no fault."""
 _ANSWER = 5.0
 """[s] Longest time for a service's answer."""
 
@@ -181,6 +183,12 @@ class PipelineWatch:
                     "values": {item.key: item.value for item in status.values},
                 }
                 for name, (heard, status) in sorted(self._statuses.items())
+                if now - heard <= _GONE or name.partition(":")[0] not in COMMANDS_AT_WORK
+            ],
+            "at": [
+                status.message
+                for name, (heard, status) in self._statuses.items()
+                if now - heard <= _GONE and name.partition(":")[0] in COMMANDS_AT_WORK
             ],
             "answers": answers,
         }

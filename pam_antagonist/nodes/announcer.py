@@ -1,0 +1,75 @@
+"""Says on ``/diagnostics`` what a command is at, for the live page and for whoever listens there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import TracebackType
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from pam_antagonist.nodes.diagnostics import DiagnosticsPublisher
+from pam_antagonist.nodes.health import Health, Level
+from pam_antagonist.nodes.network import stay_on_this_machine
+from pam_antagonist.nodes.spin import tune_middleware
+from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
+
+STATUS = "step"
+"""Name of the one part that a command reports."""
+_PERIOD = 0.5
+
+
+class Announcer:
+    """A node that says once in half a second what a command does, and how far it is. Use it as a context manager.
+
+    It commands nothing and listens to nothing.
+
+    Args:
+        name: of the command, and of the node.
+        namespace: of the joint.
+    """
+
+    def __init__(self, name: str, namespace: str = DEFAULT_NAMESPACE) -> None:
+        stay_on_this_machine()
+        tune_middleware()
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(name, namespace=namespace, context=self._context, start_parameter_services=False)
+        self._publisher = DiagnosticsPublisher(self._node, namespace)
+        self._said: tuple[str, float, float | None] | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._go_on, daemon=True)
+
+    def __enter__(self) -> Announcer:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def say(self, text: str, seconds: float | None = None) -> None:
+        """Begin something.
+
+        Args:
+            text: what.
+            seconds: how long it takes [s]; None: not known.
+        """
+        self._said = text, time.monotonic(), seconds
+
+    def _go_on(self) -> None:
+        while not self._ended.wait(_PERIOD):
+            if self._said is not None:
+                self._publisher.publish({STATUS: _health(*self._said, time.monotonic())})
+
+
+def _health(text: str, begun: float, seconds: float | None, now: float) -> Health:
+    for_long = now - begun
+    so_far = f"{for_long:.0f} s" if seconds is None else f"{min(for_long, seconds):.0f} of {seconds:.0f} s"
+    return Health(Level.OK, f"{text}, {so_far}", {})
