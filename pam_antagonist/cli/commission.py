@@ -309,7 +309,11 @@ class Commission:
     def _identify(self) -> dict[str, Any]:
         from pam_antagonist.api.identify import identify
 
-        result = identify(self._bags(), self._rig, seed=self._arguments.seed)
+        try:
+            result = identify(self._bags(), self._rig, seed=self._arguments.seed)
+        except BadInput as error:
+            # An effect that acts on the free joint only lets both recordings look like two joints.
+            return {"said": f"left to close_loop, since the model does not fit: {error}"}
         result.save(self._again("identified"), figures=False)
         return {
             "said": f"{len(result.rig.directions)} uncertain directions are left",
@@ -349,12 +353,21 @@ class Commission:
         return {**self._diagnosed("found_again"), **recorded, "chance": verdict.chance}
 
     def found(self) -> Rig:
-        """The rig that the steps found: with its effects, or identified where there are none."""
+        """The rig that the steps found: with its effects, or identified where there are none.
+
+        Raises:
+            StepFailed: neither fits.
+        """
         last = self._steps["apart"] if "folder" in self._steps["apart"] else self._steps["close_loop"]
         extended = self._out / last["folder"] / "rig_extended.yaml"
         chosen = (
             extended if last["verdict"] == "effect" and extended.exists() else self._out / "identified" / "rig.yaml"
         )
+        if not chosen.exists():
+            raise StepFailed(
+                f"gains: no model fits the joint. {self._steps['identify']['said']}. {last['said']} "
+                f"Read {self._out / last['folder'] / 'report.html'}, and repair what it names"
+            )
         (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
         return load_rig(str(self._out / "rig.yaml"))
 

@@ -16,6 +16,7 @@ from pam_antagonist.cli import commission
 from pam_antagonist.design import Plan
 from pam_antagonist.design.apart import Verdict
 from pam_antagonist.design.first_fill import first_fill
+from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.write import write_rig
@@ -92,6 +93,32 @@ def test_each_step_goes_on_after_ctrl_c(stopped: Stopped, tmp_path: Path, capsys
     assert "leak" in load_rig(str(out / "rig.yaml")).effects
     gains = yaml.safe_load((out / "parameters.yaml").read_text())["/**/controller"]["ros__parameters"]
     assert 5.0 < gains["bias"] < 5.6 and gains["angle_proportional"] > 1.0
+
+
+@pytest.mark.parametrize(("verdict", "status"), [("effect", 0), ("unexplained", 1)])
+def test_recordings_that_no_model_fits_are_left_to_close_loop(
+    verdict: str, status: int, stopped: Stopped, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    from pam_antagonist.api import diagnose
+
+    def refuse(bags: list[Path], rig: Any, seed: int) -> Any:
+        raise BadInput("free_1/bag and locked_1/bag are not recordings of one rig")
+
+    def judged(*given: Any, **more: Any) -> Any:
+        found = explained(*given, **more)
+        found.verdict, found.ambiguous_with = verdict, ()
+        return found
+
+    explained = diagnose.diagnose
+    monkeypatch.setattr("pam_antagonist.api.identify.identify", refuse)
+    monkeypatch.setattr(diagnose, "diagnose", judged)
+    stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "found"), 1))
+    words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
+    assert commission.main(words) == status
+    said = capsys.readouterr()
+    assert "identify: left to close_loop" in said.out and "are not recordings of one rig" in said.out
+    assert ("no model fits the joint" in said.err) == bool(status)
 
 
 def test_a_sensor_that_always_shows_the_same_is_named(

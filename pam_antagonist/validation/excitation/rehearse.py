@@ -29,7 +29,7 @@ from pam_antagonist.validation.battery.draw import LARGE, LEVELS
 from pam_antagonist.validation.battery.page import interval_text
 from pam_antagonist.validation.battery.plants import staircase
 from pam_antagonist.validation.battery.scores import share
-from pam_antagonist.validation.control.loop import held, run
+from pam_antagonist.validation.control.loop import Course, held, run
 from pam_antagonist.validation.control.trials import settling
 
 _DESCRIPTION = """\
@@ -209,8 +209,8 @@ def beyond(out: Path) -> float:
     return worst
 
 
-def controlled(joint: Rig, out: Path, seed: int) -> dict[str, Any]:
-    """How the controller of a commissioning does on the joint, by the estimate of the rig that was found.
+def steps_of(joint: Rig, out: Path, seed: int) -> Course:
+    """Steps of the angle with the controller of a commissioning, by the estimate of the rig that was found.
 
     Args:
         joint: what the joint is in truth.
@@ -226,14 +226,24 @@ def controlled(joint: Rig, out: Path, seed: int) -> dict[str, Any]:
     valves = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
     laws = Laws(PiController(gains, sample_period=rig.sample_period, limits=valves), None, None)
     wanted = held(Mode.ANGLE, [(_HOLD_S, way * _HALF, math.nan) for way in (-1.0, 1.0, -1.0)], rig.sample_period)
-    course = run(rig, laws, wanted, seed=seed, mismatch=MISMATCH, truth=joint)
-    count = round(_HOLD_S / rig.sample_period)
-    settled, off = [], []
+    return run(rig, laws, wanted, seed=seed, mismatch=MISMATCH, truth=joint)
+
+
+def controlled(joint: Rig, out: Path, seed: int) -> dict[str, Any]:
+    """How the controller of a commissioning does on the joint.
+
+    Args:
+        joint: what the joint is in truth.
+        out: folder of the commissioning.
+        seed: of the joint.
+    """
+    course, period = steps_of(joint, out, seed), joint.sample_period
+    count, settled, off = round(_HOLD_S / period), [], []
     for k, way in ((1, 1.0), (2, -1.0)):
-        part = slice(k * count, (k + 1) * count)
-        last = slice((k + 1) * count - round(0.5 / rig.sample_period), (k + 1) * count)
-        settled.append(settling(course.estimated_angle[part], way * _HALF, way * 2.0 * _HALF, rig.sample_period)[0])
-        off.append(float(np.mean(course.angle[last])) - way * _HALF)
+        end = (k + 1) * count
+        estimate = course.estimated_angle[k * count : end]
+        settled.append(settling(estimate, way * _HALF, way * 2.0 * _HALF, period)[0])
+        off.append(float(np.mean(course.angle[end - round(0.5 / period) : end])) - way * _HALF)
     slowest = max(settled)
     return {
         "settling_s": slowest if math.isfinite(slowest) else None,
