@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 NAVIGATION = {
-    "Tutorial": ["tutorials/first_hour"],
+    "Tutorial": ["tutorials/first_hour", "tutorials/your_own_rig"],
     "How-to guides": [
         "how-to/your_rig",
         "how-to/commission",
@@ -81,7 +81,14 @@ NAVIGATION = {
 project = "pam_antagonist"
 author = "pam_antagonist maintainers"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["generate.py", "layouts.py", "release.py", "demo_picture.py", "evidence/step_speed.py"]
+exclude_patterns = [
+    "generate.py",
+    "layouts.py",
+    "release.py",
+    "demo_picture.py",
+    "commission_pictures.py",
+    "evidence/step_speed.py",
+]
 html_theme = "furo"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
