@@ -1,0 +1,255 @@
+"""What ``new_rig`` asks, how each question is answered, and what an answer may be."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording.units import UNITS, canonical
+from pam_antagonist.rig.parts import muscle_parts, named, valve_parts
+
+OWN = "own"
+"""Answer for a muscle or a valve that is in no list."""
+_NUMBER = re.compile(r"\s*([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*)\s*")
+
+
+@dataclass(frozen=True)
+class Question:
+    """Something that a person is asked.
+
+    Attributes:
+        option: on the command line, without the dashes.
+        text: the question.
+        how: how to find out.
+        read: makes a value of an answer; raises BadInput.
+        default: answer that is taken where none is given; None: there is none.
+        wanted: whether it is asked at all, by the values so far.
+    """
+
+    option: str
+    text: str
+    how: str
+    read: Callable[[str], Any]
+    default: str | None = None
+    wanted: Callable[[Mapping[str, Any]], bool] = lambda values: True
+
+    @property
+    def name(self) -> str:
+        """Of its value."""
+        return self.option.replace("-", "_")
+
+
+def _quantity(quantity: str, low: float, high: float) -> Callable[[str], float]:
+    """Reads a number with its unit; the bounds are in SI units."""
+
+    def read(text: str) -> float:
+        units = UNITS[quantity]
+        example = {"length": "36.5mm", "pressure": "6bar", "force": "120N", "angle": "25deg", "voltage": "10V"}
+        found = _NUMBER.fullmatch(text)
+        if found is None or not found[2]:
+            raise BadInput(f"{text!r}: expected a number and its unit, such as {example.get(quantity, '250g')}")
+        unit = canonical(repr(text), quantity, found[2])
+        value = float(found[1]) * units[unit]
+        if not low <= value <= high:
+            raise BadInput(f"{text!r}: expected {low / units[unit]:g} to {high / units[unit]:g} {unit}")
+        return value
+
+    return read
+
+
+def _number(low: float, high: float, unit: str) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise BadInput(f"{text!r}: expected {low:g} to {high:g} {unit}".rstrip())
+        return value
+
+    return read
+
+
+def _one_of(*choices: str) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if text not in choices:
+            raise BadInput(f"{text!r}: expected one of {', '.join(choices)}")
+        return text
+
+    return read
+
+
+def _part(what: str, parts: Callable[[], Mapping[str, Any]]) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if text != OWN:
+            named(what, text, dict(parts()))
+        return text
+
+    return read
+
+
+def _stop(text: str) -> float | None:
+    return None if text == "none" else _quantity("angle", math.radians(1.0), math.radians(89.0))(text)
+
+
+def _volts(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    read = _number(0.0, 10.0, "V")
+    values = (read(low), read(high)) if colon else (math.nan, math.nan)
+    if not values[0] < values[1]:
+        raise BadInput(f"{text!r}: expected the least and the largest voltage [V], such as 0:10")
+    return values
+
+
+def _gauge_range(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    read = _quantity("pressure", 0.0, 1.5e6)
+    values = (read(low), read(high)) if colon else (math.nan, math.nan)
+    if not values[0] < values[1]:
+        raise BadInput(f"{text!r}: expected the least and the largest gauge pressure, such as 0bar:6bar")
+    return values
+
+
+def _is_driven_by(drive: str) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda values: values.get("drive", "valve") == drive
+
+
+def condition(option: str) -> str:
+    """With which other answer an option goes together.
+
+    Args:
+        option: without the dashes.
+    """
+    if option in ("valve", "voltage"):
+        return "--drive valve"
+    first = option.split("-", maxsplit=1)[0]
+    return "--drive regulator" if first == "regulator" else f"--{first} {OWN}"
+
+
+def _is_own(name: str) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda values: values.get(name) == OWN
+
+
+_SHEET = "its data sheet"
+QUESTIONS = (
+    Question("name", "Name of the rig", "letters, digits, - and _", str, "my_rig"),
+    Question(
+        "kind",
+        "Lever or pulley",
+        "lever: muscles pull at two points of a bar; pulley: at a belt on a wheel",
+        _one_of("lever", "pulley"),
+        "lever",
+    ),
+    Question(
+        "radius",
+        "Lever arm, or radius of the pulley",
+        "from the axis to where a muscle pulls, by ruler",
+        _quantity("length", 2e-3, 0.4),
+    ),
+    Question("muscle", "Muscle", "a name of the list above, or own", _part("muscle", muscle_parts)),
+    Question(
+        "muscle-diameter",
+        "Inner diameter of the muscle without pressure",
+        _SHEET,
+        _quantity("length", 2e-3, 0.15),
+        wanted=_is_own("muscle"),
+    ),
+    Question(
+        "muscle-pressure",
+        "Gauge pressure at which the next two answers hold",
+        _SHEET,
+        _quantity("pressure", 2e4, 1.5e6),
+        wanted=_is_own("muscle"),
+    ),
+    Question(
+        "muscle-force",
+        "Force of the muscle there without contraction",
+        "its data sheet, or a scale between its ends",
+        _quantity("force", 1.0, 5e4),
+        wanted=_is_own("muscle"),
+    ),
+    Question(
+        "muscle-contraction",
+        "Contraction there without load, in percent",
+        "inflate it and measure its length",
+        _number(3.0, 45.0, "%"),
+        wanted=_is_own("muscle"),
+    ),
+    Question(
+        "nominal-length",
+        "Length of the muscle without pressure and load",
+        "the hose between the fittings, by ruler",
+        _quantity("length", 0.03, 1.5),
+    ),
+    Question(
+        "length",
+        "Length of a muscle in the joint at angle 0",
+        "the same hose, joint in the middle, no pressure",
+        _quantity("length", 0.03, 1.5),
+    ),
+    Question("supply", "Gauge pressure of the supply", "the gauge of the regulator", _quantity("pressure", 6e4, 1.5e6)),
+    Question(
+        "drive",
+        "Proportional valves or pressure regulators: valve or regulator",
+        "what your driver commands: a voltage, or a pressure",
+        _one_of("valve", "regulator"),
+        "valve",
+    ),
+    Question(
+        "regulator-range",
+        "Least and largest gauge pressure of a regulator",
+        _SHEET,
+        _gauge_range,
+        "0bar:6bar",
+        _is_driven_by("regulator"),
+    ),
+    Question(
+        "regulator-time",
+        "Time of a regulator from 10 to 90 % of a small step, with the muscle on it [s]",
+        "a recorded step, or its data sheet",
+        _number(0.002, 1.0, "s"),
+        "0.03",
+        _is_driven_by("regulator"),
+    ),
+    Question(
+        "valve",
+        "Valve",
+        "a name of the list above, or own",
+        _part("valve", valve_parts),
+        wanted=_is_driven_by("valve"),
+    ),
+    Question(
+        "valve-flow",
+        "Standard nominal flow of the valve [l/min]",
+        _SHEET,
+        _number(0.1, 5e3, "l/min"),
+        wanted=_is_own("valve"),
+    ),
+    Question(
+        "voltage",
+        "Least and largest voltage of a valve [V]",
+        "what your driver may put out",
+        _volts,
+        "0:10",
+        _is_driven_by("valve"),
+    ),
+    Question(
+        "inertia",
+        "Inertia of what turns [kg m²]",
+        "mass times squared distance of its centre from the axis",
+        _number(2e-7, 5.0, "kg m²"),
+    ),
+    Question("mass", "Mass of what the shaft carries", "a scale", _quantity("mass", 0.0, 80.0)),
+    Question("shaft-radius", "Radius of the shaft", "a calliper", _quantity("length", 5e-4, 0.08), "5mm"),
+    Question(
+        "stop", "Angle at which the joint stops, to either side", "a protractor; none if it has no stop", _stop, "none"
+    ),
+    Question("sensor-range", "Range of a pressure sensor", _SHEET, _quantity("pressure", 1e5, 2e6), "10bar"),
+    Question("sensor-bits", "Bits of its converter", "the board's data sheet", _number(8, 24, "bits"), "12"),
+    Question("rate", "Samples a second", "your driver", _number(50, 10000, "Hz"), "1000"),
+)
+"""In the order in which they are asked."""
