@@ -26,7 +26,7 @@ from pam_antagonist.diagnosis.result import (
     PartVerdict,
     Verdict,
 )
-from pam_antagonist.identification.sealed import tuned
+from pam_antagonist.identification.sealed_tuning import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.inference.calibration import CALIBRATIONS
 from pam_antagonist.inference.gauss_newton import refit

@@ -4,28 +4,21 @@ No air flows, so what the staged identification of a valve-driven joint rests on
 closed: each pressure follows the muscle's volume alone (equation (4) without flow), and at the measured angle it tells
 how the volume changes. The torque that moves the joint from outside then tells what holds against it (equations (8) to
 (10)), wherever the joint slides. The muscles' volume at ψ = 0, the polytropic index and the force map stay as the rig
-file declares them: a sealed joint tells only their product, and nothing of how the force grows with pressure.
-
-What the pressures do not follow is not the sensors' noise but a slow drift of the readings, which no white noise
-describes: it is a state of its own (effect ``pressure_sensor``). R is the sensors' noise as the pressures show it. The
-size of the drift, Q and the random walk of the unknown torque are those under which the filter's errors of the measured
-angle are most likely, on the part that is fitted, while the innovations are as large as the filter expects.
+file declares them: a sealed joint tells only their product, and nothing of how the force grows with pressure. Then
+the filter is tuned (:mod:`~pam_antagonist.identification.sealed_tuning`).
 """
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import least_squares
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import Estimator
-from pam_antagonist.estimation.ukf import OUTPUTS
+from pam_antagonist.identification.sealed_tuning import tuned
 from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
 from pam_antagonist.inference.free_parameters import Direction, moved, values_along
 from pam_antagonist.inference.trial import BLOCK_S
@@ -245,21 +238,8 @@ def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
     return np.asarray(np.sqrt(np.diag(inverse @ scatter @ inverse)))
 
 
-_EVALUATIONS = 60
 _LEAST_MOVE = 0.05
 """[V] Valves that move more are not those of sealed chambers."""
-_BOUNDS = ((0.0, 3.5), (-1.7, 1.5), (-2.0, 1.0), (-10.0, 1.0), (-3.0, 4.0))
-"""Of the logarithms of the drift's standard deviation [Pa] and time constant [s], of the torque's random walk
-[N m/s^0.5], and of Q of velocity [rad²/s²] and of a pressure [Pa²]."""
-_DIFFERENCE, _GAIN = 6, 924.0
-"""The sixth difference of white noise has 924 times its variance; of a motion of a few hertz it keeps nothing."""
-_LEAST_NOISE = 0.1
-"""[Pa] Least noise of a pressure: below it the filter's arithmetic would count."""
-_BEGINS = (0.0, 0.5)
-"""Shares of the fitted part at which the filter is started. When it slips hangs on little things: one start more tells
-a tuning that was lucky from a good one."""
-_DRIFT = 100.0
-"""[Pa] Where the search for the size of a drift begins."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,112 +313,3 @@ def refuse_moving_valves(recordings: Sequence[tuple[Recording, str]], rig: Rig) 
         swing = float(np.nanmax(np.nanmax(recording.voltage, axis=0) - np.nanmin(recording.voltage, axis=0)))
         if swing > _LEAST_MOVE:
             raise BadInput(f"{name}: a valve moves by {swing:.2f} V, but the chambers of rig {rig.name} are sealed")
-
-
-def tuned(
-    rig: Rig,
-    recordings: Sequence[tuple[Recording, str]],
-    share: float,
-    progress: Callable[[str], None],
-    evaluations: int = _EVALUATIONS,
-) -> tuple[Rig, tuple[float, float], int]:
-    """The tuning under which the errors of the measured angle are most likely, with innovations as large as expected.
-
-    Args:
-        rig: whose default tuning is the start.
-        recordings: each with its name.
-        share: of each, from its start, that may be used.
-        progress: called with what is being done.
-        evaluations: at most so many tunings are tried.
-
-    Returns:
-        The rig with that tuning, what was maximised before and after, and how many tunings were tried.
-    """
-    ends = [(recording, share * _duration(recording)) for recording, _ in recordings]
-    parts = [recording.slice(begin * end, end) for recording, end in ends for begin in _BEGINS]
-    std = pressure_noise(parts)
-    step = rig.sensors.pressure_step
-    rig = rig.replaced(sensors=rig.sensors.replaced(pressure_std=std))
-    tuning = rig.tuning("default").replaced(measurement=(std**2 + step**2 / 12.0,) * 2)
-    walk = rig.value("effects.external_torque.noise")
-    drift = rig.effects.get("pressure_sensor", {})
-    time = rig.value("effects.pressure_sensor.drift_time")
-
-    def with_values(logarithm: np.ndarray) -> Rig:
-        size, lasts, noise, velocity, pressure = (
-            10.0 ** float(np.clip(v, *bound)) for v, bound in zip(logarithm, _BOUNDS, strict=True)
-        )
-        driven = drift_noise(size, lasts)
-        now = {"pressure_sensor": {**drift, "drift_1": driven, "drift_2": driven, "drift_time": lasts}}
-        if walk:
-            now["external_torque"] = {"noise": noise}
-        new = tuning.replaced(process=(tuning.process[0], velocity, pressure, pressure))
-        return rig.replaced(tunings={**rig.tunings, "default": new}, effects={**rig.effects, **now})
-
-    tried = itertools.count(1)
-
-    def against(logarithm: np.ndarray) -> float:
-        progress(f"tuning, {min(next(tried), evaluations)} of at most {evaluations}")
-        return -_likelihood(with_values(logarithm), parts)
-
-    largest = max(drift.get("drift_1", 0.0), drift.get("drift_2", 0.0))
-    known = [drift_size(largest, time) if largest else _DRIFT, time, walk or 1.0, *tuning.process[1:3]]
-    start = np.array([np.clip(np.log10(max(v, 1e-12)), *bound) for v, bound in zip(known, _BOUNDS, strict=True)])
-    found = minimize(
-        against,
-        start,
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": start + np.vstack([np.zeros(5), 0.5 * np.eye(5)]),
-            "maxfev": evaluations,
-            "xatol": 0.05,
-            "fatol": 1e-3,
-        },
-    )
-    return with_values(found.x), (-against(start), -float(found.fun)), int(found.nfev) + 1
-
-
-def drift_noise(size: float, time: float) -> float:
-    """Noise that drives a drift, ``drift_1`` and ``drift_2`` of the effect ``pressure_sensor`` [Pa/s^1.5].
-
-    Args:
-        size: standard deviation of the drift [Pa].
-        time: its time constant [s].
-    """
-    return 2.0 * size / time**1.5
-
-
-def drift_size(noise: float, time: float) -> float:
-    """Standard deviation of a drift [Pa], the inverse of :func:`drift_noise`."""
-    return 0.5 * noise * time**1.5
-
-
-def pressure_noise(recordings: Sequence[Recording]) -> float:
-    """White noise of the recorded pressures, one standard deviation [Pa]; what moves slowly is not in it."""
-    squares = [np.diff(recording.pressure, _DIFFERENCE, axis=0) ** 2 / _GAIN for recording in recordings]
-    return max(float(np.sqrt(np.nanmean(np.concatenate(squares)))), _LEAST_NOISE)
-
-
-def _duration(recording: Recording) -> float:
-    return float(recording.stamp_ns[-1] - recording.stamp_ns[0]) * 1e-9
-
-
-def _likelihood(rig: Rig, recordings: Sequence[Recording]) -> float:
-    """Mean logarithm of the likelihood of an angle's error [rad], less the square of ln(NIS/2); without constants.
-
-    The angle alone would let the innovations be anything. They alone would choose a drift that is rarely large, as
-    while the joint sticks, and too small an interval of the angle.
-    """
-    noise = rig.sensors.error("angle") ** 2
-    total, count, nis = 0.0, 0, []
-    for recording in recordings:
-        run = Estimator(rig).run(recording.stamp_ns, recording.pressure, recording.voltage)
-        assert recording.angle is not None  # sealed_trial has refused a recording without
-        error = run.rows["angle"] - recording.angle[run.index]
-        variance = run.rows["covariance"][:, 0, 0] + noise
-        good = np.isfinite(error)
-        total -= 0.5 * float(np.sum(error[good] ** 2 / variance[good] + np.log(variance[good])))
-        count += int(good.sum())
-        nis.append(run.rows["nis"])
-    mean = float(np.nanmean(np.concatenate(nis)))
-    return total / count - math.log(mean / OUTPUTS) ** 2 if count else math.nan

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pam_antagonist.identification.sealed import SealedIdentified, drift_size
+from pam_antagonist.identification.sealed import SealedIdentified
+from pam_antagonist.identification.sealed_tuning import drift_size
 from pam_antagonist.report import html
 from pam_antagonist.report.assumption import assumption, in_first_lines
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles, background

@@ -14,7 +14,7 @@ from scipy import signal
 from pam_antagonist.cli.identify import main as identify_command
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator, simulate_model
-from pam_antagonist.identification import sealed
+from pam_antagonist.identification import sealed, sealed_tuning
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import dynamics, equilibrium, muscle
 from pam_antagonist.recording import Recording, read_bag, write_bag
@@ -201,7 +201,7 @@ def test_readings_that_drift_are_followed_with_an_honest_covariance(joint):
     """A simulated joint whose readings drift as the rig says. It is moved smoothly, where the rig allows for slips."""
     time, size = joint.value("effects.pressure_sensor.drift_time"), 250.0
     recording, rng = recording_of(joint, seconds=12.0, noise=joint.sensors.pressure_std), np.random.default_rng(5)
-    driven = sealed.drift_noise(size, time) * math.sqrt(1e-3) * rng.standard_normal((len(recording.stamp_ns), 2))
+    driven = sealed_tuning.drift_noise(size, time) * math.sqrt(1e-3) * rng.standard_normal((len(recording.stamp_ns), 2))
     pole = math.exp(-1e-3 / time)  # two of them: exact at zero order for what changes within a millisecond
     for _ in range(2):
         driven = signal.lfilter([1.0], [1.0, -pole], driven, axis=0)

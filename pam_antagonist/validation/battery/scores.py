@@ -143,6 +143,8 @@ def scores(outcomes: Sequence[Outcome]) -> list[Score]:
                  [bool(item.names) and item.names[0] in dict(item.effects) for item in pairs]),
         Score.of("one or two effects, some found: none named that is not there",
                  [not item.superfluous for item in (*by_kind["single"], *by_kind["pair"]) if item.names]),
+        Score.of("one or two effects, some found: no calibration named, which is not there",
+                 [not item.calibrations for item in (*by_kind["single"], *by_kind["pair"]) if item.names]),
         Score.of("nothing: false alarm", [not item.right for item in by_kind["none"]], 0.02, at_most=True),
         Score.of("a calibration and nothing else: named, and no effect",
                  [item.right for item in by_kind["calibration"]], 0.95),

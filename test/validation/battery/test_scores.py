@@ -31,6 +31,10 @@ def test_scores() -> None:
     assert values["two effects: both found"] == (0.0, 1, False)
     assert values["two effects: one of them first"] == (1.0, 1, None)
     assert values["one or two effects, some found: none named that is not there"] == (pytest.approx(2.0 / 3.0), 3, None)
+    calibrated = scores.scores([outcome("single", [LEAK], "effect", [LEAK], calibrations=("encoder_zero",)), items[0]])
+    assert {score.what: score.value for score in calibrated}[
+        "one or two effects, some found: no calibration named, which is not there"
+    ] == 0.5
     assert values["nothing: false alarm"] == (0.25, 4, False)
     assert values["a calibration and nothing else: named, and no effect"] == (0.5, 2, False)
     assert values["in no catalogue: unexplained"] == (1.0, 1, True)
