@@ -63,9 +63,9 @@ CLOSE_LOOP = Plan(0.1, 1.0, {
     "round 3": 4, "something begins": 20, "disturbance torque": 1, "effects are needed": 1, "splits agree": 3,
     "profile": 2, "errors before and after": 5,
 })  # fmt: skip
-IDENTIFY = Plan(0.6, 1.6, {
-    "force map": 10, "valve curve": 1, "flow": 12, "joint refinement": 12, "profile": 3, "inner fit": 2,
-    "uncertain directions": 22, "process noise": 9, "scale of the uncertainty": 6, "own values": 21, "held-out": 3,
+IDENTIFY = Plan(0.1, 0.5, {
+    "force map": 5, "valve curve": 1, "flow": 34, "joint refinement": 32, "profile": 35, "inner fit": 16,
+    "uncertain directions": 21, "process noise": 15, "scale of the uncertainty": 12, "own values": 50, "held-out": 30,
 })  # fmt: skip
 SEALED_CLOSE_LOOP = Plan(0.8, 2.5, {
     "recalibrating": 5, "round 1": 8, "round 2": 6, "effects are needed": 8, "profile": 4, "tuning": 60, "errors": 8,
