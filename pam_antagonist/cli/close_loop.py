@@ -17,6 +17,7 @@ from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
 from pam_antagonist.cli import close_loop_episodes, cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.first_start import compile_first
+from pam_antagonist.cli.numbers import JOBS, SEED, real
 from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, planned
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
@@ -63,9 +64,9 @@ def parser() -> common.Parser:
         help="a further signal of the recording that may be a cause: a name below also/, or a topic; several times for "
         "several; for rigs with drive: regulator",
     )  # fmt: skip
-    out.add_argument("--jobs", type=given.count, default=2, metavar="N", help="threads (default: 2)")
+    out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
     cluster.add_dask(out)
-    out.add_argument("--seed", type=given.seed, default=0, help="seed of the random starts of fits (default: 0)")
+    out.add_argument("--seed", type=SEED, default=0, help="seed of the random starts of fits (default: 0)")
     out.add_argument("--resume", action="store_true", help="go on with what an interrupted run left in DIR.part")
     given.add_names_and_report(out)
     return out
@@ -77,7 +78,7 @@ def _held_out(text: str) -> float | Path:
         float(text)
     except ValueError:
         return Path(text)
-    return given.share(0.1, 0.5)(text)
+    return real(0.1, 0.5, "a share")(text)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -30,6 +30,7 @@ from pam_antagonist.cli.driving import (
     stay_apart,
     write_plan,
 )
+from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Plan, designed
 from pam_antagonist.design.apart import told_apart
@@ -89,7 +90,7 @@ def parser() -> common.Parser:
     out.add_argument("--unattended", action="store_true", help="ask nobody; with a simulated joint only")
     out.add_argument("--plant", metavar="RIG", help="what the simulated joint is in truth (default: the rig file)")
     out.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of searches and the simulated joint (default: 0)"
+        "--seed", type=SEED, default=0, metavar="N", help="of searches and the simulated joint (default: 0)"
     )
     add_limits(out)
     add_source(out)
@@ -107,8 +108,6 @@ def _main(argv: Sequence[str] | None) -> int:
         raise BadInput(f"--duration {arguments.duration:g}: expected {_FREE_S:g} to 3600 s")
     if arguments.source not in SIMULATED and (arguments.unattended or arguments.plant):
         raise BadInput("--unattended and --plant: only for a simulated joint; expected --source plant or rehearsal")
-    if arguments.seed < 0:
-        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     if arguments.source != "rehearsal":
         needs_ros("commission")
     work = Commission(arguments)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import SEED, real
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.control import FAST_GAINS, PUBLISHED_GAINS, Mode
 from pam_antagonist.errors import BadInput
@@ -80,7 +81,7 @@ def parser() -> common.Parser:
     add = out.add_argument
     add(
         "--duration",
-        type=_seconds,
+        type=real(1.0, 3600.0, "seconds"),
         metavar="S",
         help="length of the experiment [s] (default: 12, stiffness and impedance 30)",
     )
@@ -96,36 +97,14 @@ def parser() -> common.Parser:
     )
     add("--rig", metavar="RIG", help=rig_help)
     add("--tuning", default="default", metavar="NAME", help="filter tuning of the rig (default: default)")
-    add("--seed", type=_seed, default=0, metavar="N", help="seed of the joint's mismatch and sensor noise (default: 0)")
+    add("--seed", type=SEED, default=0, metavar="N", help="seed of the joint's mismatch and sensor noise (default: 0)")
     mismatch_help = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
-    add("--mismatch", type=_mismatch, default=0.01, metavar="X", help=mismatch_help)
+    add("--mismatch", type=real(0.0, 0.29), default=0.01, metavar="X", help=mismatch_help)
     out_help = "folder for bag, logs and report; a new one (default: demo-DATE-TIME)"
     add("--out", type=Path, metavar="DIR", help=out_help)
     add("--no-figures", action="store_true", help="leave the figures out of report.html")
     common.add_open(out)
     return out
-
-
-def _number(text: str, low: float, high: float, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected {what} from {low:g} to {high:g}")
-    return value
-
-
-def _seconds(text: str) -> float:
-    return _number(text, 1.0, 3600.0, "seconds")
-
-
-def _mismatch(text: str) -> float:
-    return _number(text, 0.0, 0.29, "a number")
-
-
-def _seed(text: str) -> int:
-    return int(_number(text, 0, 2**31 - 1, "an integer"))
 
 
 def main(argv: list[str] | None = None) -> int:

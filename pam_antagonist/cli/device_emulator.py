@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.errors import BadInput
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def parser() -> common.Parser:
         "--hardware", default="example", metavar="FILE", help="calibration of its sensors (default: example)"
     )
     out.add_argument("--link", type=Path, metavar="PATH", help="link to the port, so that its name stays the same")
-    out.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default: 0)")
+    out.add_argument("--seed", type=SEED, default=0, help="seed of all random numbers (default: 0)")
     out.add_argument(
         "--mismatch", type=float, default=0.0, metavar="X", help="relative scatter of the parameters (default: 0)"
     )
@@ -90,8 +91,6 @@ def _main(argv: Sequence[str] | None) -> int:
     from pam_antagonist.simulation.plant import Plant
 
     faults = _faults(arguments)
-    if arguments.seed < 0:
-        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     if not abs(arguments.drift) <= 500.0:
         raise BadInput(f"--drift {arguments.drift:g}: expected ppm within ±500; a crystal has 10 to 100")
     if not 0 <= arguments.first_us < 1 << 32:

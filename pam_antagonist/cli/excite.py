@@ -12,6 +12,7 @@ from typing import Any
 
 from pam_antagonist.cli import common
 from pam_antagonist.cli.driving import Owner, add_limits, add_source, drive, limits_of, write_plan
+from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import SHORTEST, Limits, Plan, designed
 from pam_antagonist.design.apart import LIKELY, instead_of, told_apart
@@ -60,7 +61,7 @@ def parser() -> common.Parser:
     out.add_argument("--duration", type=float, default=60.0, metavar="S", help="length [s] (default: 60)")
     common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
     add_limits(out)
-    out.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the search (default: 0)")
+    out.add_argument("--seed", type=SEED, default=0, metavar="N", help="seed of the search (default: 0)")
     out.add_argument(
         "--tell-apart", type=Path, metavar="FOUND",
         help="folder of close_loop: design what tells the found effect from those that explain as much",
@@ -82,8 +83,6 @@ def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     if not SHORTEST <= arguments.duration <= 3600.0:
         raise BadInput(f"--duration {arguments.duration:g}: expected {SHORTEST:g} to 3600 s")
-    if arguments.seed < 0:
-        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     owner = Owner.of(arguments, arguments.rig)
     if not arguments.plan_only and arguments.source != "rehearsal":
         needs_ros("excite")

@@ -10,6 +10,7 @@ from pam_antagonist.api.identify import identify
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.first_start import compile_first
+from pam_antagonist.cli.numbers import JOBS, SEED, real, whole
 from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, planned
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal
@@ -48,12 +49,12 @@ def parser() -> common.Parser:
         help="a parameter, or the beginning of its name, that stays as configured; may be repeated",
     )  # fmt: skip
     out.add_argument(
-        "--holdout", type=given.share(0.05, 0.8), default=1.0 / 3.0, metavar="SHARE",
+        "--holdout", type=real(0.05, 0.8, "a share"), default=1.0 / 3.0, metavar="SHARE",
         help="share at the end of each recording that is kept to judge the result (default: a third)",
     )  # fmt: skip
-    out.add_argument("--starts", type=given.count, default=1, metavar="N", help="starts of the search (default: 1)")
-    out.add_argument("--seed", type=given.seed, default=0, help="seed of the further starts (default: 0)")
-    out.add_argument("--jobs", type=given.count, default=2, metavar="N", help="threads (default: 2)")
+    out.add_argument("--starts", type=whole(1, 64), default=1, metavar="N", help="starts of the search (default: 1)")
+    out.add_argument("--seed", type=SEED, default=0, help="seed of the further starts (default: 0)")
+    out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
     given.add_names_and_report(out)
     return out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.checks import SHORTEST, check_recording
@@ -39,35 +39,6 @@ def add_names_and_report(parser: argparse.ArgumentParser) -> None:
     common.add_json(parser)
     parser.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
     common.add_open(parser)
-
-
-def share(low: float, high: float) -> Callable[[str], float]:
-    """Type of an argument that is a share between two bounds."""
-
-    def convert(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = float("nan")
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text!r}: expected a share from {low:g} to {high:g}")
-        return value
-
-    return convert
-
-
-def count(text: str) -> int:
-    """Type of an argument that is a small number of things."""
-    if not text.isdigit() or not 1 <= int(text) <= 64:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 64")
-    return int(text)
-
-
-def seed(text: str) -> int:
-    """Type of an argument that seeds a random generator."""
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, 0 or more")
-    return int(text)
 
 
 def add_corrections(parser: argparse.ArgumentParser) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, write_bag
@@ -49,7 +50,7 @@ def parser() -> common.Parser:
         "--duration", type=float, metavar="S", help="length [s] (default: 130 for paper, 60, or that of the CSV file)"
     )
     common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
-    out.add_argument("--seed", type=int, default=0, help="seed of all random numbers (default: 0)")
+    out.add_argument("--seed", type=SEED, default=0, help="seed of all random numbers (default: 0)")
     out.add_argument(
         "--mismatch", type=float, default=0.0, metavar="X", help="relative scatter of the parameters (default: 0)"
     )
@@ -66,8 +67,6 @@ def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig, regulators=True)
-    if arguments.seed < 0:
-        raise BadInput(f"--seed {arguments.seed}: expected 0 or more")
     angle = common.lock_angle(arguments) or 0.0
     voltage = _voltages(arguments, rig)
     with counted(len(voltage), "simulate") as done:

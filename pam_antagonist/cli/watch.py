@@ -11,7 +11,7 @@ import webbrowser
 from collections.abc import Sequence
 
 from pam_antagonist.cli import common
-from pam_antagonist.errors import BadInput
+from pam_antagonist.cli.numbers import whole
 from pam_antagonist.optional import needs, needs_ros
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 
@@ -39,7 +39,9 @@ def parser() -> common.Parser:
         "--namespace", metavar="/NS", default=DEFAULT_NAMESPACE, help="namespace of the joint (default: %(default)s)"
     )
     out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
-    out.add_argument("--port", type=int, default=8765, help="port of the page; 0: any free one (default: %(default)s)")
+    out.add_argument(
+        "--port", type=whole(0, 65535), default=8765, help="port of the page; 0: any free one (default: %(default)s)"
+    )
     out.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on (default: %(default)s, this machine alone)",
@@ -60,8 +62,6 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
-    if not 0 <= arguments.port <= 65535:
-        raise BadInput(f"--port {arguments.port}: expected 0 to 65535")
     needs_ros("watch")
     with needs("watch", "the live page"):
         import tornado  # noqa: F401

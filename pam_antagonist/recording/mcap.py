@@ -13,13 +13,10 @@ import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pam_antagonist._jit import in_place
 
 from .cdr import Payloads
 from .compression import MAX_MESSAGE, CompressionError, Room, inflate
@@ -29,15 +26,15 @@ MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK = 128 << 20
 """Largest chunk that is unpacked [bytes]; rosbag2 writes chunks of about 1 MB."""
 
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+_FOOTER, _SCHEMA, _CHANNEL, MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 _NAMES = {
-    0x01: "header", _FOOTER: "footer", _SCHEMA: "schema", _CHANNEL: "channel", _MESSAGE: "message", _CHUNK: "chunk",
+    0x01: "header", _FOOTER: "footer", _SCHEMA: "schema", _CHANNEL: "channel", MESSAGE: "message", _CHUNK: "chunk",
     0x07: "message index", 0x08: "chunk index", 0x09: "attachment", 0x0A: "attachment index", 0x0B: "statistics",
     0x0C: "metadata", 0x0D: "metadata index", 0x0E: "summary offset", 0x0F: "data end",
 }  # fmt: skip
-_MESSAGE_HEAD = 22  # channel, sequence, log time, publish time [bytes]
+MESSAGE_HEAD = 22  # channel, sequence, log time, publish time [bytes]
+CHANNEL_OF, LOG, BEGIN, SIZE = range(4)  # columns of a run of messages
 _RUN = 1 << 16  # messages that are taken at once
-_CHANNEL_OF, _LOG, _BEGIN, _SIZE = range(4)  # columns of a run
 
 
 class Damage(Exception):
@@ -93,11 +90,14 @@ class _Scan:
 
     def walk(self, view: memoryview, position: int, end: int) -> None:
         """Go through the records of the file or, called by itself, of one chunk."""
+        # numba takes a quarter of a second to import, which those who only write a bag need not wait for.
+        from .mcap_records import take_messages
+
         head = struct.Struct("<BQ").unpack_from
         data = np.frombuffer(view, np.uint8)
-        run = np.empty((min(_RUN, end // (9 + _MESSAGE_HEAD) + 1), 4), np.int64)
+        run = np.empty((min(_RUN, end // (9 + MESSAGE_HEAD) + 1), 4), np.int64)
         while position < end:
-            count, position = _messages(data, position, end, run)
+            count, position = take_messages(data, position, end, run)
             if count:
                 self._take(data, run[:count])
                 continue
@@ -111,7 +111,7 @@ class _Scan:
             if stop > end:
                 record = f"{_NAMES.get(opcode, 'unknown')} record {self._at(position)}"
                 raise Damage(f"the {record} has {size} bytes, of which {end - body} are there")
-            if opcode == _MESSAGE:
+            if opcode == MESSAGE:
                 raise Damage(f"a message record {self._at(position)} has {size} bytes, expected 22 or more")
             if opcode == _FOOTER and self.chunk_at is None:
                 self.finished = bytes(view[stop : stop + len(MAGIC)]) == MAGIC
@@ -120,29 +120,31 @@ class _Scan:
             position = stop
 
     def _take(self, data: NDArray[np.uint8], run: NDArray[np.int64]) -> None:
-        """Messages that follow one another: columns are channel, log time [ns], first byte and size of the payload."""
+        """Messages that follow one another, as :func:`take_messages` gives them."""
+        from .mcap_records import copy_payloads
+
         wrong = [(int(np.argmax(of)), why) for of, why in self._wrong(run) if of.any()]
         first, why = min(wrong, default=(len(run), ""))
-        for channel in np.unique(run[:first, _CHANNEL_OF]):
-            collector, its = self.collectors[int(channel)], run[:first][run[:first, _CHANNEL_OF] == channel]
+        for channel in np.unique(run[:first, CHANNEL_OF]):
+            collector, its = self.collectors[int(channel)], run[:first][run[:first, CHANNEL_OF] == channel]
             payloads = None
             if collector.wanted:
-                payloads = Payloads(np.empty(its[:, _SIZE].sum(), np.uint8), its[:, _SIZE].copy())
-                _payloads(data, its, payloads.data)
-            collector.add(its[:, _LOG].copy(), payloads)
+                payloads = Payloads(np.empty(its[:, SIZE].sum(), np.uint8), its[:, SIZE].copy())
+                copy_payloads(data, its, payloads.data)
+            collector.add(its[:, LOG].copy(), payloads)
         if wrong:
-            size = int(run[first, _SIZE]) + _MESSAGE_HEAD
-            at = self._at(int(run[first, _BEGIN]) - _MESSAGE_HEAD - 9)
+            size = int(run[first, SIZE]) + MESSAGE_HEAD
+            at = self._at(int(run[first, BEGIN]) - MESSAGE_HEAD - 9)
             raise Damage(why.format(at=at, size=size))
 
     def _wrong(self, run: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.bool_], str]]:
         """What is wrong with messages (N,), and what to say of the first one."""
-        for channel in np.unique(run[:, _CHANNEL_OF]):
-            of, collector = run[:, _CHANNEL_OF] == channel, self.collectors.get(int(channel))
+        for channel in np.unique(run[:, CHANNEL_OF]):
+            of, collector = run[:, CHANNEL_OF] == channel, self.collectors.get(int(channel))
             if collector is None:
                 yield of, f"a message {{at}} belongs to channel {channel}, which is not declared"
             elif collector.wanted:
-                too_large = of & (run[:, _SIZE] + _MESSAGE_HEAD > MAX_MESSAGE)
+                too_large = of & (run[:, SIZE] + MESSAGE_HEAD > MAX_MESSAGE)
                 yield too_large, f"a message of {collector.channel.msgtype} {{at}} has {{size}} bytes"
 
     def _at(self, position: int) -> str:
@@ -191,53 +193,6 @@ class _Scan:
         self.chunk_at = position
         self.walk(memoryview(data), 0, len(data))
         self.chunk_at = None
-
-
-@in_place
-def _number(data: NDArray[np.uint8], at: int, count: int) -> Any:
-    """Unsigned number of some bytes, the least significant first; the largest signed one for what does not fit."""
-    value = np.int64(0)
-    for k in range(count):
-        value |= np.int64(data[at + k]) << (8 * k)
-    return value if value >= 0 else np.int64(2**63 - 1)
-
-
-@in_place
-def _messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray[np.int64]) -> tuple[int, int]:
-    """Whole message records that follow one another, up to any other record.
-
-    Args:
-        data: bytes of the file or chunk (B,).
-        position: where a record begins.
-        end: where the records end.
-        run: result (M, 4): channel, log time [ns], first byte and size of the payload of each.
-
-    Returns:
-        How many were taken, and the position after them.
-    """
-    count = 0
-    while count < run.shape[0] and position + 9 + _MESSAGE_HEAD <= end and data[position] == _MESSAGE:
-        size = _number(data, position + 1, 8)
-        body = position + 9
-        if size < _MESSAGE_HEAD or size > end - body:
-            break
-        run[count, _CHANNEL_OF] = _number(data, body, 2)
-        run[count, _LOG] = _number(data, body + 6, 8)
-        run[count, _BEGIN] = body + _MESSAGE_HEAD
-        run[count, _SIZE] = size - _MESSAGE_HEAD
-        position = body + size
-        count += 1
-    return count, position
-
-
-@in_place
-def _payloads(data: NDArray[np.uint8], run: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
-    """Copy the payloads of messages, end to end."""
-    at = 0
-    for k in range(run.shape[0]):
-        for j in range(run[k, _SIZE]):
-            out[at + j] = data[run[k, _BEGIN] + j]
-        at += run[k, _SIZE]
 
 
 def _text(body: memoryview, at: int) -> tuple[str, int]:

@@ -150,7 +150,7 @@ def test_bad_input_is_one_line_that_names_it(
         ([str(free), str(free)], "the same recording"),
         ([str(free), "--holdout", "0.9"], "expected a share"),
         ([str(free), "--free", "friction.shaf"], "did you mean 'friction.shaft'"),
-        ([str(free), "--jobs", "0"], "expected a number"),
+        ([str(free), "--jobs", "0"], "expected a whole number"),
         ([str(free), "--seed", "-1"], "--seed"),
         ([str(free), "--topic", "pressure_1=/x"], "/x"),
         ([str(tmp_path / "none")], "none"),

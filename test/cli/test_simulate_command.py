@@ -86,7 +86,7 @@ def test_a_bad_table_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["--profile", "none.csv"], "none.csv"),
         (["--duration", "0"], "--duration 0"),
         (["--duration", "nan"], "--duration nan"),
-        (["--seed", "-1"], "--seed -1"),
+        (["--seed", "-1"], "--seed: '-1': expected"),
         (["--mismatch", "3"], "mismatch 3"),
         (["--lock-angle", "5"], "--joint locked"),
     ],

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import JOBS, SEED, whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
@@ -48,26 +49,34 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("battery", _DESCRIPTION, _EXAMPLES)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the outcomes; may exist")
-    out.add_argument("--count", type=int, default=80, metavar="N", help="how many cases (default: 80)")
+    out.add_argument("--count", type=whole(0, 100_000), default=80, metavar="N", help="how many cases (default: 80)")
     out.add_argument(
-        "--nothing", type=int, default=0, metavar="N", help="further cases with nothing wrong (default: 0)"
+        "--nothing",
+        type=whole(0, 100_000),
+        default=0,
+        metavar="N",
+        help="further cases with nothing wrong (default: 0)",
     )
     out.add_argument(
-        "--calibrations", type=int, default=0, metavar="N", help="further cases whose only fault is a zero or a clock"
+        "--calibrations",
+        type=whole(0, 100_000),
+        default=0,
+        metavar="N",
+        help="further cases whose only fault is a zero or a clock",
     )
     out.add_argument(
         "--effect",
         metavar="NAME",
         help=f"all cases are of this effect, in its forms in turn, {LARGE:g} noises or more (default: all kinds)",
     )
-    out.add_argument("--seed", type=int, default=1, metavar="S", help="of the battery (default: 1)")
+    out.add_argument("--seed", type=SEED, default=1, metavar="S", help="of the battery (default: 1)")
     out.add_argument(
         "--shard", type=_shard, default=(1, 1), metavar="I/K", help="every K-th case, from the I-th on (default: 1/1)"
     )
     out.add_argument(
         "--duration", type=float, default=DURATION, metavar="S", help=f"of a recording [s] (default: {DURATION:g})"
     )
-    out.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="threads (default: all cores)")
+    out.add_argument("--jobs", type=JOBS, default=os.cpu_count() or 1, metavar="N", help="threads (default: all cores)")
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the tables as Markdown; FILE is replaced")
     out.add_argument(
         "--remainders", action="store_true", help="work out how much of each form the catalogue's law cannot imitate"
@@ -93,8 +102,6 @@ def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
     if not 10.0 <= arguments.duration <= 3600.0:
         raise BadInput(f"--duration {arguments.duration:g}: expected 10 to 3600 s")
-    if arguments.jobs < 1:
-        raise BadInput(f"--jobs {arguments.jobs}: expected 1 or more")
     if arguments.json is not None and (arguments.remainders or arguments.bags is not None):
         raise BadInput("--json: expected without --remainders and --bags, which make no summary.json")
     if arguments.remainders:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import JOBS, whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.control import Mode
-from pam_antagonist.errors import BadInput
 from pam_antagonist.report import html, terminal
 from pam_antagonist.report.document import Document, Text
 from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel
@@ -48,11 +48,17 @@ def parser() -> common.Parser:
     out = common.Parser("control_laws", _DESCRIPTION, _EXAMPLES)
     out.add_argument("--only", choices=PARTS, action="append", help="this part alone; may be given several times")
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="a rig of the size of shin2022 (the default)")
-    out.add_argument("--seeds", type=int, default=20, metavar="N", help="joints: seeds 0 to N - 1 (default: 20)")
     out.add_argument(
-        "--references", type=int, default=1000, metavar="N", help="references at random, of all joints (default: 1000)"
+        "--seeds", type=whole(1, 100_000), default=20, metavar="N", help="joints: seeds 0 to N - 1 (default: 20)"
     )
-    out.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
+    out.add_argument(
+        "--references",
+        type=whole(1, 100_000),
+        default=1000,
+        metavar="N",
+        help="references at random, of all joints (default: 1000)",
+    )
+    out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="processes (default: 2)")
     out.add_argument("--out", type=Path, metavar="DIR", help="folder of report.html and report.json; a new one")
     common.add_new_json(out, "the figures")
     return out
@@ -65,9 +71,6 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
-    for name in ("seeds", "references", "jobs"):
-        if not 1 <= getattr(arguments, name) <= 100_000:
-            raise BadInput(f"--{name} {getattr(arguments, name)}: expected 1 to 100000")
     if arguments.out is not None:
         common.check_output(arguments.out)
     parts = [part for part in PARTS if part in (arguments.only or PARTS)]

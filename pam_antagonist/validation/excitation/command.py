@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Limits, designed, standard_errors
 from pam_antagonist.design.optimal import steady_voltage
@@ -35,17 +35,11 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("excitation", _DESCRIPTION, _EXAMPLES)
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
-    out.add_argument("--joints", type=_count, default=20, metavar="N", help="how many (default: 20)")
+    out.add_argument("--joints", type=whole(1, 1000), default=20, metavar="N", help="how many (default: 20)")
     out.add_argument("--duration", type=float, default=30.0, metavar="S", help="of each experiment [s] (default: 30)")
     out.add_argument("--mismatch", type=float, default=0.02, metavar="X", help="of the parameters (default: 0.02)")
     common.add_new_json(out, "the figures")
     return out
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or not 1 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 1000")
-    return int(text)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -13,6 +12,7 @@ import numpy as np
 from pam_antagonist.api.diagnose import diagnose
 from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import whole
 from pam_antagonist.design import Limits
 from pam_antagonist.design.apart import imitation, told_apart
 from pam_antagonist.errors import BadInput
@@ -42,16 +42,10 @@ def parser() -> common.Parser:
     out = common.Parser("tell_apart", _DESCRIPTION, _EXAMPLES)
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
     out.add_argument("--pair", action="append", metavar="A:B", help="these effects only; may be given several times")
-    out.add_argument("--seeds", type=_count, default=10, metavar="N", help="joints for each pair (default: 10)")
+    out.add_argument("--seeds", type=whole(1, 100), default=10, metavar="N", help="joints for each pair (default: 10)")
     out.add_argument("--plan-only", action="store_true", help="only what the designs promise, without close_loop")
     common.add_new_json(out, "the figures")
     return out
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or not 1 <= int(text) <= 100:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number from 1 to 100")
-    return int(text)
 
 
 def listed() -> list[tuple[str, str]]:

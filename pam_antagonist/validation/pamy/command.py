@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import JOBS
 from pam_antagonist.diagnosis.episodes import diagnose
-from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import regulator
 from pam_antagonist.identification.regulator import Regulator
 from pam_antagonist.inference.bootstrap import Interval, rmse
@@ -52,7 +52,7 @@ def parser() -> common.Parser:
     out.add_argument("file", type=Path, metavar="FILE", help="the CSV file")
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the report; a new one")
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the page as Markdown as well (docs/pamy.md)")
-    out.add_argument("--jobs", type=int, default=2, metavar="N", help="threads (default: 2)")
+    out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
     out.add_argument("--no-figures", action="store_true", help="leave the figure out of report.html")
     common.add_json(out)
     common.add_open(out)
@@ -71,8 +71,6 @@ def _main(argv: Sequence[str] | None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    if not 1 <= arguments.jobs <= 64:
-        raise BadInput(f"--jobs {arguments.jobs}: expected a number from 1 to 64")
     common.check_output(arguments.out)
     recording = read_csv(arguments.file, load_map("pamy_joint0"))
     begin = time.perf_counter()

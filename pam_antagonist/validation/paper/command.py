@@ -11,6 +11,7 @@ from pathlib import Path
 
 from pam_antagonist import strict_json
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import JOBS, SEED, whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import ProcessFailed
@@ -51,9 +52,9 @@ def parser() -> common.Parser:
     add(
         "--only", nargs="+", action="extend", choices=tuple(EXPERIMENTS), metavar="NAME", help="these experiments alone"
     )
-    add("--seed", type=int, default=0, metavar="N", help="first seed of the virtual rigs (default: 0)")
-    add("--seeds", type=int, default=20, metavar="N", help="how many virtual rigs (default: 20)")
-    add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
+    add("--seed", type=SEED, default=0, metavar="N", help="first seed of the virtual rigs (default: 0)")
+    add("--seeds", type=whole(1, 1000), default=20, metavar="N", help="how many virtual rigs (default: 20)")
+    add("--jobs", type=JOBS, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
     add("--short", action="store_true", help="live runs of 30 s and less, in place of 130, 62, 38 and 20 s")
     add("--no-figures", action="store_true", help="leave the figures out")
     docs_help = (
@@ -116,9 +117,6 @@ def _print_line(text: str) -> None:
 
 
 def _options(arguments: argparse.Namespace) -> Options:
-    for name, least, most in (("seed", 0, 2**31 - 1), ("seeds", 1, 1000), ("jobs", 1, 256)):
-        if not least <= getattr(arguments, name) <= most:
-            raise BadInput(f"--{name} {getattr(arguments, name)}: expected an integer from {least} to {most}")
     names = tuple(arguments.only or EXPERIMENTS)
     live = [name for name in names if EXPERIMENTS[name].live]
     if live and not available("rclpy"):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import JOBS, real, whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal
@@ -37,9 +38,13 @@ def parser() -> common.Parser:
         "--rig", default="shin2022_external_torque", metavar="RIG",
         help="a rig with the state external_torque and an encoder (default: shin2022_external_torque)",
     )  # fmt: skip
-    out.add_argument("--seeds", type=int, default=10, metavar="N", help="joints: seeds 0 to N - 1 (default: 10)")
-    out.add_argument("--seconds", type=float, default=20.0, metavar="S", help="of each course (default: 20)")
-    out.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
+    out.add_argument(
+        "--seeds", type=whole(1, 10_000), default=10, metavar="N", help="joints: seeds 0 to N - 1 (default: 10)"
+    )
+    out.add_argument(
+        "--seconds", type=real(4.0, 3600.0), default=20.0, metavar="S", help="of each course (default: 20)"
+    )
+    out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="processes (default: 2)")
     common.add_new_json(out, "the figures")
     return out
 
@@ -51,9 +56,6 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
-    for name, low, high in (("seeds", 1, 10_000), ("seconds", 4, 3600), ("jobs", 1, 1000)):
-        if not low <= getattr(arguments, name) <= high:
-            raise BadInput(f"--{name} {getattr(arguments, name):g}: expected {low} to {high}")
     results = measure(arguments.rig, arguments.seeds, arguments.seconds, arguments.jobs)
     with common.json_alone(arguments.json):
         print(terminal.table(_table(results), indent=""))

@@ -45,4 +45,4 @@ def test_the_command_measures_limits_and_writes_them(tmp_path: Path, capsys: pyt
 @pytest.mark.parametrize("option", ["--seeds", "--references", "--jobs"])
 def test_counts_below_one_are_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([option, "0"]) == 2
-    assert f"{option} 0: expected 1 to 100000" in capsys.readouterr().err
+    assert f"{option}: '0': expected a whole number from 1 to" in capsys.readouterr().err

@@ -212,9 +212,9 @@ def test_markdown_of_ones_own_is_replaced_and_others_are_not(
     ("arguments", "says"),
     [
         (["--only", "offlien"], "offline"),
-        (["--only", "static", "--seeds", "0"], "--seeds 0"),
-        (["--only", "static", "--seed", "-1"], "--seed -1"),
-        (["--only", "static", "--jobs", "0"], "--jobs 0"),
+        (["--only", "static", "--seeds", "0"], "--seeds: '0': expected"),
+        (["--only", "static", "--seed", "-1"], "--seed: '-1': expected"),
+        (["--only", "static", "--jobs", "0"], "--jobs: '0': expected"),
         (["--only", "compare_torque", "--force-map", "no_such.csv"], "no_such.csv"),
     ],
 )
