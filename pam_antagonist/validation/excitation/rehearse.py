@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from pam_antagonist.cli import commission, common
+from pam_antagonist.cli.numbers import whole
 from pam_antagonist.control import Gains, Laws, Mode, PiController, VoltageLimits
 from pam_antagonist.design.information import Information
 from pam_antagonist.errors import BadInput
@@ -61,7 +62,7 @@ def parser() -> common.Parser:
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the joints; may exist")
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
     out.add_argument("--effect", action="append", metavar="NAME", help="this one only; may be given several times")
-    out.add_argument("--seeds", type=int, default=1, metavar="N", help="joints for each effect (default: 1)")
+    out.add_argument("--seeds", type=whole(1, 100), default=1, metavar="N", help="joints for each effect (default: 1)")
     common.add_new_json(out, "the figures")
     return out
 
@@ -76,8 +77,6 @@ def _main(argv: Sequence[str] | None) -> int:
     names = tried()
     if unknown := [name for name in arguments.effect or () if name not in names]:
         raise BadInput(f"--effect {unknown[0]}: expected one of {', '.join(names)}")
-    if not 1 <= arguments.seeds <= 100:
-        raise BadInput(f"--seeds {arguments.seeds}: expected 1 to 100")
     rig, out = load_rig(arguments.rig), arguments.out
     out.mkdir(parents=True, exist_ok=True)
     found = []

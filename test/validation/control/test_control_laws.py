@@ -19,9 +19,9 @@ RIG = load_rig("shin2022")
 def test_settling_and_overshoot_are_those_of_a_known_course() -> None:
     time = np.arange(5000) * 1e-3
     true = 1.0 - np.exp(-time / 0.5)
-    settling, overshoot = trials._settling(true, 1.0, 1.0, 1e-3)
+    settling, overshoot = trials.settling(true, 1.0, 1.0, 1e-3)
     assert settling == pytest.approx(0.5 * math.log(20.0), abs=2e-3) and overshoot == 0.0
-    assert trials._settling(-1.2 * np.ones(10), -1.0, -1.0, 1e-3) == (math.inf, pytest.approx(0.2))
+    assert trials.settling(-1.2 * np.ones(10), -1.0, -1.0, 1e-3) == (math.inf, pytest.approx(0.2))
 
 
 def test_angle_and_stiffness_of_one_joint_are_near_what_was_asked_for() -> None:
