@@ -51,7 +51,13 @@ def take_messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray
 
 @in_place
 def copy_payloads(data: NDArray[np.uint8], run: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
-    """Copy the payloads of messages, end to end."""
+    """Copy the payloads of messages, end to end.
+
+    Args:
+        data: bytes of the file or chunk (B,).
+        run: messages, as :func:`take_messages` gives them (N, 4).
+        out: result: as many bytes as the payloads have together.
+    """
     at = 0
     for k in range(run.shape[0]):
         for j in range(run[k, SIZE]):
