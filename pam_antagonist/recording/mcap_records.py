@@ -56,7 +56,7 @@ def copy_payloads(data: NDArray[np.uint8], run: NDArray[np.int64], out: NDArray[
     Args:
         data: bytes of the file or chunk (B,).
         run: messages, as :func:`take_messages` gives them (N, 4).
-        out: result: as many bytes as the payloads have together.
+        out: result (P,), P bytes: those of the payloads together.
     """
     at = 0
     for k in range(run.shape[0]):
