@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 _STEP = 2e-3
 """Relative step of the base directions' differences: far above what stiction rounds off."""
@@ -339,6 +341,14 @@ class Experiment(ABC):
             return self.fitted_rows(own)
         return np.concatenate([own, *(self.residual_elsewhere(other, point) for other in self.judged)])
 
+    def residuals(self, points: Iterable[Point]) -> list[Floats]:
+        """:meth:`residual` of several models.
+
+        Args:
+            points: the models.
+        """
+        return self.side_by_side(self.residual, points)
+
     def residual_of(self, simulated: Floats) -> Floats:
         """Measured minus simulated block means (B, C), 0 where nothing was measured.
 
@@ -445,7 +455,7 @@ class Experiment(ABC):
         return side_by_side(work, points, self.jobs)
 
 
-def side_by_side(work: Callable[..., Floats], items: Iterable[object], jobs: int) -> list[Floats]:
+def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item], jobs: int) -> list[_Result]:
     """Work on several items, each by itself: a single fit would leave the other cores idle.
 
     Args:

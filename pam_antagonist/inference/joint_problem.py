@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.free_parameters import FreeParameter
+from pam_antagonist.inference.free_run import Run, predict, predict_each
 from pam_antagonist.inference.long_steps import stride_blocks
 from pam_antagonist.inference.trial import CHANNELS, Trial
-from pam_antagonist.inference.valve_driven import STARTS, ValveDriven, predict
+from pam_antagonist.inference.valve_driven import STARTS, ValveDriven
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -116,9 +117,14 @@ class JointProblem:
             steps: the trial as a model in longer steps sees it; default: as it is.
         """
         experiment = self.experiments[index]
-        p = par.changed(experiment.vector, self.values(local))
+        p, shift = self._run(local, index)
+        return predict(steps or experiment.trial, p, experiment.first, shift)
+
+    def _run(self, local: Floats, index: int) -> Run:
+        """Model and start of one trial at what it sees of a fitted vector."""
+        experiment = self.experiments[index]
         start = experiment.start_std * local[len(self.free) :]
-        return predict(steps or experiment.trial, p, experiment.first, start)
+        return Run(par.changed(experiment.vector, self.values(local)), np.asarray(start))
 
     def predict(self, theta: Floats, index: int) -> Floats:
         """Prediction of one trial (N, 4) at a fitted vector."""
@@ -153,22 +159,25 @@ class JointProblem:
         steps[: len(self.free), : len(self.free)] = self._steps
         back = np.linalg.inv(steps)
 
-        def column(task: tuple[int, int]) -> Floats:
-            index, k = task
-            up, down = (self._means(seen[index] + sign * steps[:, k], index, trials[index]) for sign in (1.0, -1.0))
-            return np.asarray((up - down)[:, self.counted(self.trials[index])] / 2.0)
+        def columns(index: int) -> Floats:
+            moved = [seen[index] + sign * steps[:, k] for k in range(width) for sign in (1.0, -1.0)]
+            means = self._means_each(moved, index, trials[index])
+            sides = zip(means[::2], means[1::2], strict=True)
+            return np.stack([(up - down)[:, self.counted(self.trials[index])] / 2.0 for up, down in sides], axis=2)
 
-        tasks = [(index, k) for index in range(len(self.trials)) for k in range(width)]
-        columns = side_by_side(column, tasks, self.jobs)
-        return [
-            np.stack(columns[index * width : (index + 1) * width], axis=2) @ back for index in range(len(self.trials))
-        ]
+        return [columns(index) @ back for index in range(len(self.trials))]
 
     def _means(self, local: Floats, index: int, steps: Trial) -> Floats:
         """Block means (B, 4) of the prediction of one trial, simulated in the steps of another form of it."""
-        trial = self.trials[index]
-        stride = round(steps.dt / trial.dt)
-        return stride_blocks(self.predict_local(local, index, steps), stride, len(trial) // trial.block, trial.block)
+        return self._means_each([local], index, steps)[0]
+
+    def _means_each(self, local: Sequence[Floats], index: int, steps: Trial) -> list[Floats]:
+        """Likewise of several predictions, which run side by side."""
+        experiment, trial = self.experiments[index], self.trials[index]
+        stride, count = round(steps.dt / trial.dt), len(trial) // trial.block
+        runs = [self._run(part, index) for part in local]
+        predicted = predict_each(steps, runs, experiment.first, self.jobs)
+        return [stride_blocks(values, stride, count, trial.block) for values in predicted]
 
     def _in_longest_steps(self, local: Floats, index: int) -> Trial:
         """A trial in the longest steps in which the model goes its way."""

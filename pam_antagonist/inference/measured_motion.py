@@ -12,6 +12,7 @@ it stands still or creeps, friction is anything up to that level: only what is b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -24,8 +25,9 @@ from scipy.special import chdtri
 from pam_antagonist._jit import kernel
 from pam_antagonist.inference.angle_driven import Motion, filled_in
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.free_run import initial_state
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
-from pam_antagonist.inference.valve_driven import ValveDriven, initial_state
+from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model import parameters as par
 
@@ -218,6 +220,10 @@ class MeasuredMotion(ValveDriven):
         """What the sensors would show (N, 4), in the steps of a trial; the balance in the angle's place."""
         states, torque, lacking = self._course(trial, point)
         return np.column_stack([lacking, torque, sensor.readings(states[:, 2:4], self.parameters(point))])
+
+    def _shown_each(self, trial: Trial, points: Sequence[Point]) -> list[Floats]:
+        """:meth:`_shown` of several models."""
+        return self.side_by_side(lambda point: self._shown(trial, point), points)
 
     def _course(self, trial: Trial, point: Point) -> tuple[Floats, Floats, Floats]:
         p = self.parameters(point)

@@ -103,7 +103,7 @@ def _slopes(experiment: Experiment, fitted: Fitted) -> tuple[Floats, Floats]:
             for sign in (1.0, -1.0)
         )
         pairs.append((up, down))
-    left = experiment.side_by_side(experiment.residual, [point for pair in pairs for point in pair])
+    left = experiment.residuals(point for pair in pairs for point in pair)
     slopes = [(one - other) / (2.0 * step) for one, other, step in zip(left[::2], left[1::2], steps, strict=True)]
     base = np.zeros_like(fitted.base)
     base[:, :, free] = np.stack(slopes[: len(free)], axis=2)

@@ -271,9 +271,14 @@ def source_text(effects: Mapping[str, Effect]) -> str:
     return f"{_HEADER}{imports}\n\n{constants}\n\n\n" + "\n\n\n".join(writer.functions) + "\n"
 
 
-def _imported(text: str) -> ModuleType:
-    """A module of this text, kept in the folder of the compiled kernels."""
-    name = f"pam_antagonist_effects_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+def imported(text: str, what: str) -> ModuleType:
+    """A module of this text, kept in the folder of the compiled kernels.
+
+    Args:
+        text: its source.
+        what: a word for its name.
+    """
+    name = f"pam_antagonist_{what}_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     file = cache_dir() / f"{name}.py"
     if not file.exists():
         # Whoever comes second finds a whole file, and leaves it: a newer one would make numba compile again.
@@ -299,7 +304,7 @@ def _load(name: str, file: Path) -> ModuleType:
     return module
 
 
-_composed = _imported(source_text(CATALOGUE))
+_composed = imported(source_text(CATALOGUE), "effects")
 
 spool_voltage: Any = _composed.spool_voltage
 voltage_shift: Any = _composed.voltage_shift

@@ -9,6 +9,7 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import composition, dynamics, flow, muscle
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, SECOND
+from pam_antagonist.model.numeric import power
 from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, STIFFNESS, STOP, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
@@ -71,7 +72,7 @@ def closed_pressure(i, angle, p):
     travel, _, _ = _leverage(angle, p)
     volume, _ = _volume(i, _length(i, travel, p), p)
     charged, _ = _volume(i, _length(i, 0.0, p), p)
-    return p[CHARGE + i] * math.exp(p[POLYTROPIC_VOLUME] * math.log(charged / volume))
+    return p[CHARGE + i] * power(charged / volume, p[POLYTROPIC_VOLUME])
 
 
 @kernel

@@ -88,7 +88,7 @@ def valve_flow(valve, alpha, pressure, supply, p):
     drawn = alpha * orifice_flow(supply, pressure, p)
     flow = drawn - (1.0 - alpha) * orifice_flow(pressure, p[ATMOSPHERE], p)
     first = VALVE + valve * VALVE_SIZE
-    area = p[first + (INFLOW_AREA if flow > 0.0 else OUTFLOW_AREA)]
+    area = p[first + INFLOW_AREA] if flow > 0.0 else p[first + OUTFLOW_AREA]
     return area * flow, p[first + INFLOW_AREA] * drawn
 
 

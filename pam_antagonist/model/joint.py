@@ -5,9 +5,8 @@ With them the laws of friction that the paper compares (10) with.
 
 from __future__ import annotations
 
-import math
-
 from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.model.numeric import exp
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
     FRICTION_LAW,
@@ -73,7 +72,7 @@ def _compared_coulomb(velocity, p):
     """Torque [N m] of the compared laws; a function of its own, so that the paper's own law's stays small and quick."""
     if p[FRICTION_LAW] == _SIMPLE:
         return p[LEVER_FORCE] * p[RADIUS]
-    fade = math.exp(-abs(velocity) / p[FRICTION_VELOCITY])
+    fade = exp(-abs(velocity) / p[FRICTION_VELOCITY])
     return (p[STATIC_FRICTION] - p[KINETIC_FRICTION]) * fade + p[KINETIC_FRICTION]
 
 
@@ -96,12 +95,13 @@ def kikuuwe_torque(velocity, applied, coulomb, viscous, p):
     Returns:
         T_f [N m], and 1.0 where the joint slides or 0.0 where it sticks.
     """
+    # Divisions cost most, and those by parameters alone are the same in all stages of a step.
     z = p[FRICTION_STEP] / p[INERTIA]
     free = velocity + z * applied
     if abs(free) <= z * coulomb:
-        return free / z, 0.0
+        return free * (p[INERTIA] / p[FRICTION_STEP]), 0.0
     sign = 1.0 if free > 0.0 else -1.0
-    return (coulomb * sign + viscous * free) / (1.0 + z * viscous), 1.0
+    return (coulomb * sign + viscous * free) * (1.0 / (1.0 + z * viscous)), 1.0
 
 
 @inlined
@@ -149,4 +149,4 @@ def acceleration(angle, velocity, torque, coulomb, p, own=False):
         friction, slides = kikuuwe_torque(velocity, applied, coulomb, p[VISCOUS], p)
     else:
         friction, slides = friction_torque(velocity, applied, coulomb, p)
-    return (applied - friction) / p[INERTIA], slides
+    return (applied - friction) * (1.0 / p[INERTIA]), slides

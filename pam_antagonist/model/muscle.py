@@ -5,9 +5,8 @@ With them the forms of the force map that the paper compares (6) with.
 
 from __future__ import annotations
 
-import math
-
 from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.model.numeric import exp, sine_and_cosine
 from pam_antagonist.model.parameters import (
     C1,
     D1,
@@ -49,8 +48,8 @@ def leverage(angle, p):
     """
     if p[PULLEY] != 0.0:
         return angle, 1.0, 0.0
-    sine = math.sin(angle)
-    return sine, math.cos(angle), -sine
+    sine, cosine = sine_and_cosine(angle)
+    return sine, cosine, -sine
 
 
 @inlined
@@ -153,7 +152,7 @@ def _compared_force(base, muscle_length, pressure, p):
         area = (p[c + 2] * k + p[c + 1]) * k + p[c]
         return area * q + ((p[c + 6] * k + p[c + 5]) * k + p[c + 4]) * k + p[c + 3]
     if form == _SAROSI:
-        return (p[c] * q + p[c + 1]) * math.exp(p[c + 2] * k) + (p[c + 3] * k + p[c + 4]) * q + p[c + 5]
+        return (p[c] * q + p[c + 1]) * exp(p[c + 2] * k) + (p[c + 3] * k + p[c + 4]) * q + p[c + 5]
     return p[c] + (p[c + 3] * k + p[c + 1]) * k + (p[c + 2] + p[c + 4] * k + p[c + 5] * q) * q
 
 
@@ -175,7 +174,7 @@ def force_length_slope(muscle, muscle_length, pressure, p):
     if form == _HILDEBRANDT:
         slope = (2.0 * p[c + 2] * k + p[c + 1]) * q + (3.0 * p[c + 6] * k + 2.0 * p[c + 5]) * k + p[c + 4]
     elif form == _SAROSI:
-        slope = p[c + 2] * (p[c] * q + p[c + 1]) * math.exp(p[c + 2] * k) + p[c + 3] * q
+        slope = p[c + 2] * (p[c] * q + p[c + 1]) * exp(p[c + 2] * k) + p[c + 3] * q
     else:
         slope = 2.0 * p[c + 3] * k + p[c + 1] + p[c + 4] * q
     return -slope / p[LENGTH]

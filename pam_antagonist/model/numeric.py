@@ -1,13 +1,98 @@
-"""What several equations need and numba has no quick version of."""
+"""Elementary functions of numbers and of lanes, with the same bits: sums of their power series.
+
+The libraries' own functions work on one number. With these here, a kernel on lanes
+(:mod:`pam_antagonist.model.lane_values`) gives the bits of the kernel on numbers, on any processor. The terms are
+summed in pairs, which a processor works out side by side.
+"""
 
 from __future__ import annotations
 
 import math
 
 from pam_antagonist._jit import inlined
+from pam_antagonist.model.lane_values import exponent, fraction, power_of_two, where
+
+_WHOLE = 1.5 * 2.0**52
+"""A number of ordinary size added to this is rounded to a whole one."""
+_LOG2_E = 1.0 / math.log(2.0)
+# Two parts of ln 2 and of π/2, the first one with zeros at its end: its product with a small whole number is exact.
+_LN2, _LN2_REST = float.fromhex("0x1.62E42FEEp-1"), 1.9082149292705877e-10
+_QUARTER, _QUARTER_REST = float.fromhex("0x1.921FB544p0"), 6.077100506506192e-11
+_FIRST_OF_UPPER_HALF = math.sqrt(2.0)
+
+
+@inlined
+def exp(x):
+    """The power e^x, to 1e-15 of its value; below −708 and above 709 that of these.
+
+    With x = n ln 2 + r, it is 2^n e^r, and |r| ≤ 0.35: fourteen terms of the series.
+    """
+    bounded = min(max(x, -708.0), 709.0)
+    shifted = bounded * _LOG2_E + _WHOLE
+    n = shifted - _WHOLE
+    r = (bounded - n * _LN2) - n * _LN2_REST
+    r2 = r * r
+    r4 = r2 * r2
+    low = (1.0 / 2.0 + r * (1.0 / 6.0)) + r2 * (1.0 / 24.0 + r * (1.0 / 120.0))
+    middle = (1.0 / 720.0 + r * (1.0 / 5040.0)) + r2 * (1.0 / 40320.0 + r * (1.0 / 362880.0))
+    high = (1.0 / 3628800.0 + r * (1.0 / 39916800.0)) + r2 * (1.0 / 479001600.0 + r * (1.0 / 6227020800.0))
+    return (1.0 + (r + r2 * (low + r4 * (middle + r4 * high)))) * power_of_two(shifted)
+
+
+@inlined
+def log(x):
+    """Natural logarithm, to 1e-15 of its value or of 1e-15; −inf of 0 and what is smaller than 2e-308, NaN below.
+
+    With x = 2^n m and m from √½ to √2, it is n ln 2 + 2 artanh s, s = (m − 1)/(m + 1): eleven terms of the series.
+    """
+    part = fraction(x)
+    above = part > _FIRST_OF_UPPER_HALF
+    m = where(above, 0.5 * part, part)
+    n = (exponent(x) - (2.0**52 + 1023.0)) + where(above, 1.0, 0.0)
+    f = m - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    z2 = z * z
+    z4 = z2 * z2
+    low = (1.0 / 3.0 + z * (1.0 / 5.0)) + z2 * (1.0 / 7.0 + z * (1.0 / 9.0))
+    high = (1.0 / 11.0 + z * (1.0 / 13.0)) + z2 * (1.0 / 15.0 + z * (1.0 / 17.0))
+    tail = low + z4 * (high + z4 * (1.0 / 19.0 + z * (1.0 / 21.0)))
+    # 2 artanh s = f − s f + 2 z s (1/3 + ...): the first two terms make no error of rounding that counts.
+    value = n * _LN2 + (f + ((2.0 * s * z * tail - s * f) + n * _LN2_REST))
+    usual = where(x < math.inf, value, x)
+    return where(x >= 2.3e-308, usual, where(x >= 0.0, -math.inf, math.nan))
 
 
 @inlined
 def power(base, exponent):
     """A power of what is not negative, faster than a general power and as exact here."""
-    return math.exp(exponent * math.log(base))
+    return exp(exponent * log(base))
+
+
+@inlined
+def sine_and_cosine(x):
+    """The sine and the cosine of x, to 1e-15 for |x| up to some thousands.
+
+    With x = n π/2 + r, they are those of r in another order, and |r| ≤ π/4: nine terms of each series.
+    """
+    n = (x * (2.0 / math.pi) + _WHOLE) - _WHOLE
+    r = (x - n * _QUARTER) - n * _QUARTER_REST
+    z = r * r
+    z2 = z * z
+    z4 = z2 * z2
+    odd = (-1.0 / 6.0 + z * (1.0 / 120.0)) + z2 * (-1.0 / 5040.0 + z * (1.0 / 362880.0))
+    odd += z4 * ((-1.0 / 39916800.0 + z * (1.0 / 6227020800.0)) + z2 * (-1.0 / 1307674368000.0))
+    even = (1.0 / 24.0 + z * (-1.0 / 720.0)) + z2 * (1.0 / 40320.0 + z * (-1.0 / 3628800.0))
+    even += z4 * ((1.0 / 479001600.0 + z * (-1.0 / 87178291200.0)) + z2 * (1.0 / 20922789888000.0))
+    sine = r + r * z * odd
+    cosine = 1.0 - (0.5 * z - z2 * even)
+    # n = 4 k + quarter, quarter from −2 to 2.
+    quarter = n - 4.0 * ((0.25 * n + _WHOLE) - _WHOLE)
+    swapped = abs(quarter) == 1.0
+    first, second = where(swapped, cosine, sine), where(swapped, sine, cosine)
+    # sin(r + π/2) = cos r, cos(r + π/2) = −sin r; by half a turn, both change their signs.
+    back = abs(quarter) == 2.0
+    return (
+        where(back, -first, where(quarter == -1.0, -first, first)),
+        where(back, -second, where(quarter == 1.0, -second, second)),
+    )

@@ -28,6 +28,6 @@ def orifice_flow(upstream, downstream, p):
         sign = -1.0
     if downstream <= upstream * p[CRITICAL_RATIO]:
         return sign * upstream * p[CHOKED_FLOW]
-    # With q = r^((k−1)/k), r^(1/k) is r/q: one power instead of two, and upstream r = downstream.
-    q = power(downstream / upstream, p[FLOW_EXPONENT])
-    return sign * downstream * p[SUBSONIC_FLOW] * math.sqrt(max(1.0 - q, 0.0)) / q
+    # With w = r^((1−k)/k), r^(2/k) − r^((k+1)/k) = r² w (w − 1): one power instead of two, and upstream r = downstream.
+    w = power(upstream / downstream, p[FLOW_EXPONENT])
+    return sign * downstream * p[SUBSONIC_FLOW] * math.sqrt(max(w * (w - 1.0), 0.0))

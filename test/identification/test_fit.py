@@ -12,10 +12,10 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.balance import fit_force_map
 from pam_antagonist.identification.stages import run_stages
 from pam_antagonist.inference.free_parameters import free_parameters, moved
+from pam_antagonist.inference.free_run import predict, start_of
 from pam_antagonist.inference.joint_fit import joint_fit
 from pam_antagonist.inference.joint_problem import JointProblem, step_directions
 from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, check, make_trial
-from pam_antagonist.inference.valve_driven import predict, start_of
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.inference import calibration, valve_driven
+from pam_antagonist.inference import calibration, free_run, valve_driven
 from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 
 DT = 1e-3
-PREDICT = valve_driven.predict
+PREDICT, EACH = free_run.predict, free_run.predict_each
 ALL = {
     "encoder_zero": 0.01, "torque_zero": -0.2, "torque_scale": 0.03, "delay_voltage": 0.0304, "delay_torque": -0.002,
 }  # fmt: skip
@@ -98,3 +98,8 @@ def test_calibrations_are_tried_on_one_simulation(experiment_of, recorded, monke
     # What a caller does to its copy changes no other.
     other[:] = 0.0
     assert np.any(experiment.simulated(Point(moved, {})) != 0.0)
+    # Side by side as well: two calibrations of a model are one simulation, which is known by now.
+    monkeypatch.setattr(valve_driven, "predict_each", lambda _, models, *a: runs.extend(models) or EACH(_, models, *a))
+    tried = [Point(moved, {"calibration.torque_zero": value}) for value in (0.1, 0.2)]
+    assert len(experiment.residuals(tried)) == 2
+    assert len(runs) == 1 + 3 + 1

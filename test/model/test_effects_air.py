@@ -61,7 +61,8 @@ def test_a_leak_takes_the_air_that_is_missing(rig):
 def test_a_leak_ends_at_the_atmosphere(rig):
     states = held(locked(rig, SHUT, leak={"area_2": 5e-8}), (5.5, 5.5), 60.0, (200e3, 200e3))
     assert states[-1, 3] == pytest.approx(ATMOSPHERE, abs=1.0)
-    assert np.all(np.diff(states[:, 3]) <= 0.0)
+    # To the rounding of a pressure.
+    assert np.all(np.diff(states[:, 3]) <= 1e-10)
 
 
 def test_steady_pressure_with_a_leak(rig):

@@ -9,15 +9,14 @@ in the place of $T_s + T_p$ in (10). At rest the joint sticks within $\pm(T_s + 
 
 from __future__ import annotations
 
-import math
-
-from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, Loop, SealedJoint, kernel
+from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, Loop, SealedJoint, inlined
+from pam_antagonist.model.numeric import exp
 
 # Less than no friction at rest would take the joint's sticking away.
 _LEAST = {"coulomb": 0.0, "stribeck": 0.0}
 
 
-@kernel
+@inlined
 def extra_coulomb(coulomb, stribeck, velocity, joint_velocity):
     """What is added to T_s + T_p [N m]: a constant, and a part that fades with the velocity.
 
@@ -29,7 +28,7 @@ def extra_coulomb(coulomb, stribeck, velocity, joint_velocity):
     """
     if stribeck == 0.0:
         return coulomb
-    return coulomb + stribeck * math.exp(-abs(joint_velocity) / velocity)
+    return coulomb + stribeck * exp(-abs(joint_velocity) / velocity)
 
 
 EFFECT = Effect(

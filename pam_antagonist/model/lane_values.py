@@ -1,0 +1,377 @@
+"""Eight numbers that one instruction works on: a type of value for compiled code, with the operators of a number.
+
+A kernel on such *lanes* does eight times what it does on a number: lane k of every result has the bits that the kernel
+gives for the numbers in lane k of its arguments. The processor has the instructions (AVX-512, AVX or SSE), or LLVM puts
+smaller ones in their place; the bits are the same.
+
+A comparison of lanes gives a *mask*, eight truth values. ``if`` cannot go two ways at once: :func:`some` says whether
+any lane goes a way, and :func:`where` takes from each way what belongs to a lane.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from numba.core import cgutils, types
+from numba.core.typing import signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model, type_callable
+
+# numba's own writer of LLVM's language.
+ir: Any = cgutils.ir
+LANES = 8
+_DOUBLE, _BIT, _INDEX = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
+_LANES, _MASK = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_BIT, LANES)
+
+
+class _LanesType(types.Type):  # type: ignore[misc]
+    """Eight float64."""
+
+    def __init__(self) -> None:
+        super().__init__(name="lanes")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        """A number is the same in each lane."""
+        return typingctx.can_convert(other, types.float64) if isinstance(other, types.Number) else None
+
+    def unify(self, typingctx: Any, other: Any) -> Any:
+        """What is lanes on one way is lanes behind both."""
+        return self if isinstance(other, types.Number) else None
+
+
+class _MaskType(types.Type):  # type: ignore[misc]
+    """Eight truth values."""
+
+    def __init__(self) -> None:
+        super().__init__(name="mask")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        """A truth value is the same in each lane."""
+        return typingctx.can_convert(other, types.boolean) if isinstance(other, types.Boolean) else None
+
+    def unify(self, typingctx: Any, other: Any) -> Any:
+        """What is a mask on one way is a mask behind both."""
+        return self if isinstance(other, types.Boolean) else None
+
+
+lanes, mask = _LanesType(), _MaskType()
+
+
+@register_model(_LanesType)
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _LANES)
+
+
+@register_model(_MaskType)
+class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _MASK)
+
+
+def _spread(builder: Any, value: Any, of: Any) -> Any:
+    """A number in each lane."""
+    one = builder.insert_element(ir.Constant(of, ir.Undefined), value, _INDEX(0))
+    return builder.shuffle_vector(one, ir.Constant(of, ir.Undefined), ir.Constant(ir.VectorType(_INDEX, LANES), None))
+
+
+@lower_cast(types.Number, lanes)
+def _lanes_of_number(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
+    return _spread(builder, context.cast(builder, value, fromty, types.float64), _LANES)
+
+
+@lower_cast(types.Boolean, mask)
+def _mask_of_truth(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
+    return _spread(builder, context.cast(builder, value, fromty, types.boolean), _MASK)
+
+
+def _any_lanes(*args: Any) -> bool:
+    """Whether arguments are numbers, at least one of them eight."""
+    return lanes in args and all(arg is lanes or isinstance(arg, types.Number) for arg in args)
+
+
+def _operator(function: Callable[..., Any], result: Any, build: Callable[..., Any], count: int = 2) -> None:
+    """Give a function of numbers a meaning for lanes."""
+
+    @type_callable(function)
+    def typed(context: Any) -> Any:
+        if count == 1:
+            return lambda a: result if a is lanes else None
+        return lambda a, b: result if _any_lanes(a, b) else None
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return build(builder, *(context.cast(builder, v, t, lanes) for v, t in zip(args, sig.args, strict=True)))
+
+    if count == 1:
+        lower_builtin(function, lanes)(lowered)
+    else:
+        lower_builtin(function, lanes, lanes)(lowered)
+        lower_builtin(function, lanes, types.Number)(lowered)
+        lower_builtin(function, types.Number, lanes)(lowered)
+
+
+for _function, _name in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
+    _operator(_function, lanes, lambda b, x, y, name=_name: getattr(b, name)(x, y))
+    _operator(getattr(operator, f"i{_function.__name__}"), lanes, lambda b, x, y, name=_name: getattr(b, name)(x, y))
+for _function, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+):
+    _operator(_function, mask, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y))
+_operator(operator.ne, mask, lambda b, x, y: b.fcmp_unordered("!=", x, y))
+_operator(operator.neg, lanes, lambda b, x: b.fneg(x), 1)
+# As of numbers: the second one where it is more (or less) for certain, so that a NaN in the first one stays.
+_operator(max, lanes, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
+_operator(min, lanes, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
+
+
+def _by_llvm(name: str) -> Callable[..., Any]:
+    def build(builder: Any, x: Any) -> Any:
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(_LANES, [_LANES]), f"llvm.{name}.v{LANES}f64"
+        )
+        return builder.call(function, [x])
+
+    return build
+
+
+_operator(abs, lanes, _by_llvm("fabs"), 1)
+_operator(math.sqrt, lanes, _by_llvm("sqrt"), 1)
+
+
+def _one_by_one(function: Callable[..., Any], count: int) -> None:
+    """Functions that no instruction has are called for one lane after another."""
+
+    @type_callable(function)
+    def typed(context: Any) -> Any:
+        if count == 1:
+            return lambda a: lanes if a is lanes else None
+        return lambda a, b: lanes if _any_lanes(a, b) else None
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        each = context.get_function(function, signature(types.float64, *[types.float64] * count))
+        given = [context.cast(builder, v, t, lanes) for v, t in zip(args, sig.args, strict=True)]
+        out = ir.Constant(_LANES, ir.Undefined)
+        for k in range(LANES):
+            value = each(builder, [builder.extract_element(x, _INDEX(k)) for x in given])
+            out = builder.insert_element(out, value, _INDEX(k))
+        return out
+
+    if count == 1:
+        lower_builtin(function, lanes)(lowered)
+    else:
+        lower_builtin(function, lanes, lanes)(lowered)
+        lower_builtin(function, lanes, types.Number)(lowered)
+        lower_builtin(function, types.Number, lanes)(lowered)
+
+
+for _of_one in (math.exp, math.log, math.sin, math.cos, math.tan, math.tanh, math.atan):
+    _one_by_one(_of_one, 1)
+for _of_two in (operator.pow, math.atan2, math.hypot, math.copysign):
+    _one_by_one(_of_two, 2)
+
+
+@intrinsic
+def some(typingctx: Any, condition: Any) -> Any:
+    """Whether a condition holds in any lane; of a truth value: whether it holds."""
+    if condition is not mask and not isinstance(condition, types.Boolean):
+        return None
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        if sig.args[0] is not mask:
+            return args[0]
+        byte = ir.IntType(LANES)
+        return builder.icmp_unsigned("!=", builder.bitcast(args[0], byte), byte(0))
+
+    return signature(types.boolean, condition), codegen
+
+
+def _logic(name: str, doc: str) -> Any:
+    def typer(typingctx: Any, a: Any, b: Any) -> Any:
+        if not all(arg is mask or isinstance(arg, types.Boolean) for arg in (a, b)):
+            return None
+        result = mask if mask in (a, b) else types.boolean
+
+        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            x, y = (context.cast(builder, v, t, result) for v, t in zip(args, sig.args, strict=True))
+            return getattr(builder, name)(x, y)
+
+        return signature(result, a, b), codegen
+
+    typer.__doc__ = doc
+    return intrinsic(typer)
+
+
+both = _logic("and_", "Where two conditions hold.")
+either = _logic("or_", "Where one of two conditions holds, or both.")
+
+
+@intrinsic
+def no(typingctx: Any, a: Any) -> Any:
+    """Where a condition does not hold."""
+    if a is not mask and not isinstance(a, types.Boolean):
+        return None
+    return signature(a, a), lambda context, builder, sig, args: builder.not_(args[0])
+
+
+@intrinsic
+def where(typingctx: Any, condition: Any, a: Any, b: Any) -> Any:
+    """A choice for each lane; of numbers and truth values as well.
+
+    Args:
+        typingctx: numba's.
+        condition: mask, or a truth value.
+        a: where the condition holds.
+        b: elsewhere.
+    """
+    unified = typingctx.unify_types(a, b)
+    if unified is None:
+        return None
+    result = unified
+    if condition is mask:
+        result = mask if unified is mask or isinstance(unified, types.Boolean) else lanes
+    elif not isinstance(condition, types.Boolean):
+        return None
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        x, y = (context.cast(builder, v, t, result) for v, t in zip(args[1:], sig.args[1:], strict=True))
+        return builder.select(args[0], x, y)
+
+    return signature(result, condition, a, b), codegen
+
+
+def _address(context: Any, builder: Any, arrayty: Any, array: Any, index_type: Any, index: Any) -> Any:
+    """Where the first lane of an entry is."""
+    holder = context.make_array(arrayty)(context, builder, array)
+    many = isinstance(index_type, types.BaseTuple)
+    kinds = list(index_type.types) if many else [index_type]
+    values = cgutils.unpack_tuple(builder, index) if many else [index]
+    # An index out of floats is whole by then; all of them count from the front.
+    at = [context.cast(builder, v, t, types.intp) for v, t in zip(values, kinds, strict=True)]
+    at.append(context.get_constant(types.intp, 0))
+    return cgutils.get_item_pointer(context, builder, arrayty, holder, at, wraparound=False)
+
+
+def _dimensions(index: Any) -> int:
+    return len(index.types) if isinstance(index, types.BaseTuple) else 1
+
+
+@intrinsic
+def item(typingctx: Any, array: Any, index: Any) -> Any:
+    """An entry of an array: a number, or lanes where the array has a further dimension of eight, or a row of either.
+
+    Args:
+        typingctx: numba's.
+        array: of any dimension.
+        index: a whole number from 0 on, or several.
+    """
+    if not isinstance(array, types.Array):
+        return None
+    left = array.ndim - _dimensions(index)
+    if left == 0:
+        result = array.dtype
+    elif left == 1 and array.layout == "C":
+        result = lanes
+    else:
+        result = array.copy(ndim=left)
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        if sig.return_type is lanes:
+            at = _address(context, builder, sig.args[0], args[0], sig.args[1], args[1])
+            return builder.load(builder.bitcast(at, _LANES.as_pointer()), align=8)
+        if isinstance(sig.args[1], types.BaseTuple):
+            return context.get_function(operator.getitem, sig)(builder, args)
+        at = context.cast(builder, args[1], sig.args[1], types.intp)
+        whole = signature(sig.return_type, sig.args[0], types.intp)
+        return context.get_function(operator.getitem, whole)(builder, (args[0], at))
+
+    return signature(result, array, index), codegen
+
+
+@intrinsic
+def put(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
+    """Set an entry of an array with a further dimension of eight.
+
+    Args:
+        typingctx: numba's.
+        array: its last dimension is that of the lanes.
+        index: a whole number from 0 on, or several.
+        value: lanes, or a number for all of them.
+    """
+    if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != _dimensions(index) + 1:
+        return None
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        at = _address(context, builder, sig.args[0], args[0], sig.args[1], args[1])
+        value = context.cast(builder, args[2], sig.args[2], lanes)
+        builder.store(value, builder.bitcast(at, _LANES.as_pointer()), align=8)
+        return context.get_dummy_value()
+
+    return signature(types.void, array, index, value), codegen
+
+
+@intrinsic
+def shared(typingctx: Any, array: Any, index: Any) -> Any:
+    """An entry of an array of lanes that is the same in all of them, as a number.
+
+    Args:
+        typingctx: numba's.
+        array: (n, 8).
+        index: a whole number from 0 on.
+    """
+    if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != 2:
+        return None
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(_address(context, builder, sig.args[0], args[0], sig.args[1], args[1]))
+
+    return signature(array.dtype, array, index), codegen
+
+
+_LONG = ir.IntType(64)
+
+
+def _of_bits(doc: str, build: Callable[..., Any]) -> Any:
+    """A function of the bits of a number, or of each lane."""
+
+    def typer(typingctx: Any, value: Any) -> Any:
+        if value is not lanes and not isinstance(value, types.Float):
+            return None
+
+        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            kind = _LANES if sig.args[0] is lanes else _DOUBLE
+            whole = ir.VectorType(_LONG, LANES) if sig.args[0] is lanes else _LONG
+
+            def constant(number: int) -> Any:
+                return ir.Constant(whole, [number] * LANES) if sig.args[0] is lanes else whole(number)
+
+            return builder.bitcast(build(builder, builder.bitcast(args[0], whole), constant), kind)
+
+        return signature(value, value), codegen
+
+    typer.__doc__ = doc
+    return intrinsic(typer)
+
+
+power_of_two = _of_bits(
+    "2 to the whole number n, −1022 to 1023, that was added to 1.5 · 2^52.",
+    lambda b, bits, c: b.shl(b.add(bits, c(1023)), c(52)),
+)
+fraction = _of_bits(
+    "The number with another exponent: from 1 to 2.",
+    lambda b, bits, c: b.or_(b.and_(bits, c(0x000F_FFFF_FFFF_FFFF)), c(0x3FF0_0000_0000_0000)),
+)
+exponent = _of_bits(
+    "2^52 and the exponent of a number, with the bias of 1023.",
+    lambda b, bits, c: b.or_(b.lshr(bits, c(52)), c(0x4330_0000_0000_0000)),
+)

@@ -1,0 +1,127 @@
+"""Many models on the same inputs at once, eight in a step of the integration.
+
+A fit asks for the same recording simulated with many parameter vectors. Eight of them run side by side
+(:mod:`pam_antagonist.model.lane_values`), by the same equations (:mod:`pam_antagonist.model.lane_form`), and each gives
+the bits that :func:`pam_antagonist.model.dynamics.course` gives for it alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pam_antagonist._jit import in_place
+from pam_antagonist.model import composition, dynamics, lane_form
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.lane_values import LANES, item, put
+
+_FEWEST = 2
+"""Models that are worth a step of eight: one takes as long as eight."""
+_CHUNK = 64
+"""Samples of all lanes that are kept until they are given to each model: as many as stay in the processor's cache."""
+
+
+def courses(
+    starts: Sequence[np.ndarray], voltage: np.ndarray, vectors: Sequence[np.ndarray], dt: float, substeps: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """:func:`~pam_antagonist.model.dynamics.course` of many models on the same inputs, with the same bits.
+
+    Args:
+        starts: state (n,) of each model at the first sample; n may differ.
+        voltage: input (N, 2) or (N, 3), as for one course.
+        vectors: parameter vector (P,) of each model.
+        dt: sample period [s].
+        substeps: Runge-Kutta steps a sample.
+
+    Returns:
+        States (N, n) and torques (N,) [N m] of each model.
+    """
+    out: list[Any] = [None] * len(vectors)
+    for group in groups(vectors):
+        run = _side_by_side() if len(group) >= _FEWEST else None
+        if run is None:
+            for k in group:
+                out[k] = dynamics.course(starts[k], voltage, vectors[k], dt, substeps)
+            continue
+        # Lanes that are left over do what the first one does.
+        filled = [*group, *group[:1] * (LANES - len(group))]
+        x = np.stack([starts[k] for k in filled], axis=1)
+        p = np.stack([vectors[k] for k in filled], axis=1)
+        p[par.PLAIN], p[par.STATELESS_EFFECTS] = p[par.PLAIN].min(), p[par.STATELESS_EFFECTS].max()
+        states, torques = np.empty((LANES, len(voltage), len(x))), np.empty((LANES, len(voltage)))
+        run(x, voltage, p, dt, substeps, states, torques, _scratch(len(x)))
+        for lane, k in enumerate(group):
+            out[k] = states[lane], torques[lane]
+    return out
+
+
+def groups(vectors: Sequence[np.ndarray]) -> list[list[int]]:
+    """Which models can run side by side: indices, at most eight together.
+
+    Args:
+        vectors: parameter vector (P,) of each model.
+    """
+    alike: dict[bytes, list[int]] = {}
+    for k, p in enumerate(vectors):
+        alike.setdefault(_structure(p), []).append(k)
+    return [some[begin : begin + LANES] for some in alike.values() for begin in range(0, len(some), LANES)]
+
+
+def _structure(p: np.ndarray) -> bytes:
+    """What models must have in common to run side by side: options of the rig, added states, signals, valve curves."""
+    behind = p[par.LOCKED :].copy()
+    behind[[place - par.LOCKED for place in (*par.FLOW_CONSTANTS, par.PLAIN, par.STATELESS_EFFECTS)]] = 0.0
+    return behind.tobytes()
+
+
+def source_text() -> str:
+    """Source of the module that holds the lane form of the equations.
+
+    Raises:
+        NoLaneForm: an equation, or an effect of another package, has none.
+    """
+    return lane_form.lane_module((dynamics.rk4_step_within, dynamics.torque))
+
+
+@lru_cache(maxsize=1)
+def _side_by_side() -> Any:
+    """The course of eight models; None where an effect of another package has no lane form."""
+    try:
+        module: Any = composition.imported(source_text(), "lanes")
+    except lane_form.NoLaneForm:
+        return None
+    return _course_of(module.rk4_step_within, module.torque)
+
+
+def _scratch(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For a step, and for states and torques of some samples."""
+    return np.empty((dynamics.STAGES + 1, n, LANES)), np.empty((_CHUNK, n, LANES)), np.empty((_CHUNK, LANES))
+
+
+def _course_of(rk4_step_within: Any, torque: Any) -> Any:
+    @in_place
+    def course(x, voltage, p, dt, substeps, states, torques, scratch):  # type: ignore[no-untyped-def]
+        stages, recent, recent_torques = scratch
+        for begin in range(0, states.shape[1], _CHUNK):
+            count = min(_CHUNK, states.shape[1] - begin)
+            for k in range(count):
+                if begin + k > 0:
+                    for _ in range(substeps):
+                        rk4_step_within(x, voltage[begin + k], p, dt / substeps, x, stages)
+                for i in range(x.shape[0]):
+                    put(recent, (k, i), item(x, i))
+                put(recent_torques, k, torque(x, p))
+            for lane in range(LANES):
+                for k in range(count):
+                    for i in range(x.shape[0]):
+                        states[lane, begin + k, i] = recent[k, i, lane]
+                    torques[lane, begin + k] = recent_torques[k, lane]
+
+    return course
+
+
+if __name__ == "__main__":
+    print(source_text())
