@@ -19,7 +19,7 @@ from pam_antagonist.estimation.stamps import LAST, REJECTED, RUNNING, STARTED
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.model.effects.base import SIGNALS
-from pam_antagonist.model.effects.external_torque import UNBOUNDED
+from pam_antagonist.model.effects.external_torque import NEVER, UNBOUNDED
 
 _DIGITS = 16
 _LATER_EFFECTS = (
@@ -28,6 +28,7 @@ _LATER_EFFECTS = (
 )  # fmt: skip
 _LATER = {
     par.INDEX["effects.external_torque.prior"]: UNBOUNDED,
+    par.INDEX["effects.external_torque.onset"]: NEVER,
     **{
         par.INDEX[parameter_path(name, item.name)]: item.neutral
         for name in _LATER_EFFECTS

@@ -26,7 +26,7 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import in_place, merged
-from pam_antagonist.estimation import ukf
+from pam_antagonist.estimation import push, ukf
 from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND, VELOCITY
 
@@ -63,6 +63,7 @@ _SURE = 4.0
 _EXACT = 0.2
 """[s] For which an encoder with declared noise cannot read the same bits."""
 
+_pushed, _widen = push.jumped, push.widen
 _update_angle, _derivative, _pressure_behind = ukf.update_angle, dynamics.derivative, sensor.pressure_behind
 
 
@@ -250,5 +251,7 @@ def correct(reading, memory, settings, work):
             return False
     else:
         memory.encoder[REJECTED] = 0.0
+    if _pushed(innovation * innovation / variance, settings.parameter_sets[0]):
+        _widen(memory.covariance, settings.parameter_sets[0])
     _update_angle(memory.x, memory.covariance, memory.cross, innovation, settings.angle_noise, work)
     return True

@@ -9,7 +9,7 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import checkpoint as checkpoints
-from pam_antagonist.estimation import encoder, stamps, ukf
+from pam_antagonist.estimation import encoder, push, stamps, ukf
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
 from pam_antagonist.estimation.filter import ESTIMATE_DTYPE
@@ -258,7 +258,7 @@ class Estimator:
     @property
     def estimates_external_torque(self) -> bool:
         """Whether the rig has the torque from outside as a state."""
-        return kernels.EXTERNAL_TORQUE in self._added
+        return push.EXTERNAL_TORQUE in self._added
 
     @property
     def encoder_complaint(self) -> str:

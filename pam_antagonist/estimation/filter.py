@@ -15,6 +15,7 @@ by the time of arrival:
 * of a joint with pressure regulators, the voltages are the pressures that these are asked for. A start without a
   measured pressure takes what the regulator is asked for in its place;
 * a measured angle, where the filter uses one: :mod:`~pam_antagonist.estimation.encoder`;
+* an innovation beyond what a declared ``onset`` of pushes allows: :mod:`~pam_antagonist.estimation.push`;
 * an innovation beyond the gate (Mahalanobis distance): the pressure that is further off is left out,
   then the other one if that is beyond the gate as well. After ``PATIENCE`` such samples in a row it is
   the filter that is wrong, not the sensor, and the pressures are used again.
@@ -30,8 +31,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pam_antagonist._jit import in_place, merged
-from pam_antagonist.estimation import encoder, stamps, start, ukf
+from pam_antagonist._jit import in_place, inlined, merged
+from pam_antagonist.estimation import encoder, push, stamps, start, ukf
 from pam_antagonist.estimation.stamps import (
     CLOCK_SIZE,
     LAST,
@@ -44,7 +45,6 @@ from pam_antagonist.estimation.stamps import (
 from pam_antagonist.estimation.ukf import Work
 from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
-from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.parameters import SLOT_OF
 
 PATIENCE = 20
@@ -97,11 +97,10 @@ from outside [N m] and its covariance with angle, velocity, torque and itself, N
 _spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
 _forces, _torque_slope, _start_state = dynamics.forces, dynamics.torque_slope, start.start
 _subsystem, _pressure_behind = dynamics.subsystem, sensor.pressure_behind
-EXTERNAL_TORQUE = CATALOGUE[DISTURBANCE].states[0].name
-"""Name of the state that is the torque from outside."""
-_EXTERNAL_TORQUE = SLOT_OF[EXTERNAL_TORQUE]
+_EXTERNAL_TORQUE = SLOT_OF[push.EXTERNAL_TORQUE]
 _REGULATED = SLOT_OF["regulator_rate_1"]
 _examine, _correct_angle = encoder.examine, encoder.correct
+_jumped, _widen = push.jumped, push.widen
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
 
 
@@ -211,6 +210,14 @@ def _start(y, memory, settings, work):
     )
 
 
+@inlined
+def _distance(innovation, s):
+    """Squared Mahalanobis distance of both pressures' innovations."""
+    v1, v2 = innovation[0], innovation[1]
+    determinant = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
+    return (v1 * v1 * s[1, 1] - 2.0 * v1 * v2 * s[0, 1] + v2 * v2 * s[0, 0]) / determinant
+
+
 @in_place
 def _select(innovation, s, usable_1, usable_2, gate):
     """Which pressures lie within the gate: the joint Mahalanobis distance first, then the better one alone."""
@@ -218,9 +225,7 @@ def _select(innovation, s, usable_1, usable_2, gate):
     v2 = innovation[1]
     limit = gate * gate
     if usable_1 and usable_2:
-        determinant = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
-        distance = (v1 * v1 * s[1, 1] - 2.0 * v1 * v2 * s[0, 1] + v2 * v2 * s[0, 0]) / determinant
-        if distance <= limit:
+        if _distance(innovation, s) <= limit:
             return True, True
         if v1 * v1 / s[0, 0] > v2 * v2 / s[1, 1]:
             usable_1 = False
@@ -370,6 +375,8 @@ def _gate(y, finite_1, finite_2, memory, settings):
         innovation[i] = _pressure_behind(i, y[i], p)
     _innovate(memory.x, memory.covariance, innovation, settings.measurement_noise, innovation, covariance)
     use_1, use_2 = _select(innovation, covariance, finite_1, finite_2, settings.gate)
+    if finite_1 and finite_2 and _jumped(_distance(innovation, covariance), p):
+        _widen(memory.covariance, p)
     clock = memory.clock
     if use_1 == finite_1 and use_2 == finite_2:
         clock[REJECTED] = 0

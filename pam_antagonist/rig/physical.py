@@ -10,7 +10,7 @@ import numpy as np
 
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.rig.schema import Rig
 
@@ -131,6 +131,11 @@ def _bad_effects(rig: Rig) -> str:
         complaint = _too_quick(name, values)
         if complaint:
             return complaint
+    pushes = rig.effects.get(DISTURBANCE, {})
+    if "onset" in pushes and "prior" not in pushes:
+        return (
+            f"effects.{DISTURBANCE}.onset: given without a prior, expected prior: how hard one pushes in N m, beside it"
+        )
     return ""
 
 

@@ -9,6 +9,10 @@ Where nothing shows $d$, its standard deviation grows to $s$ and stays there. Wi
 walk, whose standard deviation grows for ever. To declare: $s$ is how hard one pushes, and $T$ how long a push lasts, so
 that $\sigma = s\sqrt{2/T}$.
 
+Pushes that set in at once are declared by `onset`. An innovation beyond so many standard deviations says that one has
+begun or ended: the filter then lets $d$ be anything within $s$. Noise of two pressures at 1 kHz exceeds 5.5 once an
+hour. $\sigma$ is then only what a push changes by while it lasts.
+
 The model alone has $d = 0$; a filter estimates it (`EstimateRun.added["external_torque"]`). Where the torque from
 outside was *measured*, it is an input instead: `u[2]` of `dynamics.rk4_step`, `external_torque` of `simulate_model`.
 """
@@ -19,6 +23,8 @@ from pam_antagonist.model.effects.base import AddedState, Effect, EffectParamete
 
 UNBOUNDED = 1e9
 """[N m] As a prior: none. The decay is then below the last digit of any torque."""
+NEVER = 1e9
+"""As an onset: none. The torque from outside changes as its random walk does."""
 
 
 @inlined
@@ -49,6 +55,9 @@ EFFECT = Effect(
         EffectParameter("noise", "N m/s^0.5", 0.0, 0.0, 10.0, 0.05, "size of the random walk", r"\sigma"),
         EffectParameter(
             "prior", "N m", UNBOUNDED, 1e-3, UNBOUNDED, 0.5, "standard deviation where nothing is observed", "s"
+        ),
+        EffectParameter(
+            "onset", "-", NEVER, 3.0, NEVER, 5.5, "standard deviations of an innovation from which on a push has set in"
         ),
     ),
     states=(AddedState("external_torque", "N m", "noise", 0.2, "noise", symbol="d", rate=decay, prior="prior"),),

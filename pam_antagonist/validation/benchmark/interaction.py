@@ -23,7 +23,7 @@ from pam_antagonist.validation.benchmark.pipeline import run, start_passthrough
 
 ROUND_TRIP = 1.3
 """What the round trip may be of that of messages that are passed through."""
-_PUSHED = {"noise": 1.0, "prior": 0.7}
+_PUSHED = {"noise": 0.1, "prior": 0.5, "onset": 5.5}
 """What a rig without that state is given: see config/rigs/shin2022_external_torque.yaml."""
 _REFERENCES = ((math.radians(18.0), 6.0), (math.radians(-18.0), 7.0))
 """Sent by turns, twice a second [rad], [N m/rad]: too far apart for the limits below to let the joint get there, so

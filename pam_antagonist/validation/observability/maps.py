@@ -24,7 +24,7 @@ ANGLES = (-10.0, -5.0, 0.0, 5.0, 10.0)
 _JOINTS = ("rest", "motion")
 _COLUMNS = tuple(f"{joint}, {angle:g}°" for joint in _JOINTS for angle in ANGLES)
 _ROWS = tuple(f"{pressure * 1e-3:.0f} kPa" for pressure in PRESSURES)
-_LARGEST = {"external_torque": 0.7, "angle": 10.0}
+_LARGEST = {"external_torque": 0.5, "angle": 10.0}
 """[N m], [°]: the priors, at which the colours end."""
 
 Floats = NDArray[np.float64]
@@ -32,7 +32,9 @@ Grids = dict[str, tuple[Floats, Floats]]
 
 
 def claimed(rig: Rig) -> Grids:
-    """What the filter claims of angle [rad] and torque from outside [N m] after a second, by angle sensor.
+    """What the filter claims of angle [rad] and torque from outside [N m] within a second, by angle sensor.
+
+    It is the median of the second half: for some milliseconds after the onset of a push, the filter claims nothing.
 
     Args:
         rig: with the state ``external_torque`` and an encoder.
@@ -52,9 +54,10 @@ def claimed(rig: Rig) -> Grids:
             measured = states[:, 2:4] + rng.normal(0.0, rig.sensors.error("pressure"), (len(states), 2))
             encoder = states[:, 0] + rng.normal(0.0, SENSORS["encoder"], len(states))
             for name, (of_angle, of_torque) in out.items():
-                last = Estimator(rig, angle_sensor=name).run(stamps, measured, inputs[:, :2], encoder).rows[-1]
-                of_angle[row, column] = math.sqrt(last["covariance"][0, 0])
-                of_torque[row, column] = math.sqrt(last["external_torque_covariance"][3])
+                rows = Estimator(rig, angle_sensor=name).run(stamps, measured, inputs[:, :2], encoder).rows
+                late = rows[len(rows) // 2 :]
+                of_angle[row, column] = math.sqrt(np.median(late["covariance"][:, 0, 0]))
+                of_torque[row, column] = math.sqrt(np.median(late["external_torque_covariance"][:, 3]))
     return out
 
 
