@@ -208,7 +208,7 @@ def diagnose(
     chosen = as_rig(rig, regulators=True)
     fitted, kept = as_recordings(recordings, chosen), as_recordings(held_out, chosen)
     for recording in (*fitted, *kept):
-        recording.driven_by(chosen.drive)
+        recording.driven_by(chosen.drive).in_one_piece()
     found = _diagnose(
         fitted, chosen, joint=joint, lock_angle=lock_angle, holdout=holdout, held_out=kept, jobs=jobs, seed=seed,
         progress=progress, profiles=profiles, estimator=estimator, store=store,

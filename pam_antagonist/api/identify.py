@@ -169,7 +169,11 @@ def identify(
     """
     chosen = as_rig(rig, regulators=True)
     read = [
-        (recording.driven_by(chosen.drive), joint_condition(recording, joint, lock_angle), bag_name(recording.path))
+        (
+            recording.driven_by(chosen.drive).in_one_piece(),
+            joint_condition(recording, joint, lock_angle),
+            bag_name(recording.path),
+        )  # fmt: skip
         for recording in as_recordings(recordings, chosen)
     ]
     if chosen.valves.sealed:

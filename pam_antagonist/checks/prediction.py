@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -54,7 +55,27 @@ def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, kno
         lock_angle: of a locked joint [rad].
         known_start: whether the recorded pressures are absolute, in Pa and in place, so that the model starts from
             them; otherwise it starts in the middle of the supply's range.
+
+    Raises:
+        BadInput: episodes without commands or pressures.
     """
+    if recording.episode_ns is None:
+        return _in_one_piece(recording, rig, joint, lock_angle, known_start)
+    parts = []
+    for episode in recording.episodes:
+        begin, end = recording.time_s[[episode.start, episode.stop - 1]]
+        alone = replace(recording.slice(begin, end + 1e-9), episode_ns=None)
+        if len(alone) > 1 and np.isfinite(np.column_stack([alone.voltage, alone.pressure])).all(axis=1).any():
+            one = _in_one_piece(alone, rig, joint, lock_angle, known_start)
+            parts.append(replace(one, time=one.time + begin, rows=one.rows + episode.start))
+    if not parts:
+        raise BadInput(f"{recording.path.name}: no episode has two samples with commands and pressures")
+    return Prediction(
+        **{item.name: np.concatenate([getattr(one, item.name) for one in parts]) for item in fields(Prediction)}
+    )
+
+
+def _in_one_piece(recording: Recording, rig: Rig, joint: str, lock_angle: float, known_start: bool) -> Prediction:
     period, step = recording.even_grid(rig.sample_period)
     voltage = np.full((int(step[-1]) + 1, 2), np.nan)
     # The value of a sample was on the valves over the time that ends there.

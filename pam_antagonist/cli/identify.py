@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from pam_antagonist.api.identify import identify
-from pam_antagonist.cli import common
+from pam_antagonist.cli import common, identify_episodes
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.first_start import compile_first
 from pam_antagonist.cli.numbers import JOBS, SEED, real, whole
@@ -20,7 +20,8 @@ _DESCRIPTION = """\
 Identify a rig from its recordings: parameters with error bars, sensor noise, filter tuning.
 
 Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured
-where you can. The end of each is not fitted but kept to judge the result by.
+where you can. The end of each is not fitted but kept to judge the result by. A rig with pressure regulators (drive:
+regulator) takes many short episodes in one recording as well (import_csv), of which whole ones are held out.
 
 Writes DIR/rig.yaml, which every command and node takes, DIR/report.html and DIR/report.json; of several
 recordings also DIR/rig_1.yaml, rig_2.yaml ..., each with one recording's own values.
@@ -80,6 +81,8 @@ def _run(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name):
             raise BadInput(f"--{name}: the parameters of a sealed joint that can be identified are fixed; leave it out")
     recordings = given.read(arguments, rig)
+    if rig.drive == "regulator" and any(recording.episode_ns is not None for recording in recordings):
+        return identify_episodes.run(arguments, rig, recordings)
     damage = given.damage(arguments, recordings)
     if damage:
         print(terminal.warnings(damage))

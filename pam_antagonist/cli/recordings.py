@@ -58,7 +58,7 @@ def refuse_wrong(recording: Recording, rig: Rig, arguments: argparse.Namespace) 
     Raises:
         BadInput: what is wrong, and what to type.
     """
-    if arguments.no_check or recording.duration_s < SHORTEST:
+    if arguments.no_check or recording.duration_s < SHORTEST or recording.drive != rig.drive:
         return
     checked = check_recording(recording, rig, arguments.joint, arguments.lock_angle)
     if checked.wrong:
@@ -99,9 +99,7 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
         if value in hashes[:k]:
             raise BadInput(f"{bags[k]}: the same recording as {bags[hashes.index(value)]}")
     for recording in recordings:
-        # Episodes are too short for these tests, and without commands there is nothing to drive the model by.
-        if recording.drive == rig.drive and recording.episode_ns is None:
-            refuse_wrong(recording, rig, arguments)
+        refuse_wrong(recording, rig, arguments)
     return recordings
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ BLOCK = 10
 _LEAST_BLOCKS = 8
 """Blocks are shorter where there would be fewer: of one block all draws are the same."""
 DRAWS = 1000
+_STEPS = 300
 CHANCE = 0.05
 """Chance that any of the effects that were offered is taken although it is not there."""
 
@@ -57,6 +59,21 @@ def drawn(episodes: int, seed: int = 0) -> Indices:
     size = int(np.min(np.diff(edges)))
     which = np.random.default_rng(seed).integers(0, blocks, (DRAWS, blocks))
     return np.asarray((edges[which][:, :, None] + np.arange(size)).reshape(DRAWS, -1))
+
+
+def steps(spans: Sequence[tuple[int, int]], slopes: Floats, left: Floats, seed: int = 0) -> Floats:
+    """What the numbers of a fit move by in draws of a bootstrap by episode: a Gauss-Newton step for each (D, K).
+
+    Args:
+        spans: first row of each episode, and the one behind its last (E,).
+        slopes: derivatives of the residual at the fit (N, K).
+        left: residual there (N,).
+        seed: of the draws.
+    """
+    squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
+    pulls = np.stack([slopes[a:b].T @ left[a:b] for a, b in spans])
+    draws = drawn(len(spans), seed)[:_STEPS]
+    return np.array([-np.linalg.lstsq(squares[d].sum(axis=0), pulls[d].sum(axis=0), rcond=None)[0] for d in draws])
 
 
 def rmse(sums: Floats, counts: Floats) -> Interval:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.bootstrap import Interval, drawn
+from pam_antagonist.inference.bootstrap import Interval, steps
 from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
-
-_DRAWS = 300
 
 
 def shown(joint: PressureDriven, model: PressureModel) -> dict[str, float]:
@@ -36,16 +34,10 @@ def draws(joint: PressureDriven, model: PressureModel, seed: int = 0) -> dict[st
         seed: of the draws.
     """
     left = joint.residual(model)
-    slopes = joint.jacobian(model, left)
-    spans = list(zip(joint.first[:-1], joint.first[1:], strict=True))
-    squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
-    pulls = np.stack([slopes[a:b].T @ left[a:b] for a, b in spans])
+    spans = list(zip(joint.first[:-1].tolist(), joint.first[1:].tolist(), strict=True))
     at = joint.coordinates(model)
     found = [
-        shown(
-            joint, joint.moved(model, at - np.linalg.lstsq(squares[d].sum(axis=0), pulls[d].sum(axis=0), rcond=None)[0])
-        )
-        for d in drawn(len(joint), seed)[:_DRAWS]
+        shown(joint, joint.moved(model, at + step)) for step in steps(spans, joint.jacobian(model, left), left, seed)
     ]
     return {name: np.array([one[name] for one in found]) for name in found[0]}
 

@@ -52,6 +52,8 @@ _NO_REGULATORS = {
     if item.is_size
 }
 """The pressures are measured: what the regulators make of their commands is in them."""
+_ROUNDING = 1.0
+"""[Pa] By so much a measured pressure may differ from a command that was logged in its place."""
 _RUNAWAY = 10.0
 """[rad] Beyond it a model is wrong, however far it runs."""
 _ROUNDS = 20
@@ -112,6 +114,8 @@ class PressureDriven:
         angle: measured (N,) [rad], NaN where missing.
         pressure: measured (N, 2) [Pa].
         signals: further ones (N, S) [SI], in the order of ``rig.signals``, less their values there.
+        command: what the regulators were asked for over the step that ends at each row (N, 2) [Pa], NaN where that is
+            not known.
         jobs: threads.
         left_out: episodes that lack pressures, signals or the first angle.
         usual: pressure of each muscle [Pa] about which the directions turn; the same for all parts of a recording.
@@ -124,6 +128,7 @@ class PressureDriven:
     angle: Floats
     pressure: Floats
     signals: Floats
+    command: Floats
     jobs: int = 1
     left_out: int = 0
     usual: tuple[float, float] = (0.0, 0.0)
@@ -153,13 +158,7 @@ class PressureDriven:
             if signal not in recording.signals:
                 known = ", ".join(recording.signals) or "none was recorded"
                 raise BadInput(f"{name}: no signal {signal!r}; expected one of: {known}")
-        for signal, (values, _) in recording.signals.items():
-            for number in (1, 2):
-                if np.array_equal(values, recording.pressure[:, number - 1], equal_nan=True):
-                    raise BadInput(
-                        f"{name}: pressure_{number} is {signal}, row by row; expected the measured pressure, not what "
-                        "the regulator was asked for"
-                    )
+        _refuse_commands(recording, name)
         columns = [recording.signals[signal].values for signal in names]
         signals = np.column_stack(columns) if columns else np.empty((len(recording), 0))
         whole: NDArray[np.bool_] = np.asarray(np.isfinite(np.column_stack([recording.pressure, signals])).all(axis=1))
@@ -173,9 +172,11 @@ class PressureDriven:
             signal: rig.signals.get(signal, float(np.nanmean(c))) for signal, c in zip(names, columns, strict=True)
         }
         signals = signals - np.array(list(means.values()))
+        command = recording.voltage if recording.drive == "regulator" else np.full((len(recording), 2), np.nan)
         made = cls(
             rig.replaced(signals=means), name, np.array([*(p.start for p in recording.episodes), len(recording)]),
-            recording.time_s, recording.angle, recording.pressure, signals, jobs, len(recording.episodes) - len(parts),
+            recording.time_s, recording.angle, recording.pressure, signals, command, jobs,
+            len(recording.episodes) - len(parts),
             (float(np.nanmean(recording.pressure[:, 0])), float(np.nanmean(recording.pressure[:, 1]))),
         )  # fmt: skip
         kept = {part.start for part in parts}
@@ -195,7 +196,7 @@ class PressureDriven:
         first = np.concatenate([[0], np.cumsum([len(span) for span in spans])]).astype(np.intp)
         return replace(
             self, first=first, time=self.time[rows], angle=self.angle[rows], pressure=self.pressure[rows],
-            signals=self.signals[rows],
+            signals=self.signals[rows], command=self.command[rows],
         )  # fmt: skip
 
     @cached_property
@@ -346,3 +347,18 @@ class PressureDriven:
             bounds=(low, high), x_scale="jac", ftol=_ENOUGH, xtol=_ENOUGH, max_nfev=rounds,
         )  # fmt: skip
         return self.moved(model, found.x)
+
+
+def _refuse_commands(recording: Recording, name: str) -> None:
+    """Refuse what was asked for in the place of what was measured."""
+    asked = {signal: values for signal, (values, _) in recording.signals.items()}
+    if recording.drive == "regulator":
+        asked |= {f"the command of regulator {k + 1}": recording.voltage[:, k] for k in (0, 1)}
+    for signal, values in asked.items():
+        for number in (1, 2):
+            apart = np.abs(values - recording.pressure[:, number - 1])
+            if np.isfinite(apart).any() and np.nanmax(apart) <= _ROUNDING and np.nanmax(values) > np.nanmin(values):
+                raise BadInput(
+                    f"{name}: pressure_{number} is {signal}, row by row; expected the measured pressure, not what "
+                    "the regulator was asked for"
+                )

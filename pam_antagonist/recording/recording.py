@@ -265,6 +265,20 @@ class Recording:
             )
         raise BadInput(f"{self.path}: of a joint with pressure regulators; expected a rig with drive: regulator")
 
+    def in_one_piece(self) -> Recording:
+        """This recording, if it is no series of episodes.
+
+        Raises:
+            BadInput: it is.
+        """
+        if self.episode_ns is None:
+            return self
+        raise BadInput(
+            f"{self.path}: holds {len(self.episode_ns)} episodes; expected a recording in one piece. Episodes are "
+            "taken by replay and check, and with a rig of pressure regulators (drive: regulator) by the commands "
+            "identify and close_loop"
+        )
+
     @property
     def time_s(self) -> Floats:
         """Time since the first sample (N,) [s]."""

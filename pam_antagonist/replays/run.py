@@ -294,7 +294,7 @@ def _judged(
             recording_hash(recording),
             dict(recording.topics),
             int(recording.stamp_ns[0]),
-            (*recording.issues, *_sealed(recording, rig), *_other_joint(recording, rig)),
+            (*recording.issues, *_episodes(recording), *_sealed(recording, rig), *_other_joint(recording, rig)),
             _rigs(recording, rig),
         ),
         joint=JointFacts.of(joint),
@@ -352,6 +352,13 @@ def _external(recording: Recording, run: EstimateRun) -> ChannelErrors | None:
         metrics.delay(applied, estimate, float(np.median(np.diff(run.stamp_ns))) * 1e-9) if len(run.rows) > 1 else None
     )
     return None if errors is None else dataclasses.replace(errors, delay_s=late)
+
+
+def _episodes(recording: Recording) -> list[str]:
+    """What to say of a recording of episodes."""
+    if recording.episode_ns is None or recording.estimate is not None:
+        return []
+    return [f"{len(recording.episode_ns)} episodes: filter and model start anew with each, all are scored together"]
 
 
 def _sealed(recording: Recording, rig: Rig) -> list[str]:

@@ -3,7 +3,7 @@
 A filter that is started with the sample that started the live one gives the same bits from there on. Where that sample
 is not in the recording (it was begun while the estimator ran), or where the state was set by hand, only a checkpoint
 gives them: the first one whose own sample was recorded. Until then the replay has a filter of its own, which is not
-compared with the live one.
+compared with the live one. Where no estimate was recorded, each episode starts a filter.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def plan(recording: Recording, estimator: Estimator, begin_ns: int | None = None
     out = Plan([], {})
     live = recording.estimate
     if live is None or len(live) == 0:
-        out.segments.append(Segment(0))
+        out.segments += [Segment(part.start) for part in recording.episodes]
     else:
         starts, first = np.unique(live.started_ns, return_index=True)
         for start, at in sorted(zip(starts.tolist(), first.tolist(), strict=True), key=lambda pair: pair[1]):

@@ -50,7 +50,8 @@ def interval(value: Interval | None, digits: int = 3) -> str:
     return f"{number(value.value, digits)} ({number(value.low, digits)} to {number(value.high, digits)})"
 
 
-def _times(factor: float, value: Interval) -> Interval:
+def times(factor: float, value: Interval) -> Interval:
+    """An interval in another unit."""
     return Interval(*(factor * part for part in value))
 
 
@@ -135,6 +136,16 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
                 "the model with Coulomb friction alone.",
             )
         )
+    return (*out, *units_findings(joint))
+
+
+def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
+    """What units that are not known leave open, and which episodes were left out.
+
+    Args:
+        joint: the episodes.
+    """
+    out = []
     units = joint.rig.units
     if units.force == "per_inertia":
         out.append(
@@ -174,7 +185,7 @@ def _moved(found: EpisodeDiagnosis, rig: Rig) -> list[str]:
     for name, change in found.drift.changes.items():
         if change.low > 0.0 or change.high < 0.0:
             shown, factor = unit(rig, name)
-            out.append(f"{value_name(rig, name)} by {interval(_times(factor, change), 2)} {shown}")
+            out.append(f"{value_name(rig, name)} by {interval(times(factor, change), 2)} {shown}")
     return out
 
 
@@ -214,8 +225,8 @@ def values_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
     for name, value in found.values.items():
         shown, factor = unit(rig, name)
         rows.append((
-            value_name(rig, name), interval(_times(factor, value)), shown,
-            interval(_times(factor, found.drift.changes[name]), 2),
+            value_name(rig, name), interval(times(factor, value)), shown,
+            interval(times(factor, found.drift.changes[name]), 2),
         ))  # fmt: skip
     return Table(
         ("Value", "95 % interval by episode", "Unit", "Change over the recording, corrected 95 % interval"),
@@ -232,7 +243,7 @@ def drift_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
         shown, factor = unit(rig, name)
         rows.append((
             f"{value_name(rig, name)} [{shown}]",
-            *(interval(_times(factor, part), 2) for part in parts),
+            *(interval(times(factor, part), 2) for part in parts),
         ))  # fmt: skip
     for k, fit in enumerate(("fitted to all that may be fitted", "fitted to the part")):
         rows.append((f"RMSE [°], {fit}", *(number(pair[k]) for pair in found.drift.errors)))

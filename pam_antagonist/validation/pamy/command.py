@@ -10,16 +10,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import JOBS
 from pam_antagonist.diagnosis.episodes import diagnose
-from pam_antagonist.identification import regulator
-from pam_antagonist.identification.regulator import Regulator
-from pam_antagonist.inference.bootstrap import Interval, rmse
-from pam_antagonist.inference.held_episodes import Held, held_out, thinned
-from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+from pam_antagonist.identification.regulators import of_commands, pressures_of
+from pam_antagonist.inference.bootstrap import rmse
+from pam_antagonist.inference.held_episodes import held_out
+from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import available
 from pam_antagonist.recording.csv_import import read_csv
 from pam_antagonist.recording.csv_map import load_map
@@ -41,9 +38,7 @@ examples:
   {run} pamy pamy_joint0.csv --out result --docs docs/pamy.md
 """
 _OTHER = ("joint1_p1", "joint1_p2")
-_SETPOINTS = ("p1_set", "p2_set")
 _SHARE = 1.0 / 3.0
-_EPISODES = 400
 
 
 def parser() -> common.Parser:
@@ -99,52 +94,18 @@ def analysed(recording: Recording, jobs: int) -> page.ArmResult:
     """
     rig = load_rig("regulator_joint", regulators=True)
     joint = PressureDriven.of(recording, rig, _OTHER, jobs)
-    asked = PressureDriven.of(recording, rig, _SETPOINTS)
     held = held_out(len(joint), _SHARE)
-    found = diagnose(joint, _SHARE, progress=lambda text: print(f"pamy: {text}", file=sys.stderr, flush=True))
+
+    def progress(text: str) -> None:
+        print(f"pamy: {text}", file=sys.stderr, flush=True)
+
+    found = diagnose(joint, _SHARE, progress=progress)
     rows = baselines.rows(joint, held, found.window)
-    regulators = tuple(_regulator(asked, held, muscle) for muscle in (0, 1))
-    later = asked.take(held.later)
-    held_pressures = np.column_stack([_held(one, later, muscle) for muscle, one in enumerate(regulators)])
-    errors = tuple(
-        (_rms(held_pressures[:, k] - later.pressure[:, k]), _rms(_asked(later, k) - later.pressure[:, k]))
-        for k in (0, 1)
-    )
-    commanded = _error(replace(joint.take(held.later), pressure=held_pressures), found.model)
-    return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, errors, 0.0)
-
-
-def _asked(asked: PressureDriven, muscle: int) -> np.ndarray:
-    """What a regulator was asked for up to each row (N,) [Pa]: the row's own action comes after it."""
-    return np.asarray(asked.signals[:, muscle] + list(asked.rig.signals.values())[muscle])
-
-
-def _setpoint(asked: PressureDriven, muscle: int) -> np.ndarray:
-    """What a regulator is asked for from each row to the next one (N,) [Pa]."""
-    values = _asked(asked, muscle)
-    following = np.append(values[1:], values[-1])
-    last = asked.first[1:] - 1
-    following[last] = values[last]
-    return following
-
-
-def _regulator(asked: PressureDriven, held: Held, muscle: int) -> Regulator:
-    part = asked.take(thinned(held.pool, _EPISODES))
-    return regulator.fit(part.first, part.time, _setpoint(part, muscle), part.pressure[:, muscle])
-
-
-def _held(one: Regulator, asked: PressureDriven, muscle: int) -> np.ndarray:
-    """The pressure that a regulator holds (N,) [Pa]."""
-    start = asked.pressure[asked.first[:-1], muscle]
-    return regulator.simulated(one, asked.first, asked.time, _setpoint(asked, muscle), start)
-
-
-def _error(joint: PressureDriven, model: PressureModel) -> Interval:
-    return rmse(*joint.squares(joint.residual(model)))
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    regulators = of_commands(joint, held, progress)
+    later = joint.take(held.later)
+    held_by = pressures_of(regulators, later)
+    commanded = rmse(*later.squares(replace(later, pressure=held_by).residual(found.model)))
+    return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, 0.0)
 
 
 if __name__ == "__main__":

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 from pam_antagonist.diagnosis.episode_drift import WINDOWS
 from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
-from pam_antagonist.identification.regulator import Regulator
+from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
+from pam_antagonist.report.identify_episodes import regulators_numbers, regulators_sentences, regulators_table
 from pam_antagonist.report.table import Table, number, percent
 
 _ADDRESS = "https://github.com/ALRhub/action-conditional-rkn"
@@ -48,9 +49,9 @@ what there was comes from a simulated joint.
 
 ## What is not shown
 
-Torque in N m, areas and stiffness in N m/rad cannot be told without a torque or an inertia that is known. Rate limit,
-dead zone and threshold of the regulators are not identified. That friction goes with the other joint's pressures is a
-correlation in recordings of a policy, not an experiment: to hold that joint at two pressures would tell.
+Torque in N m, areas and stiffness in N m/rad cannot be told without a torque or an inertia that is known. That
+friction goes with the other joint's pressures is a correlation in recordings of a policy, not an experiment: to hold
+that joint at two pressures would tell.
 """
 
 
@@ -65,8 +66,7 @@ class ArmResult:
         trees: whether boosted trees are among them.
         commanded: error [deg] on later episodes of the extended model with the regulators' pressures in the place of
             the measured ones.
-        regulators: of both muscles, fitted to the episodes that may be fitted.
-        regulator_errors: error of each on later episodes, and of the setpoint itself [Pa].
+        regulators: fitted to the episodes that may be fitted.
         took: seconds.
     """
 
@@ -75,8 +75,7 @@ class ArmResult:
     baselines: tuple[Row, ...]
     trees: bool
     commanded: Interval
-    regulators: tuple[Regulator, ...]
-    regulator_errors: tuple[tuple[float, float], ...]
+    regulators: RegulatorsFound
     took: float
 
 
@@ -115,22 +114,12 @@ def _with_rows(found: EpisodeDiagnosis, rows: Sequence[Row]) -> EpisodeDiagnosis
 
 
 def _regulators(result: ArmResult) -> str:
-    rows = tuple(
-        (
-            f"muscle {k}", number(one.frequency / 6.283185307, 3), number(one.damping, 2), number(one.resonance, 3),
-            f"{1e3 * one.dead_time:.1f}", number(one.gain, 3), number(1e-5 * own, 2), number(1e-5 * asked, 2),
-        )
-        for k, (one, (own, asked)) in enumerate(zip(result.regulators, result.regulator_errors, strict=True), 1)
-    )  # fmt: skip
-    head = (
-        "From `p_set` to `p`", "Natural frequency [Hz]", "Damping ratio", "Resonance", "Dead time [ms]", "Gain",
-        "RMSE on later episodes [bar]", "of the setpoint itself",
-    )  # fmt: skip
+    table = regulators_table(result.regulators, result.joint.rig)
     recent = result.found.rows[-1].recent or result.found.rows[-1].later
+    said = "\n".join(f"- {text}" for text in regulators_sentences(result.regulators))
     return (
-        "A lag of second order behind a dead time, free runs of whole episodes "
-        "([`regulator.py`](../pam_antagonist/identification/regulator.py)).\n\n"
-        f"{_table(Table(head, rows))}\n\n"
+        f"{table.caption} ([`regulators.py`](../pam_antagonist/identification/regulators.py)). The command is `p_set`. "
+        f"`identify` finds the same.\n\n{_table(table)}\n\n{said}\n\n"
         f"With these regulators' pressures in the place of the measured ones, the extended model errs by "
         f"{report.interval(result.commanded)}° on later episodes, with the measured ones by {report.interval(recent)}°."
     )
@@ -153,7 +142,6 @@ def numbers(result: ArmResult, hashes: tuple[str, ...]) -> Mapping[str, object]:
         **report.numbers(result.found, result.joint, hashes),
         "baselines_deg": result.baselines,
         "commanded_deg": result.commanded,
-        "regulators": [one._asdict() for one in result.regulators],
-        "regulator_errors_pa": result.regulator_errors,
+        "regulators": regulators_numbers(result.regulators),
         "took_s": result.took,
     }

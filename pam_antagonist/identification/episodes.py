@@ -1,0 +1,102 @@
+"""A regulator-driven joint from many short episodes: mechanics from measured pressures, regulators from commands.
+
+The measured pressures drive the mechanics, as everywhere where there are episodes
+(:mod:`pam_antagonist.inference.pressure_driven`). Where commands were recorded, the regulators are found from commands
+to measured pressures (:mod:`pam_antagonist.identification.regulators`). Whole episodes are held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pam_antagonist.blas import one_blas_thread
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.regulators import RegulatorsFound, of_commands
+from pam_antagonist.inference.bootstrap import Interval, rmse
+from pam_antagonist.inference.episode_values import intervals
+from pam_antagonist.inference.free_parameters import FreeEffectParameter, moved
+from pam_antagonist.inference.held_episodes import held_out, thinned
+from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.physical import unphysical
+
+_USED = 600
+"""Episodes in a fit: more tell hardly more and take longer."""
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodesIdentified:
+    """What was found.
+
+    Attributes:
+        start: the rig as given.
+        rig: with the identified values.
+        values: what of them was fitted, with 95 % intervals by episode, by dotted path.
+        errors: RMSE [deg] on later and on interleaved episodes, of the rig as configured and as identified.
+        regulators: of both muscles; None where no command was recorded.
+        counts: episodes fitted, later and interleaved.
+    """
+
+    start: Rig
+    rig: Rig
+    values: Mapping[str, Interval]
+    errors: Mapping[str, tuple[Interval, Interval]]
+    regulators: RegulatorsFound | None
+    counts: tuple[int, int, int]
+
+
+@one_blas_thread
+def identify(
+    joint: PressureDriven, share: float, progress: Callable[[str], None] = lambda text: None
+) -> EpisodesIdentified:
+    """Identify mechanics, effects that the rig has, and regulators.
+
+    Args:
+        joint: the episodes.
+        share: of them that is held out at the end; so is every fifth of the others.
+        progress: is called with what is being done.
+
+    Raises:
+        BadInput: a joint that does not move, or from which something comes that cannot be.
+    """
+    if not np.nanmax(joint.angle) > np.nanmin(joint.angle):
+        raise BadInput(f"{joint.name}: the angle never changes; expected a joint that moves")
+    held = held_out(len(joint), share)
+    fitted = joint.take(thinned(held.pool, _USED))
+    progress(f"mechanics from {len(fitted)} episodes")
+    model = fitted.fit(_start(joint))
+    errors = {
+        name: (_error(joint.take(held.later), one), _error(joint.take(held.interleaved), one))
+        for name, one in (("as configured", joint.as_configured), ("identified", model))
+    }
+    found = moved(joint.rig, joint.values(model))
+    regulators = None
+    if np.isfinite(joint.command).all():
+        regulators = of_commands(joint, held, progress)
+        found = regulators.on(found)
+    complaint = unphysical(found)
+    if complaint:
+        raise BadInput(f"{joint.name}: what fits it best cannot be: {complaint}; does the joint move enough?")
+    counts = len(held.pool), len(held.later), len(held.interleaved)
+    return EpisodesIdentified(joint.rig, found, intervals(fitted, model), errors, regulators, counts)
+
+
+def _start(joint: PressureDriven) -> PressureModel:
+    """The rig's own model; the sizes of the effects that it has may move."""
+    free = tuple(
+        FreeEffectParameter((f"effects.{name}.{item.name}",), item)
+        for name, values in joint.rig.effects.items()
+        if "regulator" in CATALOGUE[name].tested_with
+        for item in CATALOGUE[name].parameters
+        if item.is_size and values.get(item.name, 0.0)
+    )
+    values = {item.path: joint.rig.value(item.path) for item in free}
+    return PressureModel(joint.as_configured.amounts, free, values)
+
+
+def _error(joint: PressureDriven, model: PressureModel) -> Interval:
+    return rmse(*joint.squares(joint.residual(model)))

@@ -1,0 +1,57 @@
+"""The air alone, equation (4) with regulators, driven by commands and by a motion that was measured.
+
+The same Runge-Kutta step as everywhere runs it. The joint is locked, and its angle is moved from outside: the
+muscles' volumes change as they did, and only the regulators have to be right.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pam_antagonist._jit import kernel
+from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, STAGES, VELOCITY
+from pam_antagonist.model.parameters import FRICTION_STEP
+
+_rk4_step, _initial_state = dynamics.rk4_step_within, equilibrium.initial_state
+
+
+@kernel
+def pressures(first, start, time, command, angle, p, longest):
+    """Pressures of episodes, each started anew at rest.
+
+    Args:
+        first: index of the first row of each episode, and behind the last one (E + 1,).
+        start: pressures with which each begins (E, 2) [Pa].
+        time: of the rows [s] (N,), increasing within an episode.
+        command: what the regulators are asked for over the step that ends at each row (N, 2) [Pa].
+        angle: measured (N,) [rad], linear between rows.
+        p: parameter vector (m,) of a locked joint.
+        longest: step of the integration [s].
+
+    Returns:
+        P_1, P_2 of each row (N, 2) [Pa].
+    """
+    p = p.copy()
+    u = np.zeros(2)
+    out = np.empty((time.shape[0], 2))
+    for e in range(first.shape[0] - 1):
+        begin = first[e]
+        u[:] = command[begin]
+        x = _initial_state(angle[begin], start[e, 0], start[e, 1], u, p)
+        scratch = np.empty((STAGES + 1, x.shape[0]))
+        out[begin] = start[e]
+        for k in range(begin + 1, first[e + 1]):
+            u[:] = command[k]
+            dt = time[k] - time[k - 1]
+            steps = max(1, math.ceil(dt / longest - 0.1))
+            p[FRICTION_STEP] = dt / steps
+            moved = angle[k] - angle[k - 1]
+            x[VELOCITY] = moved / dt
+            for s in range(steps):
+                x[ANGLE] = angle[k - 1] + (s + 0.5) / steps * moved
+                _rk4_step(x, u, p, dt / steps, x, scratch)
+            out[k, 0], out[k, 1] = x[PRESSURE_1], x[PRESSURE_2]
+    return out

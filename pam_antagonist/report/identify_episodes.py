@@ -1,0 +1,151 @@
+"""The report of ``identify`` on a regulator-driven joint of many short episodes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pam_antagonist.identification.episodes import EpisodesIdentified
+from pam_antagonist.identification.regulators import RegulatorsFound
+from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background
+from pam_antagonist.report.episodes import interval, times, unit, units_findings, value_name
+from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.rig import Rig
+
+_OTHER_SCALE = 0.03
+"""A gain that is further from 1 says that commands and measured pressures are not on one scale."""
+
+
+def summary(found: EpisodesIdentified, joint: PressureDriven) -> tuple[Block, ...]:
+    """What the terminal shows."""
+    later, between = found.errors["identified"]
+    before = found.errors["as configured"][0]
+    said = (
+        f"Identified from {found.counts[0]} episodes: the error of the angle on later episodes is "
+        f"{number(later.value)}°, on interleaved ones {number(between.value)}°; as configured it was "
+        f"{number(before.value)}° on the later ones."
+    )
+    blocks: list[Block] = [Text(said, "verdict"), Findings(_findings(found, joint)), _errors(found), _values(found)]
+    if found.regulators is not None:
+        blocks.append(regulators_table(found.regulators, found.rig))
+    return tuple(blocks)
+
+
+def _findings(found: EpisodesIdentified, joint: PressureDriven) -> tuple[Finding, ...]:
+    out = []
+    if found.errors["identified"][0].value > found.errors["as configured"][0].value:
+        out.append(
+            Finding("warn", "On later episodes the rig as configured errs less: the joint drifts, or moved little.")
+        )
+    if found.regulators is None:
+        out.append(Finding("note", "No commands were recorded: the regulators stay as configured."))
+    else:
+        out += [Finding("note", text) for text in regulators_sentences(found.regulators)]
+    return (*out, *units_findings(joint))
+
+
+def _errors(found: EpisodesIdentified) -> Table:
+    rows = tuple((name, interval(later), interval(between)) for name, (later, between) in found.errors.items())
+    fitted, later, between = found.counts
+    return Table(
+        ("RMSE of the angle [°], 95 % interval by episode", "later", "interleaved"), rows,
+        f"Free runs of whole episodes from their first row; {fitted} episodes may be fitted, {later} later and "
+        f"{between} interleaved ones are held out",
+    )  # fmt: skip
+
+
+def _values(found: EpisodesIdentified) -> Table:
+    rows = []
+    for name, value in found.values.items():
+        shown, factor = unit(found.rig, name)
+        rows.append((value_name(found.rig, name), interval(times(factor, value)), shown))
+    return Table(("Value", "95 % interval by episode", "Unit"), tuple(rows), "Identified values")
+
+
+def regulators_table(found: RegulatorsFound, rig: Rig) -> Table:
+    """The numbers of both regulators.
+
+    Args:
+        found: the regulators.
+        rig: of the joint.
+    """
+    rows = []
+    for name, value in found.values.items():
+        shown, factor = unit(rig, name)
+        if name.rpartition(".")[2].startswith("frequency"):
+            shown, factor = "Hz", 0.5 / math.pi
+        rows.append((name.removeprefix("effects."), interval(times(factor, value)), shown))
+    return Table(
+        ("Value of the regulators", "95 % interval by episode", "Unit"), tuple(rows),
+        "From commands to measured pressures, free runs of whole episodes with the joint's measured motion",
+    )  # fmt: skip
+
+
+def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
+    """What the numbers say."""
+    errors = " and ".join(number(1e-3 * value) for value in found.errors)
+    commands = " and ".join(number(1e-3 * value) for value in found.command_errors)
+    out = [
+        f"On later episodes the regulators' pressures differ from the measured ones by {errors} kPa, the commands "
+        f"themselves by {commands} kPa (RMS of muscle 1 and 2). The resonance is {number(found.resonance)}."
+    ]
+    for name in dict.fromkeys(item.name for item in found.tried):
+        item = [one for one in found.tried if one.name == name][-1]
+        out.append(
+            f"The {item.name} is {'identified' if item.taken else 'left as configured'}: to free it removes "
+            f"{percent(item.removed.value)} of the squared error of unseen episodes ({percent(item.removed.low)} to "
+            f"{percent(item.removed.high)})."
+        )
+    for k, gain in enumerate(found.gains, 1):
+        if abs(gain - 1.0) > _OTHER_SCALE:
+            out.append(
+                f"Pressure {k} follows its command with a gain of {number(gain)}, the model has 1: expected both on "
+                "one scale."
+            )
+    return tuple(out)
+
+
+def document(found: EpisodesIdentified, joint: PressureDriven, sha256: str) -> Document:
+    """The report.
+
+    Args:
+        found: the result.
+        joint: the episodes.
+        sha256: of the recording.
+    """
+    definitions = (
+        ("Later", "Episodes at the end of the recording; no fit sees them."),
+        ("Interleaved", "Every fifth episode of what comes before; no fit sees them either."),
+        ("Interval", "A bootstrap of blocks of neighbouring episodes."),
+    )
+    lede = Text("A joint driven by pressure regulators, in many short recordings.", "lede")
+    provenance = [("Rig", found.start.name), ("Recording", sha256)]
+    return Document(
+        "Identified joint", joint.name, (lede, *summary(found, joint), *background(definitions, provenance))
+    )
+
+
+def numbers(found: EpisodesIdentified, sha256: str) -> dict[str, Any]:
+    """What ``report.json`` holds; intervals are value, lower and upper end.
+
+    Args:
+        found: the result.
+        sha256: of the recording.
+    """
+    return {
+        "values": found.values,
+        "errors_deg": {name: {"later": a, "interleaved": b} for name, (a, b) in found.errors.items()},
+        "regulators": None if found.regulators is None else regulators_numbers(found.regulators),
+        "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
+        "rig": found.start.name,
+        "recordings_sha256": [sha256],
+    }
+
+
+def regulators_numbers(found: RegulatorsFound) -> dict[str, Any]:
+    """What ``report.json`` holds of regulators."""
+    return {
+        "values": found.values, "tried": found.tried, "errors_pa": found.errors,
+        "command_errors_pa": found.command_errors, "gains": found.gains, "resonance": found.resonance,
+    }  # fmt: skip

@@ -1,0 +1,147 @@
+"""Many short episodes through identify, replay and check; where they are not taken, that is said.
+
+The joint and regulators of the first tests are simulated by scipy, not by the package's model.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lsim, lti
+
+from pam_antagonist import check, diagnose, identify, load_rig, replay, simulate
+from pam_antagonist.cli.identify import main
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.episodes import identify as identify_episodes
+from pam_antagonist.identification.regulators import of_commands
+from pam_antagonist.inference.held_episodes import held_out
+from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.recording import Recording, write_bag
+
+EPISODES, ROWS, PERIOD = 40, 80, 0.01
+GAIN, VISCOUS, STIFFNESS = 2e-4, 8.0, 60.0  # [rad/s² by Pa], [1/s], [1/s²]
+RIG = load_rig("shin2022_regulators", regulators=True)
+UNKNOWN = load_rig("regulator_joint", regulators=True)
+
+
+def commanded(dead_time: int, damping: float = 0.35) -> Recording:
+    """A joint with viscous friction; regulators with 25 and 31 1/s behind a dead time of so many milliseconds."""
+    rng = np.random.default_rng(5)
+    fine = 10
+    time = np.arange(ROWS * fine) * PERIOD / fine
+    asked = 3e5 + 1e5 * np.repeat(rng.uniform(-1.0, 1.0, (EPISODES, 2, ROWS // 10)), 10, axis=2)
+    pressure = np.empty((EPISODES, ROWS, 2))
+    angle = np.empty((EPISODES, ROWS))
+    for e in range(EPISODES):
+        pull = np.zeros(len(time))
+        for k, omega in enumerate((25.0, 31.0)):
+            held = np.repeat(asked[e, k], fine)
+            late = np.concatenate([np.full(dead_time, held[0]), held])[: len(held)]
+            _, out, _ = lsim(lti([omega**2], [1.0, 2 * damping * omega, omega**2]), late - held[0], time, interp=False)
+            pull += (1 - 2 * k) * (held[0] + out)
+            pressure[e, :, k] = held[0] + out[::fine] + 200.0 * rng.standard_normal(ROWS)
+        # At rest where the first pressures hold it.
+        _, out, _ = lsim(lti([GAIN], [1.0, VISCOUS, STIFFNESS]), pull - pull[0], time)
+        angle[e] = GAIN / STIFFNESS * pull[0] + out[::fine]
+    # A row of a recording holds what was asked for over the step that ends there.
+    command = np.concatenate([asked[:, :, :1], asked[:, :, :-1]], axis=2).transpose(0, 2, 1)
+    stamps = 10**18 + (np.arange(EPISODES)[:, None] * 3 * 10**9 + np.rint(time[::fine] * 1e9).astype(np.int64)).ravel()
+    return Recording(
+        Path("arm"), stamps, pressure.reshape(-1, 2), command.reshape(-1, 2), angle.ravel(),
+        episode_ns=stamps[::ROWS], drive="regulator",
+    )  # fmt: skip
+
+
+def found_in(recording: Recording) -> tuple[dict[str, float], set[str]]:
+    joint = PressureDriven.of(recording, UNKNOWN)
+    found = of_commands(joint, held_out(len(joint), 1.0 / 3.0), lambda text: None)
+    assert max(found.errors) < 2e3 < min(found.command_errors)
+    values = {name.removeprefix("effects."): value.value for name, value in found.values.items()}
+    return values, {item.name for item in found.tried if item.taken}
+
+
+def test_regulators_are_found_without_what_they_have_not() -> None:
+    values, taken = found_in(commanded(dead_time=0))
+    assert not taken
+    assert values["regulator_lag.frequency_1"] == pytest.approx(25.0, rel=0.01)
+    assert values["regulator_lag.frequency_2"] == pytest.approx(31.0, rel=0.01)
+    assert values["regulator_lag.damping"] == pytest.approx(0.35, rel=0.02)
+
+
+def test_a_dead_time_is_found_beside_the_lag() -> None:
+    values, taken = found_in(commanded(dead_time=23))
+    assert "dead time" in taken
+    assert values["regulator_dead_time.time_1"] == pytest.approx(0.023, abs=2e-3)
+    assert values["regulator_lag.frequency_1"] == pytest.approx(25.0, rel=0.05)
+
+
+def episodes(pause_ns: int, count: int = 3) -> tuple[Recording, list[Recording]]:
+    """A joint with regulators in episodes with other starts, and each by itself."""
+    long = simulate(RIG, duration=1.0 + 1.2 * count, mismatch=0.01, seed=3)
+    alone = [long.slice(1.0 + 1.2 * k, 2.2 + 1.2 * k) for k in range(count)]
+    begin, shifted = 10**18, []
+    for one in alone:
+        shifted.append(replace(one, stamp_ns=begin + one.stamp_ns - one.stamp_ns[0], estimate=None, received_ns={}))
+        begin = int(shifted[-1].stamp_ns[-1]) + pause_ns
+    names = ("stamp_ns", "pressure", "voltage", "angle", "torque")
+    whole: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in shifted]) for name in names}
+    begins = np.array([one.stamp_ns[0] for one in shifted])
+    return Recording(Path("series"), **whole, episode_ns=begins, drive="regulator"), shifted
+
+
+def test_a_replay_starts_anew_with_each_episode() -> None:
+    """The pause is so short that the filter would go on by itself."""
+    whole, alone = episodes(pause_ns=20_000_000)
+    done = replay(whole, RIG)
+    assert done.report.estimator.started_ns == tuple(int(stamp) for stamp in whole.episode_ns)
+    assert np.array_equal(done.run.rows["angle"], np.concatenate([replay(one, RIG).run.rows["angle"] for one in alone]))
+    assert np.array_equal(done.model.angle, np.concatenate([replay(one, RIG).model.angle for one in alone]))
+    assert any("3 episodes: filter and model start anew" in issue for issue in done.report.recording.issues)
+
+
+def test_a_check_compares_each_episode_from_its_own_start() -> None:
+    whole, _ = episodes(pause_ns=1_500_000_000, count=6)
+    assert {finding.status for finding in check(whole, RIG).findings} <= {"good", "untested"}
+    backwards = check(replace(whole, angle=-whole.angle), RIG)
+    assert any("counts the wrong way round" in item.text for item in backwards.findings if item.status == "wrong")
+
+
+def test_identify_writes_a_rig_with_the_regulators_that_it_found(tmp_path: Path, capsys: Any) -> None:
+    write_bag(tmp_path / "bag", commanded(dead_time=0))
+    options = ["--rig", "regulator_joint", "--out", str(tmp_path / "out")]
+    assert main([str(tmp_path / "bag"), *options, "--free", "joint"]) == 2
+    assert "--free: what episodes tell of a joint is fixed" in capsys.readouterr().err
+    assert main([str(tmp_path / "bag"), *options]) == 0
+    assert "Value of the regulators" in capsys.readouterr().out
+    rig = load_rig(tmp_path / "out" / "rig.yaml", regulators=True)
+    assert rig.joint.stiffness / rig.joint.inertia == pytest.approx(STIFFNESS, rel=0.03)
+    assert rig.joint.viscous_friction / rig.joint.inertia == pytest.approx(VISCOUS, rel=0.05)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert rig.value("effects.regulator_lag.frequency_1") == pytest.approx(25.0, rel=0.01)
+    assert report["episodes"] == {"fitted": 22, "later": 13, "interleaved": 5}
+
+
+def test_a_joint_that_does_not_move_is_refused() -> None:
+    recording = commanded(dead_time=0)
+    still = PressureDriven.of(replace(recording, angle=np.zeros(len(recording))), UNKNOWN)
+    with pytest.raises(BadInput, match="the angle never changes"):
+        identify_episodes(still, 1.0 / 3.0)
+
+
+def test_commands_in_the_place_of_measured_pressures_are_refused() -> None:
+    recording = commanded(dead_time=0)
+    with pytest.raises(BadInput, match="pressure_1 is the command of regulator 1, row by row"):
+        PressureDriven.of(replace(recording, pressure=recording.voltage), UNKNOWN)
+
+
+def test_where_episodes_are_not_taken_that_is_said() -> None:
+    parts = [simulate("shin2022", duration=0.2, seed=k) for k in (1, 2)]
+    valves = replace(parts[0], episode_ns=np.array([parts[0].stamp_ns[0], parts[0].stamp_ns[100]]))
+    for door in (identify, diagnose):
+        with pytest.raises(BadInput, match="holds 2 episodes; expected a recording in one piece"):
+            door(valves, "shin2022")
