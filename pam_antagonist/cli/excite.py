@@ -125,7 +125,7 @@ def _between(
     text = f"{effect} or {' or '.join(rivals)}: decided with a chance of {verdict.chance:.0%} ({each}), "
     text += f"in {verdict.plan.duration:.0f} s with the joint {arguments.joint}"
     if verdict.chance < LIKELY:
-        others = instead_of(extended, effect, rivals, limits, verdict, channels)
+        others = instead_of(extended, effect, rivals, verdict, channels)
         text += ". No motion within the limits tells them apart"
         text += f"; what would: {'; '.join(others)}" if others else ", nor does a further sensor or a lock"
     return verdict.plan, text

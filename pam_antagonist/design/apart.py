@@ -24,7 +24,16 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.stats import norm
 
-from pam_antagonist.design.information import Course, Departure, Information, predicted_std, unknowns
+from pam_antagonist.design.information import (
+    GAUGE_1,
+    GAUGE_2,
+    TANK,
+    Course,
+    Departure,
+    Information,
+    predicted_std,
+    unknowns,
+)
 from pam_antagonist.design.limits import Limits, uncertainty_of
 from pam_antagonist.design.optimal import BLOCK, FORBIDDEN, REST, STEP, TAIL, Plan, best_block, held, steady_voltage
 from pam_antagonist.diagnosis.thresholds import STRONG
@@ -50,7 +59,13 @@ _TYPICAL_S = 20.0
 """[s] Of the steps on which a rival is made to imitate."""
 _STEPS = (STEP, 2e-3, 1e-3, 5e-4)
 """[s] Of the integration: the longest is taken that follows both models."""
-_SENSORS = {ANGLE: "an encoder on the shaft", TORQUE: "a torque meter"}
+_SENSORS = {
+    ANGLE: "an encoder on the shaft",
+    TORQUE: "a torque meter",
+    GAUGE_1: "a third pressure sensor at muscle 1",
+    GAUGE_2: "a third pressure sensor at muscle 2",
+    TANK: "a third pressure sensor at the supply's tank",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,15 +284,8 @@ def told_apart(
     pressure = 0.5 * (limits.pressure[0] + limits.pressure[1])
     rest = np.array(steady_voltage(rig, pressure))
     rng = np.random.default_rng(seed)
-    pairs = {rival: ((rig, effect, rival), (imitation(rig, effect, rival), rival, effect)) for rival in rivals}
-    for step in _STEPS:
-        questions = {
-            rival: [Question(*one, joint, lock_angle, pressure, rest, channels, step) for one in pair]
-            for rival, pair in pairs.items()
-        }
-        everyone = [question for pair in questions.values() for question in pair]
-        if all(question.stable(limits.voltage, step) for question in everyone):
-            break
+    questions, step = _questions(rig, effect, rivals, limits, joint, lock_angle, pressure, rest, channels)
+    everyone = [question for pair in questions.values() for question in pair]
 
     def merit(rows: Floats) -> float:
         whole = np.concatenate([rows, held(rest[None], TAIL, step)])
@@ -314,8 +322,51 @@ def told_apart(
     return Verdict(plan, min(by_rival.values()), by_rival)
 
 
+def _questions(
+    rig: Rig,
+    effect: str,
+    rivals: Sequence[str],
+    limits: Limits,
+    joint: str,
+    lock_angle: float,
+    pressure: float,
+    rest: Floats,
+    channels: Sequence[int],
+) -> tuple[dict[str, list[Question]], float]:
+    """For each rival whether the effect can be told from it, and it from the effect; and the step to integrate [s]."""
+    pairs = {rival: ((rig, effect, rival), (imitation(rig, effect, rival), rival, effect)) for rival in rivals}
+    for step in _STEPS:
+        questions = {
+            rival: [Question(*one, joint, lock_angle, pressure, rest, channels, step) for one in pair]
+            for rival, pair in pairs.items()
+        }
+        if all(question.stable(limits.voltage, step) for pair in questions.values() for question in pair):
+            break
+    return questions, step
+
+
+def promised(rig: Rig, effect: str, rivals: Sequence[str], plan: Plan, channels: Sequence[int]) -> float:
+    """Chance that a plan's recording decides.
+
+    Args:
+        rig: with the effect as it was found.
+        effect: its name.
+        rivals: effects that explain the recordings as well.
+        plan: the experiment.
+        channels: what is measured, indices of ``CHANNELS`` or gauges beside them.
+    """
+    given = (plan.limits, plan.joint, plan.lock_angle, plan.pressure, np.array(plan.rest))
+    questions, step = _questions(rig, effect, rivals, *given, channels)
+    times = np.arange(round(plan.duration / step)) * step
+    rows = plan.voltage[np.minimum((times / plan.period + 1e-6).astype(np.int64), len(plan.voltage) - 1)]
+    everyone = [question for pair in questions.values() for question in pair]
+    for question in everyone:
+        question.take(question.course(rows))
+    return min(chance(question.distance) for question in everyone)
+
+
 def instead_of(
-    rig: Rig, effect: str, rivals: Sequence[str], limits: Limits, verdict: Verdict, channels: Sequence[int]
+    rig: Rig, effect: str, rivals: Sequence[str], verdict: Verdict, channels: Sequence[int]
 ) -> tuple[str, ...]:
     """What else would tell: sensors that were not there, or the other condition of the joint, each tried by a design.
 
@@ -323,22 +374,22 @@ def instead_of(
         rig: with the effect as it was found.
         effect: its name.
         rivals: effects that explain the recordings as well.
-        limits: of the experiment.
         verdict: of the experiment that does not tell.
         channels: what is measured, indices of ``CHANNELS``.
     """
-    seconds = verdict.plan.duration
-    out = []
-    for channel, words in _SENSORS.items():
-        if channel not in channels:
-            further = told_apart(
-                rig, effect, rivals, limits, seconds, verdict.plan.joint, channels=(*channels, channel)
-            )
-            if further.chance >= LIKELY:
-                out.append(f"{words} ({further.chance:.0%})")
-    other = "locked" if verdict.plan.joint == "free" else "free"
+    plan, out = verdict.plan, []
+    missing = [channel for channel in _SENSORS if channel not in channels]
+    if plan.joint == "locked":
+        missing = [channel for channel in missing if channel != ANGLE]
+    # First by the same voltages, which is quick; with a sensor more they tell no less than before.
+    by_sensor = {channel: promised(rig, effect, rivals, plan, (*channels, channel)) for channel in missing}
+    if not any(value >= LIKELY for value in by_sensor.values()):
+        given = (rig, effect, rivals, plan.limits, plan.duration, plan.joint, plan.lock_angle)
+        by_sensor = {channel: told_apart(*given, channels=(*channels, channel)).chance for channel in missing}
+    out += [f"{_SENSORS[channel]} ({value:.0%})" for channel, value in by_sensor.items() if value >= LIKELY]
+    other = "locked" if plan.joint == "free" else "free"
     if not (other == "locked" and any(CATALOGUE[name].needs_motion for name in (effect, *rivals))):
-        further = told_apart(rig, effect, rivals, limits, seconds, other, channels=channels)
+        further = told_apart(rig, effect, rivals, plan.limits, plan.duration, other, channels=channels)
         if further.chance >= LIKELY:
             out.append(f"the joint {other} ({further.chance:.0%})")
     return tuple(out)

@@ -21,6 +21,9 @@ from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
+GAUGE_1, GAUGE_2, TANK = range(len(CHANNELS), len(CHANNELS) + 3)
+"""Channels of sensors that no recording has: a gauge without error at each muscle, and one at the supply's tank."""
+
 STEP = 2e-3
 """[s] Of the integration. Derivatives need no finer one."""
 _SHARE = 1e-3
@@ -41,15 +44,15 @@ class Departure(Direction):
 
 
 def block_noise(rig: Rig) -> Floats:
-    """Standard deviations of the channels' block means by the rig's sensors (4,), in the order of ``CHANNELS``.
+    """Standard deviations of the channels' block means by the rig's sensors (7,): ``CHANNELS`` and the gauges beside.
 
     Args:
         rig: with its sensors.
     """
     sensors, size = rig.sensors, max(1, round(BLOCK_S / rig.sample_period))
     pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0)))
-    raw = np.array([sensors.error("angle"), sensors.error("torque"), pressure, pressure])
-    return np.asarray(np.maximum(raw / np.sqrt(size), [1e-5, 1e-4, 10.0, 10.0]))
+    raw = np.array([sensors.error("angle"), sensors.error("torque"), *[pressure] * 5])
+    return np.asarray(np.maximum(raw / np.sqrt(size), [1e-5, 1e-4, *[10.0] * 5]))
 
 
 def unknowns(rig: Rig) -> tuple[Direction, ...]:
@@ -67,8 +70,8 @@ class Course:
 
     Attributes:
         states: of the model (N, n).
-        shown: what its sensors show (N, 4), in the order of ``CHANNELS``.
-        slopes: derivatives of these by each direction's amount (N, 4, K).
+        shown: what its sensors show (N, 4), in the order of ``CHANNELS``; (N, 7) with the gauges.
+        slopes: derivatives of these by each direction's amount (N, 4, K) or (N, 7, K).
         rate_slopes: of the angle's rate (N, K).
         ends: last state of the model and of each neighbour (1 + 2 K or 1 + K of them).
     """
@@ -89,7 +92,7 @@ class Information:
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
         central: whether neighbours lie on both sides: twice the work, and errors that cancel.
-        channels: what is measured, indices of ``CHANNELS``; default: all that shows.
+        channels: what is measured, indices of ``CHANNELS`` or gauges beside them; default: all that shows.
         step: of the integration [s].
     """
 
@@ -144,13 +147,24 @@ class Information:
         given = np.concatenate([voltage[:1], voltage])
         runs = [dynamics.course(x, given, p, self.dt, 1) for x, p in zip(starts, self.vectors, strict=True)]
         shown = [
-            np.column_stack([states[1:, 0], torque[1:], sensor.readings(states[1:, 2:4], p)])
+            np.column_stack(
+                [states[1:, 0], torque[1:], sensor.readings(states[1:, 2:4], p), *self._gauges(states[1:], p)]
+            )
             for (states, torque), p in zip(runs, self.vectors, strict=True)
         ]
         rates = [states[1:, 1] for states, _ in runs]
         return Course(
             runs[0][0][1:], shown[0], self._slopes(shown), self._slopes(rates), tuple(states[-1] for states, _ in runs)
         )
+
+    def _gauges(self, states: Floats, p: Floats) -> list[Floats]:
+        """Pressures in both muscles and in the tank, each (N,) [Pa], along states; none where none is asked for."""
+        if max(self.channels) < GAUGE_1:
+            return []
+        chambers = [states[:, int(p[par.SLOT_OF[f"chamber_{i}"]]) or 1 + i] for i in (1, 2)]
+        droop = int(p[par.SLOT_OF["supply"]])
+        tank = np.full(len(states), p[par.SUPPLY])
+        return [*chambers, tank + states[:, droop] if droop else tank]
 
     def _slopes(self, values: Sequence[Floats]) -> Floats:
         if not self.directions:

@@ -81,3 +81,21 @@ def test_the_report_of_close_loop_says_what_is_undecided(rig: Rig, tmp_path: Pat
         (tmp_path / "report.json").write_text(json.dumps({**report, **changes}))
         with pytest.raises(BadInput, match=words):
             excite.undecided(tmp_path)
+
+
+def test_where_no_motion_tells_it_says_which_sensor_would(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """A small leak within narrow limits looks like a wrong sensor, until a gauge shows the pressure itself."""
+    small = load_rig("shin2022").replaced(effects={"leak": {"area_1": 7e-11}})
+    write_rig(small, tmp_path / "rig_extended.yaml", [])
+    report = {"effects": [{"name": "leak"}], "ambiguous_with": ["pressure_sensor"]}
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    words = ["--rig", "shin2022", "--out", str(tmp_path / "apart"), "--tell-apart", str(tmp_path), "--plan-only"]
+    narrow = ["--min-pressure", "300", "--max-pressure", "400", "--duration", "26"]
+    assert excite.main([*words, *narrow, "--without", "angle", "--without", "torque"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "No motion within the limits tells them apart; what would: " in said
+    assert "a third pressure sensor at muscle 1 (" in said
+    # A gauge at the other muscle, or at the tank, sees nothing of it.
+    assert "muscle 2" not in said and "tank" not in said

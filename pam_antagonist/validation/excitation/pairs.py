@@ -14,9 +14,10 @@ from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import whole
 from pam_antagonist.design import Limits
-from pam_antagonist.design.apart import imitation, told_apart
+from pam_antagonist.design.apart import LIKELY, imitation, instead_of, told_apart
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Candidate, moved
+from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, percent
@@ -43,6 +44,10 @@ def parser() -> common.Parser:
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
     out.add_argument("--pair", action="append", metavar="A:B", help="these effects only; may be given several times")
     out.add_argument("--seeds", type=whole(1, 100), default=10, metavar="N", help="joints for each pair (default: 10)")
+    out.add_argument(
+        "--without", action="append", default=[], choices=("angle", "torque"),
+        help="design without this sensor, and say which one would tell where none can; with --plan-only",
+    )  # fmt: skip
     out.add_argument("--plan-only", action="store_true", help="only what the designs promise, without close_loop")
     common.add_new_json(out, "the figures")
     return out
@@ -81,12 +86,19 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     arguments = parser().parse_args(argv)
+    if arguments.without and not arguments.plan_only:
+        raise BadInput("--without: expected --plan-only as well")
     rig = load_rig(arguments.rig)
     pairs = listed() if arguments.pair is None else [_pair(text) for text in arguments.pair]
     found = []
     with common.json_alone(arguments.json):
         for pair in pairs:
-            for one in tried(rig, pair, arguments.seeds, arguments.plan_only):
+            each = (
+                iter([designed_only(rig, pair, arguments.without)])
+                if arguments.plan_only
+                else tried(rig, pair, arguments.seeds)
+            )
+            for one in each:
                 found.append(one)
                 print(_line(one), file=sys.stderr, flush=True)
         if not arguments.plan_only:
@@ -105,23 +117,39 @@ def _pair(text: str) -> tuple[str, str]:
     return one, other
 
 
-def tried(rig: Rig, pair: tuple[str, str], seeds: int, plan_only: bool) -> Iterator[dict[str, Any]]:
+def designed_only(rig: Rig, pair: tuple[str, str], without: Sequence[str]) -> dict[str, Any]:
+    """What the design for a pair promises, and what else would tell where it does not.
+
+    Args:
+        rig: the rig file.
+        pair: names of both.
+        without: channels that are not measured.
+    """
+    first, second = pair
+    supposed, channels = usual(rig, first), [k for k, name in enumerate(CHANNELS) if name not in without]
+    verdict = told_apart(supposed, first, [second], Limits.of(rig), channels=channels)
+    instead = () if verdict.chance >= LIKELY else instead_of(supposed, first, [second], verdict, channels)
+    return {
+        "pair": [first, second],
+        "chance": verdict.chance,
+        "seconds": verdict.plan.duration,
+        "instead": list(instead),
+    }
+
+
+def tried(rig: Rig, pair: tuple[str, str], seeds: int) -> Iterator[dict[str, Any]]:
     """One design for a pair, and what close_loop says of joints that have one of both.
 
     Args:
         rig: the rig file.
         pair: names of both.
         seeds: joints; every other one has the second effect.
-        plan_only: whether to stop after the design.
     """
     first, second = pair
     supposed = usual(rig, first)
     verdict = told_apart(supposed, first, [second], Limits.of(rig))
     plan = verdict.plan
     promise = {"pair": [first, second], "chance": verdict.chance, "seconds": plan.duration}
-    if plan_only:
-        yield promise
-        return
     for seed in range(1, seeds + 1):
         truth = first if seed % 2 else second
         joint = supposed if truth == first else imitation(supposed, first, second)
@@ -143,6 +171,8 @@ def tried(rig: Rig, pair: tuple[str, str], seeds: int, plan_only: bool) -> Itera
 def _line(one: dict[str, Any]) -> str:
     first, second = one["pair"]
     text = f"{first} or {second}: {percent(one['chance'])} in {one['seconds']:.0f} s"
+    if one.get("instead"):
+        text += f"; what would tell: {'; '.join(one['instead'])}"
     if "truth" in one:
         text += f"; seed {one['seed']}: {one['truth']} is there, found {' '.join(one['found']) or 'none'}"
     return text
