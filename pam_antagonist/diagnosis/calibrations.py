@@ -306,7 +306,7 @@ def found(
     weighed: Sequence[TriedCandidate],
     rivals: Mapping[str, tuple[str, ...]],
 ) -> tuple[FoundCalibration, ...]:
-    """The calibrations that recordings need, each with its value; none that may as well be 0.
+    """The calibrations that recordings need, each with its value; none that is not certain.
 
     Args:
         experiments: the recordings.
@@ -328,12 +328,15 @@ def found(
         stamped = {r: experiments[r].trial.dt * _STAMP_STD if name.startswith("delay_") else 0.0 for r in seen}
         value, std = _mean([(own, float(np.hypot(error, stamped[r]))) for r, (own, error) in seen.items()])
         # One that was taken before an effect was found that begins late may turn out to have been a part of that.
-        if abs(value) < thresholds.CERTAIN_SIZE * std:
+        if abs(value) < thresholds.CERTAIN_CALIBRATION * std:
             continue
         errors = {r: float(np.hypot(_value(well(number, r), calibration.path(name))[1], stamped[r])) for r in seen}
         by_recording = {experiments[r].trial.name: (own, errors[r]) for r, (own, _) in seen.items()}
         # What is not known of the rig is the same in all recordings: they are not better together than one of them.
         std = max(_mean(list(by_recording.values()))[1], min(errors.values()))
+        # The same by its whole standard deviation: beside an effect whose law is another on this rig, it may be a part.
+        if abs(value) < thresholds.CERTAIN_CALIBRATION * std:
+            continue
         unit = calibration.CALIBRATIONS[name].unit
         out.append(FoundCalibration(name, value, std, unit, gain, by_recording, rivals.get(name, ())))
     return tuple(out)
