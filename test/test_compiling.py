@@ -98,14 +98,13 @@ def test_compiling_is_told_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) 
 
 
 FIRST = """
-from pam_antagonist.cli.first_start import compile_first
 from pam_antagonist._jit import COMPILING
-from pam_antagonist.cli.first_start import _PARTS
+from pam_antagonist.cli.first_start import _PARTS, FITS, compile_first
 
-compile_first()
+compile_first(FITS)
 assert COMPILING.kernels == 0, "this process compiled by itself"
-for _, part in _PARTS.values():
-    part()
+for part in FITS:
+    _PARTS[part]()
 print(COMPILING.kernels)
 """
 

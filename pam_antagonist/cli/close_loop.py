@@ -16,7 +16,7 @@ from pam_antagonist import __version__
 from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
 from pam_antagonist.cli import close_loop_episodes, cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.first_start import compile_first
+from pam_antagonist.cli.first_start import FITS, compile_first
 from pam_antagonist.cli.numbers import JOBS, SEED, real
 from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, planned
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
@@ -95,7 +95,7 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
-    compile_first()
+    compile_first(FITS)
     rig = load_rig(arguments.rig, regulators=True)
     common.lock_angle(arguments)
     share, bags = _split(arguments.holdout)

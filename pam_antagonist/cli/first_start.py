@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 
 from pam_antagonist.estimation import Estimator, simulate_model
 from pam_antagonist.estimation import filter as kernels
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, lanes
 from pam_antagonist.rig import load_rig
 
 _RIG = "shin2022"
@@ -31,20 +31,31 @@ def _model() -> None:
     simulate_model(load_rig(_RIG), np.full((2, 2), 5.0), np.full(2, 4e5))
 
 
-_PARTS: dict[str, tuple[Any, Callable[[], None]]] = {
-    "filter": (kernels.process_all, _filter),
-    "model": (dynamics.simulate, _model),
-}
-"""What takes seconds to compile: the kernel, and what compiles it."""
+def _lanes() -> None:
+    p, pressure = load_rig(_RIG).parameters("free", 0.0), 4e5
+    start = np.array([0.0, 0.0, pressure, pressure])
+    lanes.courses([start, start], np.full((2, 2), 5.0), [p, p], 1e-3, 1)
 
 
-def compile_first() -> None:
-    """Compile the filter and the model of a plain rig, where neither was compiled on this machine before."""
-    if not all(_missing(kernel) for kernel, _ in _PARTS.values()):
+REPLAY = "filter", "model"
+"""Parts that a replay needs."""
+FITS = "filter", "model", "lanes"
+"""Parts that fits need."""
+_PARTS: dict[str, Callable[[], None]] = {"filter": _filter, "model": _model, "lanes": _lanes}
+"""What takes seconds to compile, and what compiles it."""
+
+
+def compile_first(parts: Sequence[str]) -> None:
+    """Compile kernels of a plain rig, where neither the filter nor the model was compiled on this machine before.
+
+    Args:
+        parts: ``REPLAY`` or ``FITS``.
+    """
+    if not (_missing(kernels.process_all) and _missing(dynamics.simulate)):
         return
     print("compiling, once: about half a minute", file=sys.stderr, flush=True)
     with ExitStack() as running:
-        processes = [running.enter_context(_compiling(part)) for part in _PARTS]
+        processes = [running.enter_context(_compiling(part)) for part in parts]
         for process in processes:
             # Without effect on one that has ended; where Ctrl-C ends the wait, none goes on.
             running.callback(process.terminate)
@@ -65,4 +76,4 @@ def _missing(kernel: Any) -> bool:
 
 
 if __name__ == "__main__":
-    _PARTS[sys.argv[1]][1]()
+    _PARTS[sys.argv[1]]()

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pam_antagonist.api.identify import identify
 from pam_antagonist.cli import common, identify_episodes
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.first_start import compile_first
+from pam_antagonist.cli.first_start import FITS, compile_first
 from pam_antagonist.cli.numbers import JOBS, SEED, real, whole
 from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, planned
 from pam_antagonist.errors import BadInput
@@ -74,7 +74,7 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
-    compile_first()
+    compile_first(FITS)
     rig = load_rig(arguments.rig, regulators=True)
     common.lock_angle(arguments)
     for name in ("free", "freeze") if rig.valves.sealed else ():

@@ -11,7 +11,7 @@ from pathlib import Path
 from pam_antagonist.api.replay import ReplayResult, replay
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.first_start import compile_first
+from pam_antagonist.cli.first_start import REPLAY, compile_first
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import SeveralJoints, corrections, read_bag
@@ -97,7 +97,7 @@ def _run(arguments: argparse.Namespace) -> int:
             raise BadInput(f"--save: expected one recording, got {len(arguments.bags)}")
         check_estimate(arguments.save)
     common.only_available_figures(arguments)
-    compile_first()
+    compile_first(REPLAY)
     rig = load_rig(arguments.rig, regulators=True)
     rig.tuning(arguments.tuning)
     common.lock_angle(arguments)
