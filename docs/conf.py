@@ -66,6 +66,7 @@ NAVIGATION = {
         "pamy",
         "evidence/close_loop",
         "battery",
+        "rehearsals",
         "evidence/identification",
         "evidence/force_map",
         "paper",

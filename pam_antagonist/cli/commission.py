@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
@@ -72,6 +73,10 @@ _FREE_S, _LOCKED_S = 30.0, 26.0
 STEPS = ("wiring", "free", "locked", "identify", "close_loop", "apart", "gains")
 _LATEST_NS = 500_000_000
 Floats = NDArray[np.float64]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 class StepFailed(Exception):
@@ -374,11 +379,14 @@ class Commission:
         rig = self.found()
         gains = {mode: loop_gains(rig, mode) for mode in ("angle", "torque")}
         bias = sum(steady_voltage(rig, 0.5 * (rig.atmosphere.pressure + rig.supply.pressure))) / 2.0
-        lines = ["/**:", "  ros__parameters:", f"    rig: {(self._out / 'rig.yaml').resolve()}", "/**/controller:"]
-        lines += ["  ros__parameters:", f"    bias: {bias:.4g}"]
+        given = {"bias": _rounded(bias)}
         for mode, one in gains.items():
-            lines += [f"    {mode}_proportional: {one.proportional:.4g}", f"    {mode}_integral: {one.integral:.4g}"]
-        (self._out / "parameters.yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+            given |= {f"{mode}_proportional": _rounded(one.proportional), f"{mode}_integral": _rounded(one.integral)}
+        parameters = {
+            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
+            "/**/controller": {"ros__parameters": given},
+        }
+        (self._out / "parameters.yaml").write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
         said = "; ".join(
             f"{mode}: {one.bandwidth:.2g} Hz, gain margin {one.gain_margin:.2g}, "
             f"phase margin {math.degrees(one.phase_margin):.0f} deg"

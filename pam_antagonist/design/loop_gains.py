@@ -30,6 +30,11 @@ _DELAY_SAMPLES = 1.5
 _MOVES = np.array([1e-4, 1e-3, 100.0, 100.0])
 """By which the state is moved to linearise [rad, rad/s, Pa, Pa]."""
 _VOLTS = 1e-2
+_DRY = (
+    *(f"friction.{name}" for name in ("shaft", "muscle", "lever_force", "static", "kinetic")),
+    *(f"effects.friction.{name}" for name in ("coulomb", "stribeck")),
+)
+"""Friction that holds a joint at rest, whichever model it has: a slope there would be that of a wall."""
 _MOST_GAIN = 1e3
 _MOST_CORNER = 10.0
 """[rad/s] Largest ratio of integral to proportional gain."""
@@ -92,7 +97,7 @@ def _largest_gain(loop: NDArray[np.complex128], omega: Floats) -> float:
 def _linear(rig: Rig, mode: str) -> tuple[Floats, Floats, Floats]:
     """Matrices A (n, n), b (n,) and c (n,) of the model at rest, n of its own states and those of effects."""
     plain = rig.parameters("locked" if mode == "torque" else "free", 0.0)
-    p = par.changed(plain, {"friction.shaft": 0.0, "friction.muscle": 0.0})
+    p = par.changed(plain, dict.fromkeys(_DRY, 0.0))
     pressure = 0.5 * (rig.atmosphere.pressure + rig.supply.pressure)
     rest = np.array([*steady_voltage(rig, pressure), 0.0])
     angle = 0.0 if mode == "torque" else equilibrium.rest_angle(pressure, pressure, p)

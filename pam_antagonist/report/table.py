@@ -122,3 +122,16 @@ class Comparison:
     def table(self, caption: str = "") -> Table:
         """The finished table."""
         return Table(self._header, tuple(self._rows), caption, tuple(self._best))
+
+
+def markdown(table: Table) -> list[str]:
+    """A table as lines of Markdown.
+
+    Args:
+        table: its caption is left out.
+    """
+
+    def row(cells: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.strip().replace("\\", "\\\\") for cell in cells) + " |"
+
+    return [row(table.header), "|" + "---|" * len(table.header), *map(row, table.rows)]

@@ -38,3 +38,9 @@ def test_a_step_settles() -> None:
         valves, _ = controller.step(Mode.ANGLE, wanted, course[-1])
     assert max(course) < 1.25 * wanted
     assert max(abs(value - wanted) for value in course[-500:]) < math.radians(0.5)
+
+
+def test_friction_as_an_effect_is_left_out_as_well() -> None:
+    """Else the linear model would be that of a wall, and the gains next to nothing."""
+    rubbing = RIG.replaced(effects={"friction": {"coulomb": 0.04, "stribeck": 0.02, "velocity": 0.3}})
+    assert loop_gains(rubbing, "angle").proportional == pytest.approx(loop_gains(RIG, "angle").proportional, rel=0.05)

@@ -12,7 +12,7 @@ import numpy as np
 from pam_antagonist.report.figure import Axis, Band, Figure, Heatmap, Line, Panel
 from pam_antagonist.report.matplotlib_renderer import picture
 from pam_antagonist.report.style import DEEP, ESTIMATE, MODEL, PALE
-from pam_antagonist.report.table import MISSING, Table, number, percent
+from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
 from pam_antagonist.software import versions
 from pam_antagonist.validation.battery.draw import LARGE, LEVELS
 from pam_antagonist.validation.battery.earlier import EARLIER
@@ -274,17 +274,17 @@ def _page(run: Run, image: str) -> list[str]:
         f"{seconds[len(seconds) // 2]:.0f} s (median), {seconds[-1]:.0f} s at most, with {_threads(run.done)} "
         f"(`--jobs`). {_code_sentence(run)}",
         "",
-        *_rows(figures_table(run)),
+        *markdown(figures_table(run)),
         "",
         "## Detection against size",
         "",
         "Right one first, of how many cases. *Found from*: the smallest size from which on it is found in 9 of 10.",
         "*Another one first up to*: the largest size at which another effect was named first.",
         "",
-        *_rows(detection_table(run)),
+        *markdown(detection_table(run)),
         "",
         *([image, ""] if image else []),
-        *_rows(intervals_table(run)),
+        *markdown(intervals_table(run)),
         "",
         "## Forms",
         "",
@@ -295,19 +295,19 @@ def _page(run: Run, image: str) -> list[str]:
         f"{100.0 * VARIATION:.0f} % a form is a variation of",
         f"the law, reported apart; above {100.0 * OTHER:.0f} % it is truly another form. Pushes have no law.",
         "",
-        *_rows(remainders_table(run.remainders)),
+        *markdown(remainders_table(run.remainders)),
         "",
         "## Confusion matrix",
         "",
         "Rows: what was there, of any size. Columns: what was found first. In brackets: what is in no catalogue.",
         "",
-        *_rows(Table(header, rows)),
+        *markdown(Table(header, rows)),
         "",
         "## What was not right",
         "",
         "Or right, with something beside it that is not there. The smallest effects are hidden by the noise.",
         "",
-        *_rows(misses_table(run)),
+        *markdown(misses_table(run)),
         "",
         "## Earlier runs",
         "",
@@ -315,7 +315,7 @@ def _page(run: Run, image: str) -> list[str]:
         "program. Up to seed 1229 sizes were from 3 to 30 noises, asked for and not measured, and most forms were near",
         "the catalogue's.",
         "",
-        *_rows(earlier_table()),
+        *markdown(earlier_table()),
         "",
         "Software: " + ", ".join(f"{name} {version}" for name, version in versions().items()) + ".",
         "",
@@ -341,10 +341,3 @@ def _code_sentence(run: Run) -> str:
 def _threads(done: Sequence[Outcome]) -> str:
     least, most = (limit(item.threads for item in done) for limit in (min, max))
     return f"{least} to {most} threads" if least < most else "one thread" if most == 1 else f"{most} threads"
-
-
-def _rows(table: Table) -> list[str]:
-    def row(cells: Sequence[str]) -> str:
-        return "| " + " | ".join(cell.strip().replace("\\", "\\\\") for cell in cells) + " |"
-
-    return [row(table.header), "|" + "---|" * len(table.header), *map(row, table.rows)]

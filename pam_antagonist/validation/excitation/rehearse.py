@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import sys
@@ -22,7 +23,7 @@ from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report import terminal
-from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.report.table import Table, markdown, number, percent
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.strict_json import write_json
@@ -47,13 +48,32 @@ examples:
   {run} rehearse --out rehearsed --effect leak
   {run} rehearse --out rehearsed --seeds 2
 """
+_PAGE = """\
+# Commissionings rehearsed
+
+Whole commissionings of simulated joints that have one effect which their rig file does not declare. Made by
+
+    {command}
+
+Each joint has its effect in one muscle or one of its numbers, in a size of the battery where its bounds allow: 4, 8 or
+16 noises of a sample, root mean square over a minute. Other parameters are 1 % off the rig file.
+[`commission --unattended --source rehearsal`](how-to/commission.md) takes it from the rig file to control. The effects
+are in the form of the catalogue. An effect in another form is harder, and what [the battery](battery.md) tries. It is
+this package's own simulator; no real joint was commissioned yet.
+
+*Settled after*: steps of the angle of 20° on the estimate, with the rig file and the gains that came out; the slower of
+two, until within 5 % of the step. *Angle's error*: how far the joint itself is off at the end of a step. *Limits kept*:
+no measured pressure or angle beyond the limits, but for three standard deviations of noise.
+
+{summary}.
+
+"""
 MISMATCH = 0.01
 """Of the joint's parameters from the rig file."""
 _SIZE_S, _STEP, _ROUNDS, _CLOSE = 60.0, 5e-4, 8, 1.1
 """A size is that over a minute of the battery's voltages, worked out in these steps [s], right to a tenth."""
 _HALF, _HOLD_S = math.radians(10.0), 6.0
 """Height of the controller's steps, from minus to plus [rad], and how long each is held [s]."""
-_LONGEST_S = 15.0 * 60.0
 
 
 def parser() -> common.Parser:
@@ -63,6 +83,7 @@ def parser() -> common.Parser:
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
     out.add_argument("--effect", action="append", metavar="NAME", help="this one only; may be given several times")
     out.add_argument("--seeds", type=whole(1, 100), default=1, metavar="N", help="joints for each effect (default: 1)")
+    out.add_argument("--docs", type=Path, metavar="FILE", help="write the table as Markdown; FILE is replaced")
     common.add_new_json(out, "the figures")
     return out
 
@@ -89,6 +110,11 @@ def _main(argv: Sequence[str] | None) -> int:
                 found.append(json.loads((folder / "outcome.json").read_text(encoding="utf-8")))
         print(terminal.table(table(found), indent=""))
         print(summary(found))
+    if arguments.docs is not None:
+        try:
+            arguments.docs.write_text("\n".join(page(found, arguments)) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise BadInput(f"{arguments.docs}: cannot be written: {error.strerror}") from None
     if arguments.json is not None:
         common.give_json(arguments.json, json.dumps(found, indent=1) + "\n")
     return common.DONE
@@ -275,7 +301,7 @@ def table(found: Sequence[dict[str, Any]]) -> Table:
         )  # fmt: skip
     header = (
         "effect", "noises", "right first", "named", "told apart", "rig time [s]", "settled after [s]",
-        "angle's error [deg]", "limits kept",
+        "angle's error [°]", "limits kept",
     )  # fmt: skip
     return Table(header, tuple(rows))
 
@@ -292,6 +318,19 @@ def summary(found: Sequence[dict[str, Any]]) -> str:
         f"settled: {sum(one.get('settling_s') is not None for one in found)}; "
         f"limits kept: {sum(one['beyond'] <= 0.0 for one in found)}; of {len(found)} joints"
     )
+
+
+def page(found: Sequence[dict[str, Any]], arguments: argparse.Namespace) -> list[str]:
+    """Lines of the page in the docs.
+
+    Args:
+        found: outcomes.
+        arguments: of the command.
+    """
+    effects = "".join(f" --effect {name}" for name in arguments.effect or ())
+    command = f"./run rehearse --out DIR --seeds {arguments.seeds}{effects} --docs FILE"
+    said = summary(found)
+    return [*_PAGE.format(command=command, summary=said[0].upper() + said[1:]).splitlines(), *markdown(table(found))]
 
 
 if __name__ == "__main__":

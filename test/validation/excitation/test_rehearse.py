@@ -50,10 +50,14 @@ def test_what_is_done_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[s
     for name, one in kept.items():
         (tmp_path / f"{name}_1").mkdir()
         (tmp_path / f"{name}_1" / "outcome.json").write_text(json.dumps(one))
-    assert rehearse.main(["--out", str(tmp_path), "--effect", "leak", "--effect", "creep"]) == 0
+    page = tmp_path / "page.md"
+    assert rehearse.main(["--out", str(tmp_path), "--effect", "leak", "--effect", "creep", "--docs", str(page)]) == 0
     said = capsys.readouterr().out
     assert "right first: 1 (1.3 to 98.7 %); rig time at most 2.0 min; settled: 1; limits kept: 1; of 2 joints" in said
     assert "thermal creep" in said
+    written = page.read_text()
+    assert "./run rehearse --out DIR --seeds 1 --effect leak --effect creep --docs FILE" in written
+    assert "| leak.area_1 | 8.0 | yes | leak |" in written
 
 
 def test_an_effect_that_is_not_tried_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
