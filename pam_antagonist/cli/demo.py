@@ -47,6 +47,7 @@ examples:
   {run} demo --mode torque --duration 20 --out torque_demo
   {run} demo --mode stiffness
   {run} demo --mode impedance
+  {run} demo --rig shin2022_regulators --no-pressures
 """
 
 _SHARES = (1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0)  # of the largest reference, one a step; a short demo takes the extremes
@@ -96,6 +97,11 @@ def parser() -> common.Parser:
         "shin2022_external_torque)"
     )
     add("--rig", metavar="RIG", help=rig_help)
+    add(
+        "--no-pressures", action="store_true",
+        help="nobody measures the pressures: the filter goes by what the regulators are asked for; for a rig with "
+        "drive: regulator",
+    )  # fmt: skip
     add("--tuning", default="default", metavar="NAME", help="filter tuning of the rig (default: default)")
     add("--seed", type=SEED, default=0, metavar="N", help="seed of the joint's mismatch and sensor noise (default: 0)")
     mismatch_help = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
@@ -160,6 +166,11 @@ def _main(argv: Sequence[str] | None) -> int:
     arguments.rig = arguments.rig or _RIGS.get(mode, "shin2022")
     rig = load_rig(arguments.rig, regulators=True)
     rig.tuning(arguments.tuning)
+    if arguments.no_pressures and rig.drive == "valve":
+        raise BadInput(
+            f"--no-pressures: rig {rig.name} has valves; expected a rig with pressure regulators, such as --rig "
+            "shin2022_regulators"
+        )
     if mode is Mode.IMPEDANCE and DISTURBANCE not in rig.effects:
         raise BadInput(
             f"--mode impedance: rig {rig.name} does not have the state {DISTURBANCE}; leave --rig out, or see "
@@ -222,6 +233,8 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     name = str(Path(arguments.rig).resolve()) if arguments.rig.endswith((".yaml", ".yml")) else arguments.rig
     shared: dict[str, object] = {"rig": name}
+    if arguments.no_pressures:
+        shared["pressure_sensors"] = "none"
     joint: dict[str, object] = (
         {"joint": "free"} if mode.quantity is Mode.ANGLE else {"joint": "locked", "lock_angle": 0.0}
     )
@@ -229,6 +242,9 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
         processes.start("controller", ros_arguments({**shared, **_gains(arguments.gains, mode, rig)}, {}))
         simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
+        if arguments.no_pressures:
+            # The controller listens to what is left as well.
+            simulated["wait_for_subscribers"] = 3
         processes.start("plant", ros_arguments({**shared, **joint, **simulated}, {}))
         try:
             steps = references(mode, arguments.duration, rig.joint.stop or math.inf)

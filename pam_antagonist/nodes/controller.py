@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.control import LAWS, LOST, PUBLISHED_GAINS, Mode, ModelGains
 from pam_antagonist.control.stiffness import LEAST_FORCE, LOWEST_PRESSURE, SUPPLY_MARGIN
-from pam_antagonist.nodes.parameters import JOINT_NAME, RIG, SAFETY, Parameter
+from pam_antagonist.nodes.parameters import JOINT_NAME, PRESSURE_SENSORS, RIG, SAFETY, Parameter
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -38,6 +38,12 @@ PARAMETERS = (
     RIG,
     JOINT_NAME,
     *SAFETY,
+    Parameter(
+        "pressure_sensors",
+        "measured",
+        "none: estimates without measured pressures are no reason to stop; for a rig with drive: regulator",
+        choices=PRESSURE_SENSORS,
+    ),
     Parameter("bias", _ANGLE.bias, "voltage of both valves at rest [V]", 0.0, 10.0, read_only=False),
     Parameter("angle_proportional", _ANGLE.proportional, "T_P for the angle [V/rad]", 0.0, 1e3, read_only=False),
     Parameter("angle_integral", _ANGLE.integral, "T_I for the angle [V/(rad s)]", 0.0, 1e9, read_only=False),

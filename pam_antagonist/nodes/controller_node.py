@@ -20,6 +20,7 @@ from pam_antagonist.nodes.controller import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.laws import described, make_laws, retune
 from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.parameters import check_pressure_sensors
 from pam_antagonist.nodes.references import ReferenceInput
 from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.recording.topics import TOPICS
@@ -59,12 +60,13 @@ class ControllerNode(PamNode):
         self._drive = drive = drive_of(rig, values)
         self._limits, self._action = drive.limits, drive.action
         self._laws = make_laws(values, rig, self._limits, self._action.hold)
+        check_pressure_sensors(values["pressure_sensors"], rig)
         self._supervision = EstimateSupervision(
             values["stop_angle"],
             values["stop_angle_time"],
             values["nis_limit"],
             values["nis_time"],
-            values["blind_time"],
+            values["blind_time"] if values["pressure_sensors"] == "measured" else None,
             rig.sample_period,
         )
         self.input = ReferenceInput(self, self._laws.nearest)

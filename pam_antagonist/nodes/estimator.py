@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.nodes.parameters import ANGLE_SENSORS, FRAME, JOINT, JOINT_NAME, LOCK_ANGLE, RIG, Parameter
+from pam_antagonist.nodes.parameters import (
+    ANGLE_SENSORS,
+    FRAME,
+    JOINT,
+    JOINT_NAME,
+    LOCK_ANGLE,
+    PRESSURE_SENSORS,
+    RIG,
+    Parameter,
+)
 from pam_antagonist.nodes.spin import run_node
 
 if TYPE_CHECKING:
@@ -17,7 +26,8 @@ only where it is told to (angle_sensor: encoder), and never what is measured for
 
 subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand);
              angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder); of a rig with drive: regulator
-             pressure_state (pam_antagonist_msgs/PressureCommand) in the place of valve_state
+             pressure_state (pam_antagonist_msgs/PressureCommand) in the place of valve_state, and with
+             pressure_sensors: none nothing else
 publishes:   joint_estimate (pam_antagonist_msgs/JointEstimate), joint_states (sensor_msgs/JointState),
              external_torque (geometry_msgs/WrenchStamped, of a rig with that state), rig (std_msgs/String),
              filter_checkpoint (pam_antagonist_msgs/FilterCheckpoint, once a second)
@@ -41,6 +51,13 @@ PARAMETERS = (
         "none",
         "encoder: topic angle_sensor is an input as well, with noise and offset of the rig file's encoder",
         choices=ANGLE_SENSORS,
+    ),
+    Parameter(
+        "pressure_sensors",
+        "measured",
+        "none: the filter goes by what the regulators are asked for, and no pressure topic is listened to; for a rig "
+        "with drive: regulator",
+        choices=PRESSURE_SENSORS,
     ),
     Parameter("pairing_timeout", 0.02, "longest time that a sample waits for its other topics [s]", 0.001, 1.0),
     Parameter("max_age", 0.02, "age beyond which an estimate is flagged LATE [s]", 0.001, 10.0),

@@ -20,6 +20,7 @@ from pam_antagonist.nodes.estimator import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
+from pam_antagonist.nodes.parameters import check_pressure_sensors
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
@@ -58,9 +59,11 @@ class EstimatorNode(PamNode):
         # Loads or compiles the filter, so that the first sample does not wait for it.
         self._estimator = self._make(values["tuning"])
         self._encoder = values["angle_sensor"] == "encoder"
-        self._pairing = SamplePairing(
-            values["pairing_timeout"], self.now_ns, topics=ANGLE + 1 if self._encoder else VALVES + 1
-        )
+        check_pressure_sensors(values["pressure_sensors"], rig)
+        self._measured = values["pressure_sensors"] == "measured"
+        pressures = (PRESSURE_1, PRESSURE_2) if self._measured else ()
+        topics = (*pressures, VALVES, *((ANGLE,) if self._encoder else ()))
+        self._pairing = SamplePairing(values["pairing_timeout"], self.now_ns, topics=topics)
         self._max_age = round(values["max_age"] * 1e9)
         self._published = self._late = self._late_before = 0
         self._latency, self._nis, self._rate = Window(), Window(), Rate()
@@ -97,12 +100,10 @@ class EstimatorNode(PamNode):
         if self._linked:
             return
         driven = topics_of(self._rig)
-        for kind, name, callback in (
-            (FluidPressure, TOPICS["pressure_1"].relative, self._on_pressure_1),
-            (FluidPressure, TOPICS["pressure_2"].relative, self._on_pressure_2),
-            (driven.message, driven.state, self._on_valves),
-        ):
-            self.create_subscription(kind, name, callback, qos.STREAM, raw=True)
+        self.create_subscription(driven.message, driven.state, self._on_valves, qos.STREAM, raw=True)
+        if self._measured:
+            for name, callback in (("pressure_1", self._on_pressure_1), ("pressure_2", self._on_pressure_2)):
+                self.create_subscription(FluidPressure, TOPICS[name].relative, callback, qos.STREAM, raw=True)
         if self._encoder:
             name = TOPICS["angle_sensor"].relative
             self.create_subscription(JointState, name, self._on_angle, qos.STREAM, raw=True)

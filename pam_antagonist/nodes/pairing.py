@@ -13,7 +13,7 @@ those that are already there must not be taken for lost.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -71,13 +71,18 @@ class SamplePairing:
         timeout: how long a sample may wait for a topic [s].
         restart_after: a message that is older than the last sample by more than this is a new start [s].
         clock: current time [ns], for the waiting time.
-        topics: how many a sample has: 3, or 4 with a measured angle.
+        topics: that a sample has.
     """
 
     def __init__(
-        self, timeout: float, clock: Callable[[], int], restart_after: float = 0.5, topics: int = VALVES + 1
+        self,
+        timeout: float,
+        clock: Callable[[], int],
+        restart_after: float = 0.5,
+        topics: Sequence[int] = (PRESSURE_1, PRESSURE_2, VALVES),
     ) -> None:
-        self._topics = topics
+        self._topics = tuple(topics)
+        self._complete = sum(1 << topic for topic in self._topics)
         self.counts = PairingCounts()
         self._timeout = round(timeout * 1e9)
         self._restart = round(restart_after * 1e9)
@@ -88,7 +93,7 @@ class SamplePairing:
         """Forget every message that waits, and the time of the last sample."""
         self._waiting: dict[int, list[float]] = {}
         self._arrival: dict[int, int] = {}
-        self._newest: list[int | None] = [None] * self._topics
+        self._newest: dict[int, int | None] = dict.fromkeys(self._topics)
         self._final: int | None = None
 
     def add(self, topic: int, stamp_ns: int, *values: float) -> list[Sample]:
@@ -121,9 +126,10 @@ class SamplePairing:
         self._newest[topic] = stamp_ns
         if len(self._waiting) > _LIMIT:
             return self._pop_until(min(self._waiting))
-        if None in self._newest:
+        newest = self._newest.values()
+        if None in newest:
             return []
-        return self._pop_until(min(self._newest))  # type: ignore[type-var]
+        return self._pop_until(min(newest))  # type: ignore[type-var]
 
     def whole(self, sample: Sample) -> list[Sample]:
         """Take a sample whose messages never were apart; its values may be NaN. Not together with :meth:`add`.
@@ -147,7 +153,7 @@ class SamplePairing:
         """The samples that have waited for too long, in the order of their stamps."""
         if not self._waiting:
             return []
-        oldest = max(stamp for stamp in self._newest if stamp is not None) - self._timeout
+        oldest = max(stamp for stamp in self._newest.values() if stamp is not None) - self._timeout
         now = self._clock()
         gone = [
             stamp for stamp in self._waiting if stamp < oldest and not 0 <= now - self._arrival[stamp] < self._timeout
@@ -162,5 +168,5 @@ class SamplePairing:
         del self._arrival[stamp]
         self._final = stamp
         self.counts.samples += 1
-        self.counts.incomplete += values[_BITS] != (1 << self._topics) - 1
+        self.counts.incomplete += values[_BITS] != self._complete
         return Sample(stamp, *values[:_BITS])

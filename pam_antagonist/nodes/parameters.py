@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.rig import Rig
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -184,6 +185,26 @@ VALVE_OWNER = (
 
 ANGLE_SENSORS = ("none", "encoder")
 """What may measure the angle for the estimator."""
+PRESSURE_SENSORS = ("measured", "none")
+"""Whether the pressures are measured. Without, the estimator goes by what the regulators are asked for."""
+
+
+def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
+    """Refuse to do without measured pressures where nothing else tells them.
+
+    Args:
+        pressure_sensors: one of ``PRESSURE_SENSORS``.
+        rig: of the joint.
+
+    Raises:
+        BadInput: a rig with valves, whose voltages tell no pressure.
+    """
+    if pressure_sensors == "none" and rig.drive == "valve":
+        raise BadInput(
+            f"pressure_sensors none: rig {rig.name} has valves, whose voltages do not tell the pressures; expected a "
+            "rig with pressure regulators (drive: regulator), or pressure_sensors measured"
+        )
+
 
 AUTOSTART = Parameter("autostart", True, "whether the node configures and activates itself")
 DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)

@@ -10,6 +10,7 @@ from pam_antagonist.nodes.parameters import (
     JOINT,
     JOINT_NAME,
     LOCK_ANGLE,
+    PRESSURE_SENSORS,
     RIG,
     VALVE_OWNER,
     Parameter,
@@ -51,6 +52,12 @@ PARAMETERS = (
         "none",
         "encoder: publishes angle_sensor, by the rig file's encoder",
         choices=ANGLE_SENSORS,
+    ),
+    Parameter(
+        "pressure_sensors",
+        "measured",
+        "none: publishes no pressures, as a joint whose regulators alone know them; for a rig with drive: regulator",
+        choices=PRESSURE_SENSORS,
     ),
     Parameter(
         "push",

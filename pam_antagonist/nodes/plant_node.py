@@ -16,6 +16,7 @@ from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.parameters import check_pressure_sensors
 from pam_antagonist.nodes.plant import PARAMETERS
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.valve_port import ValvePort
@@ -55,7 +56,7 @@ class PlantNode(PamNode):
         """A joint at rest.
 
         Raises:
-            BadInput: an encoder that the rig file says nothing of.
+            BadInput: an encoder that the rig file says nothing of, or valves without measured pressures.
         """
         values = self.values
         COMPILING.tell = self.get_logger().info
@@ -81,9 +82,10 @@ class PlantNode(PamNode):
         self._lateness, self._rate = Window(), Rate()
         self._variance = rig.sensors.pressure_std**2 if values["noise"] else 0.0
         body, self._joint_values = wire.joint_state(values["joint_name"], velocity=False)
+        check_pressure_sensors(values["pressure_sensors"], rig)
         self._pressures = tuple(
             wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
-            for i in (1, 2)
+            for i in ((1, 2) if values["pressure_sensors"] == "measured" else ())
         )
         topics = self.port.drive.topics
         self._valves = wire.Outgoing(self, topics.message, topics.state, topics.frame_id, wire.VALVES)
@@ -169,11 +171,12 @@ class PlantNode(PamNode):
         """Advance by one period, which ends at the stamp, and publish."""
         push = self._push
         sample = self._plant.step(self.port.output(stamp_ns).voltage, push)
-        self.port.supervise(stamp_ns, *sample.pressure)
+        if self._pressures:
+            self.port.supervise(stamp_ns, *sample.pressure)
         self._samples += 1
         if not self.active:
             return
-        for output, pressure in zip(self._pressures, sample.pressure, strict=True):
+        for output, pressure in zip(self._pressures, sample.pressure, strict=False):
             output.send(stamp_ns, pressure, self._variance)
         self._valves.send(stamp_ns, *sample.voltage)
         self._joint.send(stamp_ns, *self._joint_values(sample.angle, sample.torque))
@@ -184,7 +187,7 @@ class PlantNode(PamNode):
             encoder = sample.encoder
             self._encoder.send(stamp_ns, *self._position(encoder))
         if self.deliver is not None:
-            (p1, p2), (u1, u2) = sample.pressure, sample.voltage
+            (p1, p2), (u1, u2) = sample.pressure if self._pressures else (math.nan, math.nan), sample.voltage
             self.deliver(stamp_ns, p1, p2, u1, u2, encoder)
 
     def command(self, stamp_ns: int, voltage: tuple[float, float]) -> None:

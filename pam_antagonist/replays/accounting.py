@@ -17,12 +17,13 @@ from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS
 Stamps = NDArray[np.int64]
 
 STAGES = ("pressure_1", "pressure_2", "valve_state", "joint_estimate", "valve_command")
-"""The topics with one message a sample, in the order in which they come about."""
+"""The topics with one message a sample, in the order in which they come about; the first two are missing where nobody
+measures pressures."""
 
 
 @dataclass(frozen=True)
 class Latency:
-    """Times [ms] from the reception of a sample's first pressure to that of its command, both by the recorder.
+    """Times [ms] from the reception of a sample's first message to that of its command, both by the recorder.
 
     Attributes:
         samples: with both.
@@ -82,8 +83,8 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
         late = int(np.count_nonzero(recording.estimate.flags[counted] & LATE))
     return Accounting(
         expected=expected,
-        lost={stage: expected - inside[stage] for stage in STAGES},
-        out_of_order={stage: _out_of_order(recording, stage, first, last) for stage in STAGES},
+        lost={stage: expected - inside[stage] for stage in stamps},
+        out_of_order={stage: _out_of_order(recording, stage, first, last) for stage in stamps},
         late=late,
         latency=_latency(recording, first, last),
     )
@@ -151,13 +152,19 @@ def _arrivals(recording: Recording) -> dict[str, Arrival]:
     return {stage: recording.received_ns[name] for stage, name in names.items() if name in recording.received_ns}
 
 
+def _stages(recording: Recording) -> tuple[str, ...]:
+    """Those of ``STAGES`` that this joint has."""
+    blind = recording.drive == "regulator" and not np.isfinite(recording.pressure).any()
+    return STAGES[2:] if blind else STAGES
+
+
 def _between(recording: Recording) -> tuple[dict[str, Stamps], int, int] | None:
     """Stage -> stamps of samples; the first and the last one that all of them have."""
-    arrivals = _arrivals(recording)
-    if any(stage not in arrivals or len(arrivals[stage].stamp_ns) == 0 for stage in STAGES):
+    arrivals, stages = _arrivals(recording), _stages(recording)
+    if any(stage not in arrivals or len(arrivals[stage].stamp_ns) == 0 for stage in stages):
         return None
     # Commands at safe voltages for lack of estimates carry the time at which they were sent, which is no sample's.
-    stamps = {stage: np.intersect1d(arrivals[stage].stamp_ns, recording.stamp_ns) for stage in STAGES}
+    stamps = {stage: np.intersect1d(arrivals[stage].stamp_ns, recording.stamp_ns) for stage in stages}
     if any(len(stamp) == 0 for stamp in stamps.values()):
         return None
     return stamps, max(int(stamp[0]) for stamp in stamps.values()), min(int(stamp[-1]) for stamp in stamps.values())
@@ -191,7 +198,7 @@ def round_trips(recording: Recording, first: int, last: int) -> tuple[Stamps, ND
         Stamps (N,) [ns], and the times (N,) [ms].
     """
     arrivals = _arrivals(recording)
-    pressure, command = arrivals["pressure_1"], arrivals["valve_command"]
+    pressure, command = arrivals[_stages(recording)[0]], arrivals["valve_command"]
     stamp, one, two = np.intersect1d(pressure.stamp_ns, command.stamp_ns, return_indices=True)
     inside = (stamp >= first) & (stamp <= last)
     took = (command.log_ns[two] - pressure.log_ns[one])[inside]

@@ -159,6 +159,8 @@ def ended(recording: Recording) -> Apart | None:
     bits = np.array([MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE])
     _, at, at_live = np.intersect1d(stamps, live.stamp_ns, return_indices=True)
     had = (live.flags[at_live, None].astype(np.int64) & bits) == 0
+    # A sample that starts a filter has no flags, also where no pressure is measured.
+    had &= (live.stamp_ns != live.started_ns)[at_live, None]
     tail = at > np.flatnonzero(~lacks.any(axis=1))[-1:].sum()
     more = stamps[at[tail & (lacks[at] & had).any(axis=1)]]
     first = int(more[0]) if len(more) else int(stamps[-1]) + 1

@@ -14,7 +14,7 @@ from pam_antagonist.control.tracking import SETTLED, SHORTEST_STEP, STEADY_PART,
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.replays import Replay
-from pam_antagonist.replays.accounting import Accounting, account
+from pam_antagonist.replays.accounting import STAGES, Accounting, account
 from pam_antagonist.report import html
 from pam_antagonist.report.channels import judged
 from pam_antagonist.report.demo_yielding import Yielding, spring_and_damper
@@ -260,7 +260,7 @@ def _pipeline(accounting: Accounting | None) -> list[tuple[str, str]]:
         return [("Pipeline", "not judged: a stage of it is missing in the recording")]
     latency, lost = accounting.latency, accounting.lost
     took = f"{latency.median:.2f} ms median, {latency.p99:.2f} ms 99th percentile, {latency.largest:.1f} ms largest"
-    published = max(lost["pressure_1"], lost["pressure_2"], lost["valve_state"])
+    published = max(lost.get(stage, 0) for stage in STAGES[:3])
     disordered = sum(accounting.out_of_order.values())
     missing = f"{published}, {lost['joint_estimate']}, {lost['valve_command']}"
     return [

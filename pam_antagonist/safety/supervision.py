@@ -21,6 +21,7 @@ _FEWEST = 3.0  # samples, since after a stall there may be but a few
 _SLOWEST = 30.0  # low-pass of a sensor's amplifier, a sixth of what docs/how-to/hardware.md asks for [Hz]
 _GAP = 20  # samples in a row that are missing: the valves have become safe meanwhile, for want of commands
 _SETTLING = 2 * PATIENCE  # samples until the filter has taken the pressures behind a gap for what they are
+_NEVER = 3e9  # a century [s]
 _LONGEST_FROZEN = 1.0  # a sensor that may stand still for longer by chance cannot be judged so [s]
 
 
@@ -201,7 +202,8 @@ class EstimateSupervision:
         angle_time: how long it may be larger [s].
         nis_limit: bound of the normalised innovation squared of two pressures [-].
         nis_time: the time over which samples out of bounds are counted [s].
-        blind_time: how long the filter may be without a pressure of either muscle [s].
+        blind_time: how long the filter may be without a pressure of either muscle [s]; None: for ever, as of a joint
+            whose pressures nobody measures.
         period: between two samples [s].
 
     Raises:
@@ -218,10 +220,10 @@ class EstimateSupervision:
         angle_time: float,
         nis_limit: float,
         nis_time: float,
-        blind_time: float,
+        blind_time: float | None,
         period: float = 1e-3,
     ) -> None:
-        for value in (highest_angle, angle_time, nis_limit, nis_time, blind_time):
+        for value in (highest_angle, angle_time, nis_limit, nis_time, 1.0 if blind_time is None else blind_time):
             if not (math.isfinite(value) and value > 0.0):
                 raise BadInput(f"limit {value!r} of the estimates: expected a finite number above 0")
         self.present = ""
@@ -231,7 +233,7 @@ class EstimateSupervision:
         self._window = round(nis_time * 1e9)
         self._enough = max(_FEWEST, _SHARE * nis_time / period)
         self._angle = Persistent(angle_time, period)
-        self._blind = _pair(blind_time, period)
+        self._blind = _pair(_NEVER if blind_time is None else blind_time, period)
         self._samples: deque[tuple[int, bool]] = deque()
         self._outside = 0
         self._gap, self._settle = round(_GAP * period * 1e9), round(_SETTLING * period * 1e9)

@@ -79,6 +79,21 @@ def test_the_filter_tells_the_angle_with_and_without_measured_pressures(recordin
         assert np.mean(inside) > 0.85
 
 
+def test_without_measured_pressures_the_covariance_is_as_honest_as_with_them() -> None:
+    """Twenty joints that differ by 1 % from the rig file, as docs/how-to/regulators.md reports them."""
+    found = []
+    for seed in range(100, 120):
+        recording = simulate(RIG, duration=10.0, mismatch=0.01, seed=seed)
+        blind = replace(recording, pressure=np.full_like(recording.pressure, np.nan))
+        for one in (recording, blind):
+            errors = replay(one, RIG).report.ukf
+            found.append([errors.angle.rmse, errors.angle.coverage95, errors.torque.coverage95])
+    measured, commanded = (np.array(found[k::2]).T for k in (0, 1))
+    assert np.sqrt(np.mean(commanded[0] ** 2)) < 1.1 * np.sqrt(np.mean(measured[0] ** 2))
+    assert commanded[1].mean() == pytest.approx(0.88, abs=0.04) and measured[1].mean() == pytest.approx(0.86, abs=0.04)
+    assert commanded[2].mean() > 0.95 and measured[2].mean() > 0.95
+
+
 def test_a_bag_keeps_what_was_asked_for_and_replays(recording: Recording, tmp_path: Path) -> None:
     live = Estimator(RIG).run(recording.stamp_ns, recording.pressure, recording.voltage)
     write_bag(tmp_path / "bag", recording)

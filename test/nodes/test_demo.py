@@ -44,6 +44,24 @@ def descendants(text: str) -> list[int]:
 
 @pytest.mark.ros
 @pytest.mark.realtime
+def test_without_measured_pressures_the_loop_goes_by_the_commands(tmp_path: Path, domain: None) -> None:
+    out = tmp_path / "out"
+    given = ("--rig", "shin2022_regulators", "--no-pressures", "--duration", "4", "--no-figures", "--out", str(out))
+    process = start(*given)
+    said, errors = process.communicate(timeout=90)
+    assert process.returncode == 0, errors
+    recording = read_bag(out / "bag")
+    assert recording.angle is not None and not math.isfinite(recording.pressure.max())
+    report = json.loads((out / "report.json").read_text())
+    live = report["live_equal"]
+    assert live["equal"] == live["compared"] > 2000, live
+    assert report["ukf"]["angle"]["rmse_deg"] < 1.0
+    assert abs(math.degrees(recording.angle.max())) > 10.0, "the controller acted on estimates without pressures"
+    assert "Lost: published, estimated, commanded" in said
+
+
+@pytest.mark.ros
+@pytest.mark.realtime
 def test_torque_demo_ends_with_tables_and_reports(tmp_path: Path, domain: None) -> None:
     out = tmp_path / "out"
     process = start("--mode", "torque", "--duration", "5", "--no-figures", "--out", str(out), "--seed", "2")

@@ -183,9 +183,17 @@ def test_order_of_topics_within_a_sample_does_not_matter(order):
     assert same(out, [sample(k) for k in range(50)])
 
 
+def test_without_measured_pressures_the_commands_alone_are_a_sample() -> None:
+    pairing = SamplePairing(0.02, Clock(), topics=(VALVES,))
+    (one,) = pairing.add(VALVES, MS, 3e5, 4e5)
+    assert (one.stamp_ns, one.voltage_1, one.voltage_2) == (MS, 3e5, 4e5)
+    assert math.isnan(one.pressure_1) and math.isnan(one.pressure_2)
+    assert pairing.counts.incomplete == 0
+
+
 def test_a_measured_angle_is_a_fourth_topic_of_a_sample() -> None:
     clock = Clock()
-    pairing = SamplePairing(0.02, clock, topics=4)
+    pairing = SamplePairing(0.02, clock, topics=(PRESSURE_1, PRESSURE_2, VALVES, ANGLE))
     assert (
         pairing.add(PRESSURE_1, MS, 1.0) == pairing.add(PRESSURE_2, MS, 2.0) == pairing.add(VALVES, MS, 3.0, 4.0) == []
     )

@@ -147,6 +147,19 @@ def test_the_paper_s_law_is_refused_with_what_to_set(nodes: list[Any]) -> None:
         nodes.append(node(rig="shin2022_regulators", law="model", safe_pressure=[5.5, 5.5]))
 
 
+def test_valves_are_not_driven_without_measured_pressures(nodes: list[Any]) -> None:
+    from rclpy.parameter import Parameter
+
+    from pam_antagonist.nodes.controller_node import ControllerNode
+    from pam_antagonist.nodes.estimator_node import EstimatorNode
+    from pam_antagonist.nodes.plant_node import PlantNode
+
+    given = [Parameter("pressure_sensors", value="none")]
+    for kind in (PlantNode, EstimatorNode, ControllerNode):
+        with pytest.raises(BadInput, match="rig shin2022 has valves, whose voltages do not tell the pressures"):
+            nodes.append(kind(parameter_overrides=given))
+
+
 def test_a_device_puts_out_voltages_that_ask_for_the_pressures() -> None:
     converter = Converter(load_calibration("example_regulators"))
     assert converter.output((401.3e3, 101.3e3)) == pytest.approx((5.0, 0.0))

@@ -20,9 +20,9 @@ def pressures(**changes: object) -> PressureSupervision:
     return PressureSupervision(**settings)  # type: ignore[arg-type]
 
 
-def estimates(**changes: float) -> EstimateSupervision:
+def estimates(**changes: float | None) -> EstimateSupervision:
     settings = {"highest_angle": 0.45, "angle_time": 0.01, "nis_limit": 13.8, "nis_time": 0.1, "blind_time": 0.05}
-    return EstimateSupervision(**{**settings, **changes})
+    return EstimateSupervision(**{**settings, **changes})  # type: ignore[arg-type]
 
 
 def noisy(value: float) -> float:
@@ -145,6 +145,13 @@ def test_blind(flag: int, muscle: int) -> None:
     said = [supervision.check(k * MS, 0.0, math.nan, flag if k >= 10 else 0) for k in range(80)]
     when = next(k for k, words in enumerate(said) if words)
     assert when == 60 and f"without pressure {muscle}" in said[when]
+
+
+def test_a_joint_whose_pressures_nobody_measures_is_not_blind() -> None:
+    supervision = estimates(blind_time=None)
+    assert not any(supervision.check(k * MS, 0.0, math.nan, 3) for k in range(5000))
+    said = [supervision.check((5000 + k) * MS, 0.5, math.nan, 3) for k in range(20)]
+    assert any("beyond 0.45 rad" in words for words in said), "the angle is still watched"
 
 
 def test_a_clock_that_is_set_back_starts_the_count_anew() -> None:
