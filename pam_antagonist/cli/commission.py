@@ -285,7 +285,11 @@ class Commission:
         found = faults(self._rig, recording.pressure[place], angle)
         if found:
             raise StepFailed("\n".join(fault.sentence for fault in found))
-        return {"said": "each valve fills its muscle, signs and zeros are right, no leak", "rig_s": plan.duration}
+        said = "each valve fills its muscle, signs and zeros are right, no leak"
+        if angle is not None:
+            low, high = (math.degrees(float(bound(angle))) for bound in (np.nanmin, np.nanmax))
+            said += f"; the joint turned from {low:+.1f} to {high:+.1f} deg"
+        return {"said": said, "rig_s": plan.duration}
 
     def _free(self) -> dict[str, Any]:
         self._ask("free", "Joint free:")
