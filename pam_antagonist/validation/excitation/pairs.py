@@ -23,11 +23,14 @@ from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, percent
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation import excitation
+from pam_antagonist.validation.battery.draw import LARGE
+from pam_antagonist.validation.excitation.sizes import Sizes
 
 _DESCRIPTION = """\
-For each pair of effects that the catalogue lists as hard to tell apart: a simulated joint has the first effect, at its
-usual size, or the second one at the size at which it imitates the first. Its parameters differ from the rig file by
-1 %. An experiment is designed under which both differ most, and close_loop gets its recording beside one of steps
+For each pair of effects that the catalogue lists as hard to tell apart: a simulated joint has the first effect at its
+usual size, or the second one at the size at which it imitates the first. A usual size below four noises of a sample is
+enlarged to these, since close_loop finds no smaller effects. The joint's parameters differ from the rig file by 1 %. An
+experiment is designed under which both differ most, and close_loop gets its recording beside one of steps
 (20 s). Right is a verdict that names the true effect first.
 """
 _EXAMPLES = """\
@@ -69,14 +72,21 @@ def _tested(name: str) -> bool:
 
 
 def usual(rig: Rig, effect: str) -> Rig:
-    """A rig with an effect at its usual size.
+    """A rig with an effect at its usual size, or as large as ``close_loop`` finds it: four noises of a sample.
 
     Args:
         rig: without it.
         effect: its name.
     """
     free = Candidate(effect).free
-    return moved(rig, {p: f.item.scale if f.item.is_size else f.item.neutral for f in free for p in f.paths})
+
+    def joint_with(factor: float) -> Rig:
+        sizes = {p: f.bounded(factor * f.item.scale) for f in free if f.item.is_size for p in f.paths}
+        return moved(rig, {**{p: f.item.neutral for f in free if not f.item.is_size for p in f.paths}, **sizes})
+
+    sizes = Sizes(rig, np.random.default_rng(0))
+    joint = joint_with(1.0)
+    return joint if sizes.of(joint) >= LARGE else sizes.reached(joint_with, LARGE)[0]
 
 
 def main(argv: list[str] | None = None) -> int:

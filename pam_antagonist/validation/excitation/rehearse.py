@@ -16,10 +16,8 @@ import yaml
 from pam_antagonist.cli import commission, common
 from pam_antagonist.cli.numbers import whole
 from pam_antagonist.control import Gains, Laws, Mode, PiController, VoltageLimits
-from pam_antagonist.design.information import Information
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Candidate, moved
-from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report import terminal
@@ -29,10 +27,10 @@ from pam_antagonist.rig.write import write_rig
 from pam_antagonist.strict_json import write_json
 from pam_antagonist.validation.battery.draw import LARGE, LEVELS
 from pam_antagonist.validation.battery.page import interval_text
-from pam_antagonist.validation.battery.plants import staircase
 from pam_antagonist.validation.battery.scores import share
 from pam_antagonist.validation.control.loop import Course, held, run
 from pam_antagonist.validation.control.trials import settling
+from pam_antagonist.validation.excitation.sizes import Sizes
 
 _DESCRIPTION = """\
 For each effect of the catalogue that valves can show: a simulated joint has it, in a size of the battery (4, 8 or 16
@@ -70,8 +68,6 @@ no measured pressure or angle beyond the limits, but for three standard deviatio
 """
 MISMATCH = 0.01
 """Of the joint's parameters from the rig file."""
-_SIZE_S, _STEP, _ROUNDS, _CLOSE = 60.0, 5e-4, 8, 1.1
-"""A size is that over a minute of the battery's voltages, worked out in these steps [s], right to a tenth."""
 _HALF, _HOLD_S = math.radians(10.0), 6.0
 """Height of the controller's steps, from minus to plus [rad], and how long each is held [s]."""
 
@@ -145,33 +141,10 @@ def joint_with(rig: Rig, effect: str, seed: int) -> tuple[Rig, str, float]:
     shapes = {one.path: one.item.neutral for one in Candidate(effect).shapes}
     if CATALOGUE[effect].form.shapes:
         shapes = {path: dict(Candidate(effect).grid()[0]).get(path, value) for path, value in shapes.items()}
-    voltage = staircase(np.asarray(np.arange(1, round(_SIZE_S / _STEP) + 1) * _STEP), rng)
-    without = _shown(rig, voltage)
-    amount, best = size.item.scale, (math.inf, rig, 0.0)
-    for _ in range(_ROUNDS):
-        amount = size.bounded(amount)
-        joint = moved(rig, {**shapes, path: amount})
-        reached = _noises(rig, _shown(joint, voltage) - without)
-        best = min(best, (abs(math.log(max(reached, 1e-9) / wanted)), joint, reached), key=lambda item: item[0])
-        if best[0] < math.log(_CLOSE):
-            break
-        # What sticks jumps: no leap further than a factor of three.
-        amount *= float(np.clip(wanted / max(reached, 1e-9), 1.0 / 3.0, 3.0))
-    return best[1], path, best[2]
-
-
-def _shown(rig: Rig, voltage: np.ndarray) -> np.ndarray:
-    """What the sensors show without noise (N, 4), in the order of ``CHANNELS``."""
-    work = Information(rig, (), step=_STEP)
-    middle = 0.5 * (rig.atmosphere.pressure + rig.supply.pressure)
-    return work.along(work.start((middle, middle), voltage[0]), voltage).shown
-
-
-def _noises(rig: Rig, difference: np.ndarray) -> float:
-    sensors = rig.sensors
-    noise = np.array([sensors.angle_std, sensors.torque_std, sensors.pressure_std, sensors.pressure_std])
-    assert len(noise) == len(CHANNELS)
-    return float(np.max(np.sqrt(np.mean((difference / noise) ** 2, axis=0))))
+    joint, reached = Sizes(rig, rng).reached(
+        lambda factor: moved(rig, {**shapes, path: size.bounded(factor * size.item.scale)}), wanted
+    )
+    return joint, path, reached
 
 
 def rehearsed(rig: Rig, name: str, effect: str, seed: int, folder: Path) -> dict[str, Any]:

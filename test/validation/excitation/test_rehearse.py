@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from pam_antagonist import simulate
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.rig import load_rig
 from pam_antagonist.validation.excitation import rehearse
+from pam_antagonist.validation.excitation.pairs import usual
+from pam_antagonist.validation.excitation.sizes import Sizes
 
 RIG = load_rig("shin2022")
 
@@ -63,3 +66,12 @@ def test_what_is_done_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_an_effect_that_is_not_tried_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert rehearse.main(["--out", str(tmp_path), "--effect", "regulator_lag"]) == 2
     assert "--effect regulator_lag: expected one of hysteresis" in capsys.readouterr().err
+
+
+def test_a_usual_size_that_nobody_would_find_is_enlarged() -> None:
+    sizes = Sizes(RIG, np.random.default_rng(0))
+    small = moved(RIG, dict.fromkeys(("effects.creep.share_1", "effects.creep.share_2"), 0.02))
+    assert sizes.of(small) < 2.5
+    assert sizes.of(usual(RIG, "creep")) == pytest.approx(4.0, rel=0.1)
+    leak = usual(RIG, "leak").effects["leak"]
+    assert leak["area_1"] == leak["area_2"] == 1e-9, "one that is large enough stays as it is"
