@@ -10,7 +10,7 @@ branches only: different lanes may go different ways. So this module writes it, 
 A condition that is the same in all lanes stays an ``if``. So does an index. What cannot be written so is refused, by
 :class:`NoLaneForm`: the functions for numbers do it then, with the same result.
 
-To read what was written: ``python -m pam_antagonist.model.lanes``.
+To read what was written: ``python -m pam_antagonist.model.lane_course``.
 """
 
 from __future__ import annotations

@@ -22,6 +22,8 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, regist
 # numba's own writer of LLVM's language.
 ir: Any = cgutils.ir
 LANES = 8
+CHUNK = 64
+"""Samples of all lanes that are kept until they are given to each model: as many as stay in the processor's cache."""
 _DOUBLE, _BIT, _INDEX = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
 _LANES, _MASK = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_BIT, LANES)
 

@@ -7,21 +7,19 @@ the bits that :func:`pam_antagonist.model.dynamics.course` gives for it alone.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from pam_antagonist._jit import in_place
-from pam_antagonist.model import composition, dynamics, lane_form
+from pam_antagonist.model import dynamics, lane_form
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.lane_values import LANES, item, put
+from pam_antagonist.model.lane_values import CHUNK, LANES
 
 _FEWEST = 2
 """Models that are worth a step of eight: one takes as long as eight."""
-_CHUNK = 64
-"""Samples of all lanes that are kept until they are given to each model: as many as stay in the processor's cache."""
 
 
 def courses(
@@ -77,51 +75,15 @@ def _structure(p: np.ndarray) -> bytes:
     return behind.tobytes()
 
 
-def source_text() -> str:
-    """Source of the module that holds the lane form of the equations.
-
-    Raises:
-        NoLaneForm: an equation, or an effect of another package, has none.
-    """
-    return lane_form.lane_module((dynamics.rk4_step_within, dynamics.torque))
-
-
 @lru_cache(maxsize=1)
 def _side_by_side() -> Any:
     """The course of eight models; None where an effect of another package has no lane form."""
     try:
-        module: Any = composition.imported(source_text(), "lanes")
+        return importlib.import_module("pam_antagonist.model.lane_course").course
     except lane_form.NoLaneForm:
         return None
-    return _course_of(module.rk4_step_within, module.torque)
 
 
 def _scratch(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For a step, and for states and torques of some samples."""
-    return np.empty((dynamics.STAGES + 1, n, LANES)), np.empty((_CHUNK, n, LANES)), np.empty((_CHUNK, LANES))
-
-
-def _course_of(rk4_step_within: Any, torque: Any) -> Any:
-    @in_place
-    def course(x, voltage, p, dt, substeps, states, torques, scratch):  # type: ignore[no-untyped-def]
-        stages, recent, recent_torques = scratch
-        for begin in range(0, states.shape[1], _CHUNK):
-            count = min(_CHUNK, states.shape[1] - begin)
-            for k in range(count):
-                if begin + k > 0:
-                    for _ in range(substeps):
-                        rk4_step_within(x, voltage[begin + k], p, dt / substeps, x, stages)
-                for i in range(x.shape[0]):
-                    put(recent, (k, i), item(x, i))
-                put(recent_torques, k, torque(x, p))
-            for lane in range(LANES):
-                for k in range(count):
-                    for i in range(x.shape[0]):
-                        states[lane, begin + k, i] = recent[k, i, lane]
-                    torques[lane, begin + k] = recent_torques[k, lane]
-
-    return course
-
-
-if __name__ == "__main__":
-    print(source_text())
+    return np.empty((dynamics.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES)), np.empty((CHUNK, LANES))

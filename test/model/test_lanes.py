@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import inspect
 import math
+import sys
 
 import numpy as np
 import pytest
 
 from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.model import dynamics, equilibrium, lane_form, lanes, numeric
+from pam_antagonist.model import dynamics, equilibrium, lane_course, lane_form, lanes, numeric
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig.load import load_rig
@@ -109,6 +110,7 @@ def test_an_effect_without_lane_form_leaves_the_models_to_run_one_by_one(p0, mon
         raise lane_form.NoLaneForm("an effect with a while")
 
     monkeypatch.setattr(lane_form, "lane_module", refuse)
+    monkeypatch.delitem(sys.modules, "pam_antagonist.model.lane_course", raising=False)
     lanes._side_by_side.cache_clear()
     try:
         assert lanes._side_by_side() is None
@@ -118,7 +120,7 @@ def test_an_effect_without_lane_form_leaves_the_models_to_run_one_by_one(p0, mon
 
 
 def test_the_source_of_the_equations_is_what_is_written_for_lanes() -> None:
-    text = lanes.source_text()
+    text = lane_course.TEXT
     for function in (dynamics._slopes, dynamics._rows):
         assert f"def dynamics__{function.py_func.__name__}(" in text
         assert "lanes" not in inspect.getsource(function.py_func)

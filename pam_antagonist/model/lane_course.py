@@ -1,0 +1,50 @@
+"""The course of eight models side by side, compiled. It is imported when it is needed: it writes the lane form first.
+
+To read what is written: ``python -m pam_antagonist.model.lane_course``.
+"""
+
+from __future__ import annotations
+
+from pam_antagonist._jit import in_place
+from pam_antagonist.model import composition, dynamics, lane_form
+from pam_antagonist.model.lane_values import CHUNK, LANES, item, put
+
+TEXT = lane_form.lane_module((dynamics.rk4_step_within, dynamics.torque))
+"""Source of the module with the lane form of the equations."""
+_form = composition.imported(TEXT, "lanes")
+_rk4_step, _torque = _form.rk4_step_within, _form.torque
+
+
+@in_place
+def course(x, voltage, p, dt, substeps, states, torques, scratch):
+    """:func:`~pam_antagonist.model.dynamics.course` of eight models.
+
+    Args:
+        x: states (n, 8) at the first sample; those at the last one after it.
+        voltage: input (N, 2) or (N, 3) of all of them.
+        p: parameter vectors (P, 8).
+        dt: sample period [s].
+        substeps: Runge-Kutta steps a sample.
+        states: result (8, N, n).
+        torques: result (8, N) [N m].
+        scratch: (STAGES + 1, n, 8) for a step, (CHUNK, n, 8) and (CHUNK, 8) for some samples.
+    """
+    stages, recent, recent_torques = scratch
+    for begin in range(0, states.shape[1], CHUNK):
+        count = min(CHUNK, states.shape[1] - begin)
+        for k in range(count):
+            if begin + k > 0:
+                for _ in range(substeps):
+                    _rk4_step(x, voltage[begin + k], p, dt / substeps, x, stages)
+            for i in range(x.shape[0]):
+                put(recent, (k, i), item(x, i))
+            put(recent_torques, k, _torque(x, p))
+        for lane in range(LANES):
+            for k in range(count):
+                for i in range(x.shape[0]):
+                    states[lane, begin + k, i] = recent[k, i, lane]
+                torques[lane, begin + k] = recent_torques[k, lane]
+
+
+if __name__ == "__main__":
+    print(TEXT)
