@@ -23,7 +23,7 @@ from pam_antagonist.inference.gauss_newton import (
     refit,
     relinearised,
 )
-from pam_antagonist.inference.likelihood import solve
+from pam_antagonist.inference.likelihood import Equations
 from pam_antagonist.inference.standard_errors import settled, well_known
 
 _IMITATED = ("torque_scale",)
@@ -135,7 +135,7 @@ def _first_order(experiment: Experiment, fitted: Fitted, candidate: Candidate) -
     theta, scale = fitted.point.theta, fitted.scale
     column = effect_jacobian(experiment, fitted.point, fitted.residual, candidate.free)
     effect = np.concatenate([fitted.effect, column], axis=2)
-    step = solve(fitted.residual, fitted.base, effect, scale, experiment.prior, theta, rounds=2)
+    step = Equations.of(fitted.residual, fitted.base, effect).solved(scale, experiment.prior, theta, rounds=2)
     gain = float(np.sum(scale.misfits(fitted.residual) - scale.misfits(step.residual)))
     gain += prior_cost(experiment, theta) - prior_cost(experiment, theta + step.theta)
     return gain * scale.blocks_per_error / float(scale.length.max())

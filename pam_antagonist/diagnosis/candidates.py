@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, held_residual, prior_cost
-from pam_antagonist.inference.likelihood import Scale, Step, solve
+from pam_antagonist.inference.likelihood import Equations, Scale, Step
 
 Floats = NDArray[np.float64]
 
@@ -161,13 +161,9 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
             effect = np.concatenate(
                 [here.effect, np.stack([columns[_key(size, shape)] for size in sizes], axis=2)], axis=2
             )
-            step = min(
-                (
-                    solve(here.residual, here.base, effect, scale, experiment.prior, here.point.theta, 4, first=first)
-                    for first in firsts
-                ),
-                key=cost,
-            )
+            linear = Equations.of(here.residual, here.base, effect)
+            each = (linear.solved(scale, experiment.prior, here.point.theta, 4, first=first) for first in firsts)
+            step = min(each, key=cost)
             values = [size.value(float(a)) for size, a in zip(sizes, step.effect[known:], strict=True)]
             refused = [size for size, value in zip(sizes, values, strict=True) if value < size.item.low]
             if not refused:

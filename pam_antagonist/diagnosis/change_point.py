@@ -18,7 +18,7 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.stretches import clearest, fitted_to_all
 from pam_antagonist.inference.experiment import Experiment, Point, Span
 from pam_antagonist.inference.gauss_newton import Fitted, effect_jacobian, refit
-from pam_antagonist.inference.likelihood import solve
+from pam_antagonist.inference.likelihood import Equations
 from pam_antagonist.inference.trial import Mask, Split
 
 Floats = NDArray[np.float64]
@@ -171,7 +171,9 @@ def _undisturbed(experiment: Experiment, fitted: Fitted, residual: Floats) -> tu
         above = ~rest
         for _ in range(_GROWTHS):
             linear = residual[rest], base[rest], effect[rest]
-            step = solve(*linear, scale, experiment.prior, fitted.point.theta, rounds=1, first=experiment.noise**2)
+            step = Equations.of(*linear).solved(
+                scale, experiment.prior, fitted.point.theta, rounds=1, first=experiment.noise**2
+            )
             before, above = above, _above(experiment, residual + base @ step.theta + effect @ step.effect)
             rest = _rest(experiment, above)
             if np.array_equal(before, above) or not rest.any():

@@ -16,7 +16,7 @@ from pam_antagonist.diagnosis.candidates import as_configured
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted, best_of_starts, prior_cost, refit
-from pam_antagonist.inference.likelihood import solve
+from pam_antagonist.inference.likelihood import Equations
 
 _SIZES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Values that are tried, in scales of the calibration, in either direction."""
@@ -84,5 +84,5 @@ def _cost(experiment: Experiment, start: Fitted, point: Point) -> float:
     """What is left to first order once the base parameters have moved to their best: twice a negative log posterior."""
     residual = experiment.residual(point)
     theta, scale = point.theta, start.scale
-    step = solve(residual, start.base, start.effect, scale, experiment.prior, theta, rounds=4)
+    step = Equations.of(residual, start.base, start.effect).solved(scale, experiment.prior, theta, rounds=4)
     return float(scale.misfits(step.residual).sum()) + prior_cost(experiment, theta + step.theta)

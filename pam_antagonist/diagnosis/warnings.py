@@ -17,7 +17,7 @@ from pam_antagonist.inference.angle_driven import BALANCE, sweeps
 from pam_antagonist.inference.experiment import Experiment, Point, Span
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted
-from pam_antagonist.inference.likelihood import solve
+from pam_antagonist.inference.likelihood import Equations
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.inference.trial import ANGLE, TORQUE
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, Effect
@@ -293,9 +293,9 @@ def _shows(name: str, experiment: Experiment, fitted: Fitted) -> bool:
         values = dict.fromkeys(size.paths, size.bounded(size.item.scale))
         change = experiment.residual(Point(fitted.point.theta, {**shapes, **values})) - fitted.residual
         # As a fit would see it, were the rest noise.
-        step = solve(
-            change, fitted.base, none, scale, experiment.prior, np.zeros(experiment.size), rounds=1,
-            first=scale.noise**2, length=np.full(len(scale.noise), counted),
+        step = Equations.of(change, fitted.base, none).solved(
+            scale, experiment.prior, np.zeros(experiment.size), rounds=1, first=scale.noise**2,
+            length=np.full(len(scale.noise), counted),
         )  # fmt: skip
         rise = np.log1p(np.mean(step.residual**2, axis=0) / scale.noise**2)
         independent = len(change) / counted

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, values_along
-from pam_antagonist.inference.likelihood import ERROR_S, Scale, in_decibels, solve
+from pam_antagonist.inference.likelihood import ERROR_S, Equations, Scale, in_decibels
 from pam_antagonist.inference.trial import Split, Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -349,6 +349,16 @@ class Experiment(ABC):
         """
         return self.side_by_side(self.residual, points)
 
+    def near(self, there: Point, point: Point, residual: Floats) -> Floats:
+        """Residual (B, C) of a model near one whose residual is known, as exact as derivatives need it.
+
+        Args:
+            there: the model.
+            point: the one nearby.
+            residual: which that leaves (B, C).
+        """
+        return residual + self.differences(point, residual, [there])[0]
+
     def residual_of(self, simulated: Floats) -> Floats:
         """Measured minus simulated block means (B, C), 0 where nothing was measured.
 
@@ -434,7 +444,7 @@ class Experiment(ABC):
         columns = np.stack(self.differences(now, residual, moved_by), axis=2)
         # Weighed and counted as in any fit, and pulled to what the sensors showed.
         scale, none = self.scale(), np.zeros((*residual.shape, 0))
-        step = solve(residual, columns, none, scale, np.ones(starts), np.zeros(starts), rounds=1).theta
+        step = Equations.of(residual, columns, none).solved(scale, np.ones(starts), np.zeros(starts), rounds=1).theta
         moved = Point(np.concatenate([point.theta[:count], step]), point.effects)
         weight = 1.0 / (scale.variances(residual) * scale.blocks_per_error)
         before, after = (weight @ np.sum(part**2, axis=0) for part in (residual, self.residual(moved)))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
-from pam_antagonist.inference.likelihood import Scale, Step, solve
+from pam_antagonist.inference.likelihood import Equations, Scale, Step
 from pam_antagonist.inference.trial import Mask
 
 Floats = NDArray[np.float64]
@@ -124,8 +124,12 @@ def refit(
     renewals: int = 3,
     blocks_per_error: float | None = None,
     careful: int = 12,
+    near: bool = True,
 ) -> Fitted:
     """Gauss-Newton, with the derivatives by the base coordinates kept from step to step while they serve.
+
+    Steps are tried with residuals that are as exact as derivatives (:meth:`Experiment.near`). The fit ends with the
+    exact one, and begins again with exact ones where that is worse.
 
     Args:
         experiment: the recording.
@@ -136,7 +140,9 @@ def refit(
         renewals: how often the derivatives by the base coordinates may be worked out.
         blocks_per_error: blocks per value that is counted; default: those of a model that lacks something.
         careful: how many steps may be damped ones, which are tried where the others lead nowhere.
+        near: whether steps may be tried so.
     """
+    begun, again = point, (point, free, base, rounds, renewals, blocks_per_error, careful)
     residual = experiment.residual(point)
     fresh = base is None
     if base is None:
@@ -147,12 +153,12 @@ def refit(
     for _ in range(rounds):
         scale = experiment.scale(residual, blocks_per_error)
         cost = cost_of(experiment, point, residual, scale)
-        found = None
+        found, linear = None, Equations.of(residual, base, effect)
         damped = len(_CAREFUL) if careful > 0 and (fresh or renewals <= 0) else 0
         for number in range(first, len(_STEP_LENGTHS) + damped):
-            step = _step(experiment, point, free, (residual, base, effect), scale, number)
+            step = _step(experiment, point, free, linear, scale, number)
             trial = moved_by(point, free, step.theta, step.effect)
-            moved = experiment.residual(trial)
+            moved = experiment.near(trial, point, residual) if near else experiment.residual(trial)
             new = cost_of(experiment, trial, moved, scale)
             if new < cost:
                 found = trial, moved, cost - new
@@ -178,8 +184,16 @@ def refit(
         base = experiment.jacobian(point, residual)
         renewals -= 1
         fresh = True
+    if near and point is not begun:
+        exact = experiment.residual(point)
+        scale = experiment.scale(residual, blocks_per_error)
+        if cost_of(experiment, point, exact, scale) > cost_of(experiment, point, residual, scale) + _ENOUGH:
+            return refit(experiment, *again, near=False)
+        residual = exact
     scale = experiment.scale(residual, blocks_per_error)
-    last = solve(residual, base, effect, scale, experiment.prior, point.theta, rounds=1, length=scale.length)
+    last = Equations.of(residual, base, effect).solved(
+        scale, experiment.prior, point.theta, rounds=1, length=scale.length
+    )
     cost = cost_of(experiment, point, residual, scale)
     return Fitted(point, tuple(free), residual, base, effect, scale, cost, last.covariance)
 
@@ -188,7 +202,7 @@ def _step(
     experiment: Experiment,
     point: Point,
     free: Sequence[FreeEffectParameter],
-    linear: tuple[Floats, Floats, Floats],
+    linear: Equations,
     scale: Scale,
     number: int,
 ) -> Step:
@@ -201,16 +215,16 @@ def _step(
         experiment: the recording.
         point: where to start.
         free: parameters of effects that may move.
-        linear: the residual (B, C), and its derivatives by the base coordinates and by those.
+        linear: the residual with its derivatives by the base coordinates and by those.
         scale: how residuals are judged.
         number: from 0.
     """
     held = _held(point, free)
     if number < len(_STEP_LENGTHS):
-        bold, share = solve(*linear, scale, experiment.prior, point.theta, held=held), _STEP_LENGTHS[number]
+        bold, share = linear.solved(scale, experiment.prior, point.theta, held=held), _STEP_LENGTHS[number]
         return replace(bold, theta=share * bold.theta, effect=share * bold.effect)
     damping = _CAREFUL[number - len(_STEP_LENGTHS)]
-    return solve(*linear, scale, experiment.prior, point.theta, rounds=1, held=held, damping=damping)
+    return linear.solved(scale, experiment.prior, point.theta, rounds=1, held=held, damping=damping)
 
 
 class Near(NamedTuple):
@@ -269,11 +283,11 @@ class Linear:
         point, residual, scale = self.fitted.point, self.residual, self.fitted.scale
         cost = cost_of(self.experiment, point, residual[part], scale)
         for _ in range(_PART_ROUNDS):
-            linear = residual[part], self.base[part], self.effect[part]
+            linear = Equations.of(residual[part], self.base[part], self.effect[part])
             for number in range(len(_STEP_LENGTHS) + len(_CAREFUL)):
                 step = _step(self.experiment, point, self.fitted.free, linear, scale, number)
                 moved = moved_by(point, self.fitted.free, step.theta, step.effect)
-                left = self.experiment.residual(moved)
+                left = self.experiment.near(moved, point, residual)
                 new = cost_of(self.experiment, moved, left[part], scale)
                 if new < cost:
                     break
@@ -282,6 +296,9 @@ class Linear:
             gain, point, residual, cost = cost - new, moved, left, new
             if gain < _ENOUGH:
                 break
+        if point is not self.fitted.point:
+            residual = self.experiment.residual(point)
+            cost = cost_of(self.experiment, point, residual[part], scale)
         return Near(point, residual, cost)
 
 

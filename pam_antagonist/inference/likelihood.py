@@ -132,64 +132,98 @@ class Step:
         theta: change of the base coordinates (K + S,).
         effect: change of the effects' coordinates (m,).
         residual: what the linear model leaves (B, C).
-        covariance: of all coordinates, the base first (K + S + m, K + S + m).
+        information: on the coordinates that may move, the base first.
+        keep: which these are, of K + S + m.
     """
 
     theta: Floats
     effect: Floats
     residual: Floats
-    covariance: Floats
+    information: Floats
+    keep: NDArray[np.intp]
+
+    @property
+    def covariance(self) -> Floats:
+        """Of all coordinates, the base first (K + S + m, K + S + m)."""
+        count = len(self.theta) + len(self.effect)
+        covariance = np.zeros((count, count))
+        covariance[np.ix_(self.keep, self.keep)] = _solved(self.information, np.eye(len(self.keep)))
+        return covariance
 
 
-def solve(
-    residual: Floats,
-    base: Floats,
-    effect: Floats,
-    scale: Scale,
-    prior: Floats,
-    theta: Floats,
-    rounds: int = 3,
-    held: Collection[int] = (),
-    first: Floats | None = None,
-    length: Floats | None = None,
-    damping: float = 0.0,
-) -> Step:
-    """Most probable step, with the channels' variances estimated anew in every round.
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """A linear problem, and the sums over its blocks that any weights of the channels need.
 
-    Args:
+    Attributes:
         residual: measured minus simulated (B, C).
-        base: its derivatives by the base coordinates (B, C, K + S).
-        effect: its derivatives by the effects' coordinates (B, C, m).
-        scale: how residuals are judged.
-        prior: precision of each base coordinate (K + S,).
-        theta: the base coordinates now (K + S,), which the prior pulls to 0.
-        rounds: how often the variances are estimated.
-        held: effects' coordinates that may not move.
-        first: variances (C,) of the first round; default: those of the residual.
-        length: of an independent value (C,) [blocks]; default: as fits count.
-        damping: share by which the diagonal of the information grows (Marquardt 1963), for shorter steps.
+        columns: its derivatives by all coordinates, the base first (B, C, K + S + m).
+        base: how many are of the base (K + S).
+        gram: sums of products of the columns (C, K + S + m, K + S + m).
+        slope: sums of their products with the residual (C, K + S + m).
     """
-    counted = np.full(len(scale.noise), scale.blocks_per_error) if length is None else length
-    n, m = base.shape[2], effect.shape[2]
-    columns = np.concatenate([base, effect], axis=2)
-    gram = np.einsum("bci,bcj->cij", columns, columns, optimize=True)
-    slope = np.einsum("bci,bc->ci", columns, residual, optimize=True)
-    keep = np.array([k for k in range(n + m) if k - n not in held])
-    step, left, information = np.zeros(n + m), residual, np.diag(np.concatenate([prior, np.zeros(m)]))
-    for number in range(rounds):
-        variances = first if first is not None and number == 0 else scale.variances(left)
-        weights = 1.0 / (variances * counted)
-        information = np.einsum("c,cij->ij", weights, gram)
-        information[np.arange(n), np.arange(n)] += prior
-        right = weights @ slope
-        right[:n] += prior * theta
-        step = np.zeros(n + m)
-        damped = information + damping * np.diag(np.diag(information))
-        step[keep] = -_solved(damped[np.ix_(keep, keep)], right[keep])
-        left = residual + columns @ step
-    covariance = np.zeros((n + m, n + m))
-    covariance[np.ix_(keep, keep)] = _solved(information[np.ix_(keep, keep)], np.eye(len(keep)))
-    return Step(step[:n], step[n:], left, covariance)
+
+    residual: Floats
+    columns: Floats
+    base: int
+    gram: Floats
+    slope: Floats
+
+    @classmethod
+    def of(cls, residual: Floats, base: Floats, effect: Floats) -> Equations:
+        """The problem of a residual with its derivatives.
+
+        Args:
+            residual: measured minus simulated (B, C).
+            base: its derivatives by the base coordinates (B, C, K + S).
+            effect: its derivatives by the effects' coordinates (B, C, m).
+        """
+        columns = np.concatenate([base, effect], axis=2)
+        each = np.ascontiguousarray(columns.transpose(1, 2, 0))
+        gram = each @ each.transpose(0, 2, 1)
+        slope = (each @ residual.T[:, :, None])[:, :, 0]
+        return cls(residual, columns, base.shape[2], gram, slope)
+
+    def solved(
+        self,
+        scale: Scale,
+        prior: Floats,
+        theta: Floats,
+        rounds: int = 3,
+        held: Collection[int] = (),
+        first: Floats | None = None,
+        length: Floats | None = None,
+        damping: float = 0.0,
+    ) -> Step:
+        """Most probable step, with the channels' variances estimated anew in every round.
+
+        Args:
+            scale: how residuals are judged.
+            prior: precision of each base coordinate (K + S,).
+            theta: the base coordinates now (K + S,), which the prior pulls to 0.
+            rounds: how often the variances are estimated.
+            held: effects' coordinates that may not move.
+            first: variances (C,) of the first round; default: those of the residual.
+            length: of an independent value (C,) [blocks]; default: as fits count.
+            damping: share by which the diagonal of the information grows (Marquardt 1963), for shorter steps.
+        """
+        counted = np.full(len(scale.noise), scale.blocks_per_error) if length is None else length
+        n, count = self.base, self.columns.shape[2]
+        keep = np.array([k for k in range(count) if k - n not in held])
+        step, left = np.zeros(count), self.residual
+        information = np.diag(np.concatenate([prior, np.zeros(count - n)]))
+        for number in range(rounds):
+            variances = first if first is not None and number == 0 else scale.variances(left)
+            weights = 1.0 / (variances * counted)
+            information = np.tensordot(weights, self.gram, 1)
+            information[np.arange(n), np.arange(n)] += prior
+            right = weights @ self.slope
+            right[:n] += prior * theta
+            step = np.zeros(count)
+            damped = information + damping * np.diag(np.diag(information))
+            step[keep] = -_solved(damped[np.ix_(keep, keep)], right[keep])
+            left = self.residual + self.columns @ step
+        return Step(step[:n], step[n:], left, information[np.ix_(keep, keep)], keep)
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference.experiment import Experiment, Point
 from pam_antagonist.inference.free_parameters import Direction, measured_directions, moved, values_along
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, moved_by, relinearised
-from pam_antagonist.inference.likelihood import solve
+from pam_antagonist.inference.likelihood import Equations
 
 Floats = NDArray[np.float64]
 
@@ -51,9 +51,10 @@ def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
     known[: len(experiment.directions)] /= _distance(experiment, near) ** 2
     prior, at_rest = np.append(known, np.ones(len(measured))), np.append(theta, np.zeros(len(measured)))
     scale = fitted.scale
-    last = solve(fitted.residual, both, effect, scale, prior, at_rest, rounds=1, length=scale.length)
-    own = np.r_[0 : experiment.size, both.shape[2] : len(last.covariance)]
-    return replace(near, covariance=last.covariance[np.ix_(own, own)])
+    last = Equations.of(fitted.residual, both, effect).solved(scale, prior, at_rest, rounds=1, length=scale.length)
+    covariance = last.covariance
+    own = np.r_[0 : experiment.size, both.shape[2] : len(covariance)]
+    return replace(near, covariance=covariance[np.ix_(own, own)])
 
 
 def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
@@ -76,7 +77,7 @@ def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
 def _step(experiment: Experiment, fitted: Fitted) -> Fitted | None:
     """A step with the derivatives that a model has, maybe of a point nearby; None where it gains next to nothing."""
     base, effect, scale, theta = fitted.base, fitted.effect, fitted.scale, fitted.point.theta
-    step = solve(fitted.residual, base, effect, scale, experiment.prior, theta, rounds=1)
+    step = Equations.of(fitted.residual, base, effect).solved(scale, experiment.prior, theta, rounds=1)
     for share in _SHARES:
         point = moved_by(fitted.point, fitted.free, share * step.theta, share * step.effect)
         residual = experiment.residual(point)

@@ -158,7 +158,8 @@ class ValveDriven(Experiment):
 
     def _shown_each(self, trial: Trial, points: Sequence[Point]) -> list[Floats]:
         """:meth:`_shown` of several models."""
-        if any(self._later(point) for point in points):
+        # One alone is kept: what a step is tried at may be where the next derivatives are taken.
+        if len(points) == 1 or any(self._later(point) for point in points):
             return self.side_by_side(lambda point: self._shown(trial, point), points)
         models = [Run(self._first(point), self.start_shift(point)) for point in points]
         # Calibrations change what is shown, and not what the model does.

@@ -33,6 +33,24 @@ def test_a_fit_gets_to_its_optimum_from_where_bold_steps_lead_nowhere(drooping) 
     assert np.max(experiment.times_noise(fitted.residual)) < 1.7
 
 
+def test_a_fit_that_tries_steps_in_longer_steps_of_time_ends_with_the_exact_residual(drooping) -> None:
+    experiment, base = drooping
+    tried = []
+    original = type(experiment).near
+    point = Point(base.point.theta, {"effects.supply_droop.stiffness": 1e9, "effects.supply_droop.time": 0.3})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(experiment), "near", lambda self, *a: tried.append(original(self, *a)) or tried[-1])
+        near = refit(experiment, point, DROOP.free, renewals=4)
+    exact = refit(experiment, point, DROOP.free, renewals=4, near=False)
+    assert tried and np.array_equal(near.residual, experiment.residual(near.point))
+    assert near.cost == pytest.approx(exact.cost, abs=1.0)
+    # Where that leads astray, it is noticed at the end, and the fit begins again with exact residuals.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(experiment), "near", lambda _self, _there, _point, residual: 0.8 * residual)
+        misled = refit(experiment, point, DROOP.free, renewals=4)
+    assert misled.cost == exact.cost
+
+
 @pytest.fixture(scope="module")
 def leaking(recorded, experiment_of):
     """A joint with a leak, locked and free, and one without: the first with a leak in its model, the others without."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, Scale, correlation_length, solve
+from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR, Equations, Scale, correlation_length
 
 
 def test_white_residuals_are_worth_their_number() -> None:
@@ -52,7 +52,7 @@ def _problem(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarr
 def test_solve_recovers_what_is_there() -> None:
     residual, base, effect = _problem(np.random.default_rng(1))
     scale = Scale.of(residual, np.array([0.01, 0.01]))
-    step = solve(residual, base, effect, scale, np.full(3, 1e-3), np.zeros(3))
+    step = Equations.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3))
     np.testing.assert_allclose(step.theta, [0.3, -0.2, 0.1], atol=2e-3)
     np.testing.assert_allclose(step.effect, [1.5, -0.7], atol=2e-3)
     assert np.sqrt(np.mean(step.residual**2)) == pytest.approx(0.01, rel=0.05)
@@ -62,7 +62,7 @@ def test_what_has_no_influence_stays() -> None:
     residual, base, effect = _problem(np.random.default_rng(2))
     effect[:, :, 1] = 0.0
     scale = Scale.of(residual, np.array([0.01, 0.01]))
-    step = solve(residual, base, effect, scale, np.full(3, 1e-3), np.zeros(3))
+    step = Equations.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3))
     assert step.effect[1] == 0.0
     assert np.all(np.isfinite(step.covariance))
 
@@ -70,4 +70,4 @@ def test_what_has_no_influence_stays() -> None:
 def test_what_is_held_stays() -> None:
     residual, base, effect = _problem(np.random.default_rng(2))
     scale = Scale.of(residual, np.array([0.01, 0.01]))
-    assert solve(residual, base, effect, scale, np.full(3, 1e-3), np.zeros(3), held=[0]).effect[0] == 0.0
+    assert Equations.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3), held=[0]).effect[0] == 0.0
