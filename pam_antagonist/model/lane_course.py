@@ -21,7 +21,7 @@ def course(x, voltage, p, dt, substeps, states, torques, scratch):
 
     Args:
         x: states (n, 8) at the first sample; those at the last one after it.
-        voltage: input (N, 2) or (N, 3) of all of them.
+        voltage: input (N, 2) or (N, 3) of all of them [V, N m].
         p: parameter vectors (P, 8).
         dt: sample period [s].
         substeps: Runge-Kutta steps a sample.
