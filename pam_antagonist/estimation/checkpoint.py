@@ -22,10 +22,9 @@ from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.external_torque import NEVER, UNBOUNDED
 
 _DIGITS = 16
-_LATER_EFFECTS = (
-    "friction_by_pressure", "friction_by_signal", "load_by_signal", "strength_by_signal", "regulator_limits",
-    "regulator_threshold", "regulator_dead_time", "regulator_lag",
-)  # fmt: skip
+_LAST_OF_FIRST = "slack"
+"""The last effect of the catalogue when checkpoints began; new ones stand behind it."""
+_LATER_EFFECTS = tuple(CATALOGUE)[tuple(CATALOGUE).index(_LAST_OF_FIRST) + 1 :]
 _LATER = {
     par.INDEX["effects.external_torque.prior"]: UNBOUNDED,
     par.INDEX["effects.external_torque.onset"]: NEVER,

@@ -256,9 +256,16 @@ class Effect:
         return text.format(**numbers, muscle=which, valve=valve, s="" if muscle is None else "s")
 
 
-def _numbered(symbol: str, muscle: int) -> str:
-    """A symbol with the muscle's number: in the place of ``#``, or as an index."""
-    return symbol.replace("#", str(muscle)) if "#" in symbol or not symbol else f"{symbol}_{muscle}"
+def _numbered(symbol: str, number: int) -> str:
+    """A symbol with the number of a muscle or signal: in the place of ``#``, or as an index."""
+    return symbol.replace("#", str(number)) if "#" in symbol or not symbol else f"{symbol}_{number}"
+
+
+def _sizes(
+    items: list[tuple[str, str, str]], unit: str, low: float, high: float, scale: float
+) -> tuple[EffectParameter, ...]:
+    """Sizes of one kind, each with its name, meaning and symbol."""
+    return tuple(EffectParameter(name, unit, 0.0, low, high, scale, text, symbol) for name, text, symbol in items)
 
 
 def per_muscle(
@@ -275,10 +282,8 @@ def per_muscle(
         meaning: without the muscle.
         symbol: without the muscle's number; it goes in the place of ``#``, or becomes an index.
     """
-    return tuple(
-        EffectParameter(f"{name}_{i}", unit, 0.0, low, high, scale, f"{meaning} of muscle {i}", _numbered(symbol, i))
-        for i in (1, 2)
-    )
+    items = [(f"{name}_{i}", f"{meaning} of muscle {i}", _numbered(symbol, i)) for i in (1, 2)]
+    return _sizes(items, unit, low, high, scale)
 
 
 @inlined
@@ -298,6 +303,20 @@ def along_signals(slope1, slope2, slope3, slope4, signal1, signal2, signal3, sig
     return slope1 * signal1 + slope2 * signal2 + slope3 * signal3 + slope4 * signal4
 
 
+@inlined
+def played(width, held, command, quickest_lag):
+    """Rate of what a command takes along at either end of a play: the play operator, for rates of added states.
+
+    Args:
+        width: of the play, in the unit of the command.
+        held: what stays within the play, likewise.
+        command: what moves it, likewise.
+        quickest_lag: shortest time constant that a step of the integration follows [s].
+    """
+    taken_along = min(max(held, command - 0.5 * width), command + 0.5 * width)
+    return (taken_along - held) / quickest_lag
+
+
 def per_signal(
     name: str, unit: str, low: float, high: float, scale: float, meaning: str, symbol: str = ""
 ) -> tuple[EffectParameter, ...]:
@@ -312,10 +331,8 @@ def per_signal(
         meaning: without the signal.
         symbol: without the signal's number, which becomes an index.
     """
-    return tuple(
-        EffectParameter(f"{name}{k}", unit, 0.0, low, high, scale, f"{meaning} {k}", f"{symbol}_{k}")
-        for k in range(1, SIGNALS + 1)
-    )
+    items = [(f"{name}{k}", f"{meaning} {k}", _numbered(symbol, k)) for k in range(1, SIGNALS + 1)]
+    return _sizes(items, unit, low, high, scale)
 
 
 def state_per_muscle(

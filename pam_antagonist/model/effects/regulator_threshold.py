@@ -13,7 +13,7 @@ hysteresis, or, of a digital input, sensitivity.
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_muscle, state_per_muscle
+from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_muscle, played, state_per_muscle
 
 
 @inlined
@@ -32,8 +32,7 @@ def following(threshold, regulator_goal, asked_pressure, quickest_lag):
         asked_pressure: u [Pa].
         quickest_lag: shortest time constant that a step of the integration follows [s].
     """
-    taken_along = min(max(regulator_goal, asked_pressure - 0.5 * threshold), asked_pressure + 0.5 * threshold)
-    return (taken_along - regulator_goal) / quickest_lag
+    return played(threshold, regulator_goal, asked_pressure, quickest_lag)
 
 
 @inlined

@@ -10,7 +10,7 @@ values there. Where a signal is not measured, that value is taken. A warm rubber
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_signal
+from pam_antagonist.model.effects.base import Effect, SealedJoint, along_signals, inlined, per_signal
 
 
 @inlined
@@ -28,7 +28,7 @@ def stronger(muscle_force, slope1, slope2, slope3, slope4, signal1, signal2, sig
         signal3: s_3 − s̄_3 [SI].
         signal4: s_4 − s̄_4 [SI].
     """
-    return muscle_force * (1.0 + slope1 * signal1 + slope2 * signal2 + slope3 * signal3 + slope4 * signal4)
+    return muscle_force * (1.0 + along_signals(slope1, slope2, slope3, slope4, signal1, signal2, signal3, signal4))
 
 
 EFFECT = Effect(

@@ -15,7 +15,7 @@ and lag of the valve (`valve_offset`, `valve_lag`) come after the play.
 
 from __future__ import annotations
 
-from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_muscle, state_per_muscle
+from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_muscle, played, state_per_muscle
 
 
 @inlined
@@ -34,8 +34,7 @@ def following(play, spool_voltage, valve_voltage, quickest_lag):
         valve_voltage: u [V].
         quickest_lag: shortest time constant that a step of the integration follows [s].
     """
-    taken_along = min(max(spool_voltage, valve_voltage - 0.5 * play), valve_voltage + 0.5 * play)
-    return (taken_along - spool_voltage) / quickest_lag
+    return played(play, spool_voltage, valve_voltage, quickest_lag)
 
 
 @inlined
