@@ -9,7 +9,7 @@ For each estimate:
    τ_r at the present angle, it is τ = τ_r + I.
 2. **Pressures** that have this torque and the wanted stiffness, or the nearest one
    (:func:`~pam_antagonist.control.stiffness.set_pressures`).
-3. **Rates.** Ṗ_i = ω (wanted − estimated pressure).
+3. **Rates.** Ṗ_i = ω (wanted − estimated pressure), and in mode IMPEDANCE the rate of the wanted pressure beside it.
 4. **Open rates** by (4) and (5), solved for the flow and then for α, at the present pressure, volume and volume's rate.
 5. **Voltages** by the inverse of κ, clipped to the valves' limits.
 
@@ -21,9 +21,12 @@ the valves have; the difference fades away with ``blend_time`` (bumpless start).
 
 **Impedance.** The joint is to yield to the torque from outside d as a spring K and a damper D around ψ_0 would. The
 angle ψ_v with D dψ_v/dt + K (ψ_v − ψ_0) = d is worked out from d as far as it is known, and held with stiffness K as
-above, with I = 0: an integral would push back. The muscles are a spring of stiffness K by themselves, at any
-frequency. What the law adds is the damping, and what friction holds back. Where d is not estimated, that spring is
-all there is. The joint's inertia, which is left out of ψ_v, counts above 10 Hz or so.
+above, with I = 0: an integral would push back. The muscles are a spring of stiffness K by themselves, as long as the
+valves can hold their pressures. What the law adds is the damping, and what friction holds back. Where d is not
+estimated, that spring is all there is. The wanted pressures swing with d: without their own rate they would be followed
+1/ω late, which at 2 Hz costs a third of the yielding. What the valves can follow at all says
+:func:`~pam_antagonist.control.yielding.largest_torque`. The joint's inertia, which is left out of ψ_v, counts above
+10 Hz or so.
 
 The model is the rig's own, effects included, through the same functions as the estimator's. States that effects add
 are taken as steady.
@@ -55,6 +58,8 @@ _REGULATED = SLOT_OF["regulator_rate_1"]
 _NEAR = 15e3
 """[Pa] A pressure within this of what is wanted counts as arrived: the integral moves. Above the ripple of an estimated
 pressure, well below the 60 kPa or so by which friction's torque shifts the pressures of the paper's joint."""
+_RATE_TIME = 0.010
+"""[s] Over which the rate of a wanted pressure is smoothed: the estimated torque from outside is noisy."""
 
 
 @dataclass(frozen=True)
@@ -198,16 +203,28 @@ def voltage_towards(i, pressure, wanted, angle, velocity, bandwidth, p):
     return _voltage_for(i, _open_rate_for(i, net + lost, pressure, p[SUPPLY], p), p)
 
 
+@inlined
+def _led(i, wanted, lead, period):
+    """Rate [Pa/s] of wanted pressure i, smoothed; lead holds the last wanted pressures, NaN for none, and the rates."""
+    if math.isfinite(lead[i]):
+        lead[2 + i] += ((wanted - lead[i]) - lead[2 + i] * period) / (_RATE_TIME + period)
+    lead[i] = wanted
+    return lead[2 + i]
+
+
 @in_place
-def _step(of_torque, value, stiffness, seen, integral, gains, period, box, held, x, p):
+def _step(of_torque, value, stiffness, seen, integral, gains, period, box, leads, lead, held, x, p):
     """One call of the law: voltages, what was asked for, and the integral after it."""
     bandwidth, rate, approach = gains
     softest, stiffest, missing = wanted_pressures(
         of_torque, value, stiffness, seen, integral, approach, box, held, x, p
     )
     first, second = x[PRESSURE_1], x[PRESSURE_2]
-    u_1 = voltage_towards(0, seen.pressure_1, first, seen.angle, seen.velocity, bandwidth, p)
-    u_2 = voltage_towards(1, seen.pressure_2, second, seen.angle, seen.velocity, bandwidth, p)
+    ahead_1 = ahead_2 = 0.0
+    if leads:
+        ahead_1, ahead_2 = _led(0, first, lead, period) / bandwidth, _led(1, second, lead, period) / bandwidth
+    u_1 = voltage_towards(0, seen.pressure_1, first + ahead_1, seen.angle, seen.velocity, bandwidth, p)
+    u_2 = voltage_towards(1, seen.pressure_2, second + ahead_2, seen.angle, seen.velocity, bandwidth, p)
     error = value - seen.torque if of_torque else (value - seen.angle) * 0.5 * (softest + stiffest)
     arrived = abs(first - seen.pressure_1) < _NEAR and abs(second - seen.pressure_2) < _NEAR
     if arrived and missing * error <= 0.0:
@@ -255,6 +272,8 @@ class ModelController(Law):
         self._x = np.zeros(int(p[STATES]))
         self._held = np.array(self._safe)
         self._integral = self._yielded = 0.0
+        self._lead = np.zeros(4)
+        self._leads = not (p[_REGULATED] > 0.0 or p[_REGULATED + 1] > 0.0)  # a regulator's lag is not the law's
         self.reached: Reached | None = None
         self.retune(gains or ModelGains())
         # Nothing is compiled in the loop.
@@ -315,10 +334,12 @@ class ModelController(Law):
             value = self._yielding(value, stiffness, damping, seen)
             self._integral = rate = 0.0
             approach = approach if math.isfinite(seen.external_torque) else math.inf
+        if self._mode is not Mode.IMPEDANCE:
+            self._lead[:] = (math.nan, math.nan, 0.0, 0.0)
         self._held[:] = self._valves
         u_1, u_2, first, second, softest, stiffest, missing, integral = _step(
             mode.quantity is Mode.TORQUE, value, stiffness, seen, self._integral, (bandwidth, rate, approach),
-            self._period, self._box, self._held, self._x, self._p,
+            self._period, self._box, mode is Mode.IMPEDANCE and self._leads, self._lead, self._held, self._x, self._p,
         )  # fmt: skip
         if not (math.isfinite(u_1) and math.isfinite(u_2)):
             return self.safe(Status.NOT_FINITE)

@@ -99,6 +99,18 @@ class Reachable:
         wanted_pressures(False, angle, stiffness, seen, 0.0, 1.0, self._box, self._held, self._x, self._p)
         return float(self._x[2]), float(self._x[3])
 
+    def torque_pressures(self, torque: float, stiffness: float, angle: float = 0.0) -> tuple[float, float]:
+        """Pressures (2,) [Pa] that give a torque with a stiffness, or the nearest.
+
+        Args:
+            torque: [N m].
+            stiffness: [N m/rad].
+            angle: at which the joint is held [rad].
+        """
+        seen = Seen(angle, 0.0, 0.0, self._box.lowest, self._box.lowest)
+        wanted_pressures(True, torque, stiffness, seen, 0.0, 1.0, self._box, self._held, self._x, self._p)
+        return float(self._x[2]), float(self._x[3])
+
     def nearest(self, mode: Mode, value: float, stiffness: float, angle: float = 0.0) -> tuple[float, float, str]:
         """The reference that is followed in place of a wanted one: the angle or torque first, then the stiffness.
 

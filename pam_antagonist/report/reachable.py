@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.control import Box, Reachable
+from pam_antagonist.control.yielding import largest_torque
 from pam_antagonist.report import html
 from pam_antagonist.report.document import Block, Document, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
@@ -20,6 +21,8 @@ from pam_antagonist.rig import Rig
 
 _POINTS = 121
 _TABLE_STEP = 5.0  # between two rows of the table [°]
+_FREQUENCIES, _DAMPING = (0.25, 0.5, 1.0, 2.0, 4.0), (0.0, 0.25, 0.5)
+"""[Hz], [N m s/rad] For which it is worked out to which torques a joint yields."""
 _DEFINITIONS = (
     (
         "Stiffness",
@@ -94,7 +97,7 @@ def write_report(folder: Path, rig: Rig, report: ReachableReport, with_figures: 
 
 def summary(rig: Rig, report: ReachableReport) -> tuple[Block, ...]:
     """What the terminal shows."""
-    return Text(_lede(report)), table(rig, report)
+    return Text(_lede(report)), table(rig, report), *_yielding(rig, report)
 
 
 def table(rig: Rig, report: ReachableReport) -> Table:
@@ -111,6 +114,22 @@ def table(rig: Rig, report: ReachableReport) -> Table:
         rows.append((f"{degrees:.1f}", number(found.softest), pressures[0], number(found.stiffest), pressures[1]))
     header = ("angle [°]", "softest [N m/rad]", "at [kPa]", "stiffest [N m/rad]", "at [kPa]")
     return Table(header, tuple(rows), "Stiffness within reach, and the absolute pressures of muscle 1 and 2")
+
+
+def _yielding(rig: Rig, report: ReachableReport) -> tuple[Table, ...]:
+    """Largest torques to which the joint yields in mode IMPEDANCE around angle 0; none for pressure regulators."""
+    if rig.drive != "valve":
+        return ()
+    box = Box(report.lowest_pressure, report.highest_pressure, report.least_force)
+    middle = Reachable(rig.parameters(), box).at_angle(0.0)
+    stiffness = 0.5 * (middle.softest + middle.stiffest)
+    rows = [
+        (f"{hertz:g}", *(number(largest_torque(rig.parameters(), box, stiffness, each, hertz)) for each in _DAMPING))
+        for hertz in _FREQUENCIES
+    ]
+    header = ("frequency [Hz]", *(f"damping {each:g} N m s/rad" for each in _DAMPING))
+    about = f"Largest torque from outside [N m] that the valves follow, yielding with {number(stiffness)} N m/rad"
+    return (Table(header, tuple(rows), f"{about}; friction aside"),)
 
 
 def document(rig: Rig, report: ReachableReport, with_figures: bool = True) -> Document:
@@ -132,7 +151,7 @@ def document(rig: Rig, report: ReachableReport, with_figures: bool = True) -> Do
     return Document(
         "What a joint can reach",
         rig.name,
-        (*blocks, table(rig, report), *background(_DEFINITIONS, [("Rig", rig.name)])),
+        (*blocks, table(rig, report), *_yielding(rig, report), *background(_DEFINITIONS, [("Rig", rig.name)])),
     )
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import JOBS, whole
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.control import Mode
+from pam_antagonist.control import Box, Mode
+from pam_antagonist.control.yielding import largest_torque
 from pam_antagonist.report import html, terminal
 from pam_antagonist.report.document import Document, Text
 from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel
@@ -29,10 +30,11 @@ gains. Plant, filter and laws run in one process, without ROS. The laws see the 
 and voltages. Each seed is another joint, whose parameters are off the declared ones by 2 % (one standard deviation).
 
   time      one call of each law and of the governor, from Python
-  steps     20 deg and 2 N m (joint locked): settling to 5 %, overshoot, steady error
+  steps     20 deg and 2 N m (joint locked): settling to 5 %, overshoot, steady error, and the least time there is
   grid      seven pairs of angle and stiffness, held one after the other
   limits    references at random with pushes of up to 0.3 N m, with the governor and without it
-  yielding  mode IMPEDANCE: transfer from a torque to the angle, over that of the spring and damper asked for
+  yielding  mode IMPEDANCE: transfer from a torque to the angle, over that of the spring and damper asked for, and the
+            largest torque that the valves can follow
 
 Status: 0 whether or not a figure is good, 2 bad input.
 """
@@ -133,7 +135,7 @@ def _both(rig: Any, seed: int, count: int) -> dict[str, Any]:
 def tables(results: Mapping[str, Any]) -> list[Table]:
     """What was measured, a table a part."""
     makers: dict[str, Callable[[Any], Table]] = {"time": _time, "steps": _steps, "grid": _grid, "limits": _limits}
-    makers["yielding"] = _yielding
+    makers["yielding"] = lambda found: _yielding(found, results["rig"])
     return [make(results[part]) for part, make in makers.items() if part in results]
 
 
@@ -161,8 +163,13 @@ def _steps(found: Sequence[Mapping[str, Any]]) -> Table:
             columns = [[step[key] for step in every] for key in ("settling_s", "overshoot", "steady_error")]
             overshoot, steady = ([scale * value for value in column] for column in columns[1:])
             rows.append((f"{name} [{unit}]", _spread(columns[0]), _spread(overshoot), _spread(steady)))
+        name = quantity.name.lower()
+        rows.append((f"{name}, valves fully open", _spread([seed[f"{name}, least"] for seed in found]), "", ""))
     header = ("step", "settling to 5 % [s]", "overshoot", "steady error")
-    return Table(header, tuple(rows), "Of the true angle or torque: median (10th to 90th percentile)")
+    about = (
+        "Of the true angle or torque: median (10th to 90th percentile). With valves fully open: the least time there is"
+    )
+    return Table(header, tuple(rows), about)
 
 
 def _grid(found: Sequence[Sequence[Mapping[str, float]]]) -> Table:
@@ -203,15 +210,17 @@ def _limits(found: Sequence[Mapping[str, Any]]) -> Table:
     return Table(header, tuple(rows), about)
 
 
-def _yielding(found: Sequence[Sequence[Mapping[str, float]]]) -> Table:
-    rows = []
+def _yielding(found: Sequence[Sequence[Mapping[str, float]]], rig_name: str) -> Table:
+    rows, p = [], load_rig(rig_name).parameters()
+    stiffness, damping = trials.YIELDING
     for k, first in enumerate(found[0]):
         known = "known" if first["known"] else "not known"
         gain, phase = ([seed[k][key] for seed in found] for key in ("gain", "phase_deg"))
-        rows.append((f"{first['frequency_hz']:g} Hz, torque {known}", _spread(gain), _spread(phase)))
-    stiffness, damping = trials.YIELDING
+        name = f"{first['torque_nm']:g} N m at {first['frequency_hz']:g} Hz, {known}"
+        most = largest_torque(p, Box.of(p), stiffness, damping, first["frequency_hz"])
+        rows.append((name, f"{most:.2f}", _spread(gain), _spread(phase)))
     about = f"Torque to angle over 1/(K + iωD), K = {stiffness:g} N m/rad, D = {damping:g} N m s/rad; exact: 1 and 0°"
-    return Table(("", "gain", "phase [°]"), tuple(rows), about)
+    return Table(("torque", "valves follow [N m]", "gain", "phase [°]"), tuple(rows), about)
 
 
 def document(results: Mapping[str, Any], shown: Sequence[Table], rig_name: str) -> Document:

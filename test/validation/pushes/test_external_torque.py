@@ -22,10 +22,18 @@ def test_figures_are_those_of_a_known_estimate() -> None:
     assert found["coverage95"] == pytest.approx(np.mean(np.abs(late - applied) < 0.196))
     small = trial.small_pushes(20_000, 1e-3, np.random.default_rng(2))
     seen = trial.Run(small, np.concatenate([np.zeros(40), small[:-40]]), small, 1e-3)
-    quiet = trial.Run(0.0 * small, np.full(len(small), 0.2), small, 1e-3)
+    quiet = trial.largest(trial.Run(0.0 * small, np.full(len(small), 0.2), small, 1e-3))
+    assert len(quiet) == 20
     found = trial.detection([seen], [quiet])
     assert found["threshold_nm"] == 0.2 and found["seen"] == 1.0 and found["median_s"] == pytest.approx(0.04)
-    assert trial.detection([seen], [quiet._replace(estimate=quiet.estimate + 0.2)])["median_s"] == np.inf
+    assert trial.detection([seen], [quiet + 0.2])["median_s"] == np.inf
+
+
+def test_the_threshold_is_exceeded_once_an_hour() -> None:
+    seconds = np.random.default_rng(3).permutation(np.linspace(0.0, 0.2, 2 * 3600 + 100))
+    small = trial.small_pushes(5000, 1e-3, np.random.default_rng(2))
+    found = trial.detection([trial.Run(small, small, small, 1e-3)], [seconds[:5000], seconds[5000:]])
+    assert found["alarms"] == 2.0 == np.sum(seconds > found["threshold_nm"])
 
 
 def test_the_command_writes_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
