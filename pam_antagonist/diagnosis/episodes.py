@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, course, forecast
+from pam_antagonist.diagnosis.episode_lines import StraightLines
 from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
 from pam_antagonist.inference.episode_values import intervals
 from pam_antagonist.inference.free_parameters import Candidate
@@ -88,6 +89,7 @@ class EpisodeDiagnosis:
         forecasts: error [deg] of each window of ``WINDOWS`` on fitted episodes that follow it.
         drift: numbers of the extended model over the recording, fitted to each part of it anew.
         counts: episodes fitted, later and interleaved.
+        lines: errors of the extended model with numbers that go along straight lines over the fitted episodes.
         others: errors of the extended model with an effect in the place of one that it was not told apart from, each
             with the names of both: the one, and the one whose place it takes.
         ratio: squared error of the extended model on interleaved episodes by that of the model with Coulomb friction
@@ -103,6 +105,7 @@ class EpisodeDiagnosis:
     forecasts: tuple[float, ...]
     drift: Drift
     counts: tuple[int, int, int]
+    lines: Row
     others: tuple[tuple[str, str, Row], ...] = ()
     ratio: Interval | None = None
 
@@ -143,6 +146,12 @@ def diagnose(
         progress(f"errors: {name} in the place of {instead_of}")
         title = f"extended, {name} in the place of {instead_of}"
         others.append((name, instead_of, _row(joint, unseen, held, title, start, window)[0]))
+    progress("errors: numbers along straight lines")
+    lines = StraightLines(joint, held, whole)
+    drifting = Row(
+        "extended, numbers along straight lines", rmse(*lines.later(unseen)), None,
+        rmse(*lines.between(joint, held.interleaved)),
+    )  # fmt: skip
     recent = joint.take(thinned(last(held.pool, window), _USED))
     progress("drift")
     drift = course(joint, held, whole)
@@ -151,7 +160,8 @@ def diagnose(
         compared = ratio(squares["extended"], squares["with Coulomb friction alone"])
     return EpisodeDiagnosis(
         tuple(item.name for item in tried if item.taken), tried, tuple(rows), fitted, intervals(recent, fitted),
-        window, forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), tuple(others), compared,
+        window, forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), drifting, tuple(others),
+        compared,
     )  # fmt: skip
 
 

@@ -100,6 +100,10 @@ def _later(row: Row) -> Interval:
 def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, ...]:
     """Statements that the numbers support."""
     out = [_not_told_apart(found, name, instead_of, row) for name, instead_of, row in found.others]
+    base = next(row for row in found.rows if row.model.startswith("mechanics"))
+    if found.effects and _later(found.rows[-1]).value >= _later(base).value:
+        text = "On later episodes the model errs no less with these effects: they may be chance; record more episodes."
+        out.append(Finding("warn", text))
     last = max(item.round for item in found.tried)
     not_needed = [item for item in found.tried if item.round == last and not item.taken]
     for item in not_needed:
@@ -120,6 +124,16 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
                 "was chosen by forecasts within the fitted episodes.",
             )
         )
+    lines = found.lines
+    assert lines.interleaved is not None
+    out.append(
+        Finding(
+            "note",
+            f"With numbers that go along straight lines over the fitted episodes, and stay at their last values, a "
+            f"model of all of them errs by {number(lines.later.value)}° on later ones and by "
+            f"{number(lines.interleaved.value)}° on interleaved ones.",
+        )
+    )
     moved = _moved(found, joint.rig)
     if moved:
         out.append(
@@ -193,7 +207,7 @@ def errors_table(found: EpisodeDiagnosis) -> Table:
     """Errors of all models on episodes that no fit and no choice has seen."""
     rows = tuple(
         (row.model, interval(row.later), interval(row.recent), interval(row.interleaved))
-        for row in (*found.rows, *(other for *_, other in found.others))
+        for row in (*found.rows, found.lines, *(other for *_, other in found.others))
     )
     head = (
         "RMSE of the angle [°], 95 % interval by episode", "later, all before fitted",
@@ -354,6 +368,7 @@ def numbers(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, .
         "course": found.drift.values,
         "changes": found.drift.changes,
         "course_errors_deg": found.drift.errors,
+        "straight_lines_deg": found.lines,
         "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
         "episodes": {"fitted": found.counts[0], "later": found.counts[1], "interleaved": found.counts[2]},
         "rig": joint.rig.name,

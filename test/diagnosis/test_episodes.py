@@ -18,6 +18,7 @@ import pytest
 from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
 from pam_antagonist.diagnosis.episode_drift import course
+from pam_antagonist.diagnosis.episode_lines import StraightLines
 from pam_antagonist.diagnosis.episodes import diagnose, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.bootstrap import drawn, ratio
@@ -130,6 +131,15 @@ def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
     assert 0.0 < friction.low < friction.value < friction.high
     still = found.changes["joint.stiffness"]
     assert still.low < 0.0 < still.high
+    lines = StraightLines(episodes, held, episodes.take(held.pool).fit(model))
+    later = episodes.take(held.later)
+    constant = later.squares(later.residual(episodes.take(held.pool).fit(model))).rmse
+    assert lines.later(later).rmse < 0.8 * constant
+    between = episodes.take(held.interleaved)
+    assert (
+        lines.between(episodes, held.interleaved).rmse
+        < 0.5 * between.squares(between.residual(episodes.take(held.pool).fit(model))).rmse
+    )
     first = found.values["effects.friction.coulomb"][0]
     assert first.low / inertia < 4.5 < first.high / inertia
 

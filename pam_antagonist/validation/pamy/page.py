@@ -44,8 +44,9 @@ The form of the model, the candidates, and that friction may go with signals com
 directions in which the force map is fitted were turned until fits from different starts agreed; the errors of later
 episodes were in view then. The rule that an effect removes 5 % of what is left is that of joints with valves. The
 shares that are tried as the last episodes were written down before any error of theirs was seen, but for the smallest
-one, 1/16: it was added when 1/8 had the best forecast, and errors of later episodes were in view. The rule of 1 % of
-what there was comes from a simulated joint.
+one, 1/16: it was added when 1/8 had the best forecast, and errors of later episodes were in view. That numbers along
+straight lines stay at their last values behind the fitted episodes was decided with errors of later episodes in view:
+lines that go on err more there. The rule of 1 % of what there was comes from a simulated joint.
 
 ## What is not shown
 
