@@ -38,6 +38,7 @@ def parser() -> common.Parser:
     out.add_argument("--joints", type=whole(1, 1000), default=20, metavar="N", help="how many (default: 20)")
     out.add_argument("--duration", type=float, default=30.0, metavar="S", help="of each experiment [s] (default: 30)")
     out.add_argument("--mismatch", type=float, default=0.02, metavar="X", help="of the parameters (default: 0.02)")
+    out.add_argument("--seed", type=whole(0, 10**6), default=1, metavar="N", help="of the first joint (default: 1)")
     common.add_new_json(out, "the figures")
     return out
 
@@ -53,7 +54,7 @@ def _main(argv: Sequence[str] | None) -> int:
     with common.json_alone(arguments.json):
         with counted(arguments.joints, "excitation") as advance:
             found = []
-            for seed in range(1, arguments.joints + 1):
+            for seed in range(arguments.seed, arguments.seed + arguments.joints):
                 found.append(compared(rig, seed, arguments.duration, arguments.mismatch))
                 advance(1.0)
         print(_summary(found))

@@ -12,10 +12,11 @@ from pam_antagonist.validation.excitation.command import main
 
 def test_a_joint_is_compared_and_the_figures_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     figures = tmp_path / "figures.json"
-    assert main(["--joints", "1", "--duration", "9", "--json", str(figures)]) == 0
+    assert main(["--joints", "1", "--seed", "4", "--duration", "9", "--json", str(figures)]) == 0
     said = capsys.readouterr().out
     assert "limits kept by 1 of 1 joints" in said
     (found,) = json.loads(figures.read_text())
+    assert found["seed"] == 4
     assert set(found["ratio"]) == set(found["steps"]) and "friction.shaft" in found["ratio"]
     assert all(0.0 < share <= 1.0 for share in (*found["designed"].values(), *found["steps"].values()))
     assert found["ratio"]["joint.inertia"] < 1.0
