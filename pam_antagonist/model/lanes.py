@@ -13,13 +13,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numba.core import codegen, config
 
 from pam_antagonist.model import dynamics, lane_form
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.lane_values import CHUNK, LANES
 
-_FEWEST = 2
-"""Models that are worth a step of eight: one takes as long as eight."""
+_FEWEST = {"+avx512f": 3, "+avx2": 4}
+"""Models that are worth a step of eight, by what the processor has: so many one by one take as long (measured)."""
 
 
 def courses(
@@ -38,8 +39,9 @@ def courses(
         States (N, n) and torques (N,) [N m] of each model.
     """
     out: list[Any] = [None] * len(vectors)
+    fewest = _fewest()
     for group in groups(vectors):
-        run = _side_by_side() if len(group) >= _FEWEST else None
+        run = _side_by_side() if len(group) >= fewest else None
         if run is None:
             for k in group:
                 out[k] = dynamics.course(starts[k], voltage, vectors[k], dt, substeps)
@@ -73,6 +75,13 @@ def _structure(p: np.ndarray) -> bytes:
     behind = p[par.LOCKED :].copy()
     behind[[place - par.LOCKED for place in (*par.FLOW_CONSTANTS, par.PLAIN, par.STATELESS_EFFECTS)]] = 0.0
     return behind.tobytes()
+
+
+@lru_cache(maxsize=1)
+def _fewest() -> int:
+    """How many models are worth a step of eight on this machine: with numbers in pairs only, none are."""
+    features = (config.CPU_FEATURES or codegen.get_host_cpu_features()).split(",")
+    return next((count for feature, count in _FEWEST.items() if feature in features), LANES + 1)
 
 
 @lru_cache(maxsize=1)

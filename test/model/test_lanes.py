@@ -16,6 +16,7 @@ from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig.load import load_rig
 
 SAMPLES = 1500
+FEWEST = lanes._fewest
 BASE = ("muscle_1.force.v1", "valve_1.inflow_area", "gas.temperature", "geometry.radius", "joint.inertia")
 
 
@@ -24,6 +25,12 @@ def inputs(unit: float = 1.0) -> np.ndarray:
     rng = np.random.default_rng(3)
     jumps = np.repeat(rng.normal(0.0, 1.2, (SAMPLES // 100, 2)), 100, axis=0)
     return np.column_stack([5.0 + jumps, 0.1 * np.sin(np.arange(SAMPLES) / 200.0)]) * unit
+
+
+@pytest.fixture(autouse=True)
+def _whatever_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lanes are tried on every machine, also where they are no quicker."""
+    monkeypatch.setattr(lanes, "_fewest", lambda: 2)
 
 
 def assert_same(vectors: list[np.ndarray], given: np.ndarray) -> None:
@@ -97,6 +104,14 @@ def _with_while(p, value):
     while value > p[0]:
         value = value - 1.0
     return value
+
+
+@pytest.mark.parametrize(("features", "fewest"), [("+avx2,+avx512f", 3), ("+avx,+avx2", 4), ("+sse2", 9)])
+def test_a_processor_without_wide_instructions_runs_models_one_by_one(
+    monkeypatch: pytest.MonkeyPatch, features: str, fewest: int
+) -> None:
+    monkeypatch.setattr(lanes.config, "CPU_FEATURES", features)
+    assert FEWEST.__wrapped__() == fewest
 
 
 @pytest.mark.parametrize("function", [_first_above, _with_while], ids=["break", "while"])
