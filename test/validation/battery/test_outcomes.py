@@ -263,10 +263,10 @@ def test_remainders_are_worked_out_once(tmp_path: Path, capsys, monkeypatch: pyt
         (("--shard", "3/2"), "I/K"),
         (("--shard", "one"), "I/K"),
         (("--count", 0), "one case or more"),
-        (("--nothing", -1), "one case or more"),
-        (("--seed", -1), "seed of 0 or more"),
+        (("--nothing", -1), "whole number from 0"),
+        (("--seed", -1), "whole number from 0"),
         (("--duration", 1), "10 to 3600"),
-        (("--jobs", 0), "1 or more"),
+        (("--jobs", 0), "whole number from 1"),
     ],
 )
 def test_bad_arguments(tmp_path: Path, capsys, arguments, word: str) -> None:
