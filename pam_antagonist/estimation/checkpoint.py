@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import encoder
-from pam_antagonist.estimation.filter import Memory, Settings
+from pam_antagonist.estimation.memory import Memory, Settings
 from pam_antagonist.estimation.stamps import LAST, REJECTED, RUNNING, STARTED
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path

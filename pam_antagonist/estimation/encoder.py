@@ -236,8 +236,8 @@ def correct(reading, memory, settings, work):
 
     Args:
         reading: ψ as measured, offset taken away [rad], finite.
-        memory: :class:`pam_antagonist.estimation.filter.Memory`, changed in place.
-        settings: :class:`pam_antagonist.estimation.filter.Settings`.
+        memory: :class:`pam_antagonist.estimation.memory.Memory`, changed in place.
+        settings: :class:`pam_antagonist.estimation.memory.Settings`.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
 
     Returns:

@@ -12,7 +12,7 @@ from pam_antagonist.estimation import checkpoint as checkpoints
 from pam_antagonist.estimation import encoder, push, stamps, ukf
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
-from pam_antagonist.estimation.filter import ESTIMATE_DTYPE
+from pam_antagonist.estimation.memory import ESTIMATE_DTYPE, Settings, make_memory
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
@@ -194,7 +194,7 @@ class Estimator:
         n, m = int(sets[0, par.STATES]), (len(sets) - 1) // 2
         initial, process = _of_states(sets[0], chosen, rig.sample_period, joint == "locked")
         measurement = np.array(chosen.measurement)
-        self._settings = kernels.Settings(
+        self._settings = Settings(
             parameter_sets=sets,
             initial=initial,
             process_noise=process,
@@ -208,7 +208,7 @@ class Estimator:
             **_angle_sensor(rig, angle_sensor),
         )
         self._added = par.added_states(sets[0])
-        self._memory = kernels.make_memory(n, m)
+        self._memory = make_memory(n, m)
         self._identity = FilterIdentity(
             rig.name, fingerprint(rig), tuning, joint, lock_angle, tuple(self._added),
             checkpoints.settings_hash(self._settings),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.estimation.filter import LATE
+from pam_antagonist.estimation.memory import LATE
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.recording import Arrival
 from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun
-from pam_antagonist.estimation.filter import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, NO_ANGLE
+from pam_antagonist.estimation.memory import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, NO_ANGLE
 from pam_antagonist.recording import RecordedEstimate, Recording
 
 ENDED = "the recording ended while the live filter ran"

@@ -12,7 +12,8 @@ import math
 from collections import deque
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.filter import MISSING_PRESSURE_1, MISSING_PRESSURE_2, OUTLIER, PATIENCE
+from pam_antagonist.estimation.filter import PATIENCE
+from pam_antagonist.estimation.memory import MISSING_PRESSURE_1, MISSING_PRESSURE_2, OUTLIER
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 
 _CHANCE = 1e-15  # of a sound sensor taken for frozen, a sample: once in 30,000 years at 1 kHz

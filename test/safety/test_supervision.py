@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.filter import OUTLIER
+from pam_antagonist.estimation.memory import OUTLIER
 from pam_antagonist.safety import EstimateSupervision, PressureSupervision, frozen_samples, frozen_time
 
 MS = 1_000_000
