@@ -73,7 +73,7 @@ setup(
         "completion": ["shtab>=1.6"],
         # Boosted trees, to compare the measured arm's model with: pamy.
         "compare": ["scikit-learn>=1.3"],
-        # Fits of close_loop on the workers of a scheduler.
+        # Fits of close_loop and identify, cases of battery on the workers of a scheduler.
         "dask": ["dask>=2023.5", "distributed>=2023.5"],
         # The documentation site, ./run docs.
         "docs": ["furo>=2024.8", "latex2mathml>=3.77", "myst-parser>=4", "sphinx>=8"],

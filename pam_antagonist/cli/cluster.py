@@ -1,4 +1,4 @@
-"""Fits on the workers of a Dask scheduler in place of threads."""
+"""Work on the workers of a Dask scheduler in place of threads."""
 
 from __future__ import annotations
 
@@ -16,11 +16,16 @@ from pam_antagonist.optional import needs
 _TIMEOUT = 10.0
 
 
-def add_dask(parser: argparse.ArgumentParser) -> None:
-    """``--dask``."""
+def add_dask(parser: argparse.ArgumentParser, work: str = "fit") -> None:
+    """``--dask``.
+
+    Args:
+        parser: gets the option.
+        work: what the workers do, in words.
+    """
     parser.add_argument(
         "--dask", metavar="ADDRESS",
-        help="fit on the workers of this Dask scheduler, such as tcp://10.0.0.5:8786 (needs pam_antagonist[dask])",
+        help=f"{work} on the workers of this Dask scheduler, such as tcp://10.0.0.5:8786 (needs pam_antagonist[dask])",
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from pam_antagonist.api.identify import identify
-from pam_antagonist.cli import common, identify_episodes
+from pam_antagonist.cli import cluster, common, identify_episodes
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.first_start import FITS, compile_first
 from pam_antagonist.cli.numbers import JOBS, SEED, real, whole
@@ -56,6 +56,7 @@ def parser() -> common.Parser:
     out.add_argument("--starts", type=whole(1, 64), default=1, metavar="N", help="starts of the search (default: 1)")
     out.add_argument("--seed", type=SEED, default=0, help="seed of the further starts (default: 0)")
     out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
+    cluster.add_dask(out)
     given.add_names_and_report(out)
     return out
 
@@ -87,7 +88,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if damage:
         print(terminal.warnings(damage))
     plan = SEALED_IDENTIFY if rig.valves.sealed else IDENTIFY
-    with planned("identify", recordings, plan) as progress:
+    with cluster.connected(arguments.dask), planned("identify", recordings, plan) as progress:
         found = identify(
             recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, free=arguments.free,
             freeze=arguments.freeze, holdout=arguments.holdout, starts=arguments.starts, seed=arguments.seed,

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import sys
 from pathlib import Path
 
 import pytest
-from joblib import Parallel, delayed
 
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.cli.cluster import connected
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.recording import write_bag
 from pam_antagonist.rig import load_rig
@@ -141,14 +138,6 @@ def test_without_dask_the_command_says_how_to_get_it(
     assert main(arguments) == 2
     assert "pip install 'pam_antagonist[dask]'" in capsys.readouterr().err
     assert not (tmp_path / "o.part").exists()
-
-
-def test_fits_run_on_the_workers_of_a_scheduler() -> None:
-    distributed = pytest.importorskip("distributed", reason="Dask is an option: pip install 'pam_antagonist[dask]'")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as local:
-        with connected(local.scheduler_address):
-            where = Parallel(n_jobs=1, prefer="threads")(delayed(os.getpid)() for _ in range(2))
-        assert os.getpid() not in where
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="recordings of rig A are not beside the project")

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pam_antagonist.cli import common
+from joblib import Parallel, delayed
+
+from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli.numbers import JOBS, SEED, whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
@@ -19,6 +21,7 @@ from pam_antagonist.rig import load_rig
 from pam_antagonist.strict_json import dumps, write_json
 from pam_antagonist.validation.battery import outcomes, page, remainders
 from pam_antagonist.validation.battery.draw import LARGE, cases
+from pam_antagonist.validation.battery.outcomes import Outcome
 from pam_antagonist.validation.battery.plants import DURATION, RIG, Case
 
 _DESCRIPTION = """\
@@ -41,6 +44,7 @@ examples:
   {run} battery --out result --count 80 --nothing 100 --docs docs/battery.md
   {run} battery --out result --count 0 --nothing 100
   {run} battery --out result --count 40 --effect friction
+  {run} battery --out result --dask tcp://10.0.0.5:8786
   {run} battery --out result --remainders
 """
 
@@ -77,6 +81,7 @@ def parser() -> common.Parser:
         "--duration", type=float, default=DURATION, metavar="S", help=f"of a recording [s] (default: {DURATION:g})"
     )
     out.add_argument("--jobs", type=JOBS, default=os.cpu_count() or 1, metavar="N", help="threads (default: all cores)")
+    cluster.add_dask(out, "judge whole cases, one a worker's thread,")
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the tables as Markdown; FILE is replaced")
     out.add_argument(
         "--remainders", action="store_true", help="work out how much of each form the catalogue's law cannot imitate"
@@ -114,8 +119,7 @@ def _main(argv: Sequence[str] | None) -> int:
     folder = _folder(arguments.out)
     waiting = [(k, case) for k, case in mine if outcomes.load(folder, k, case, arguments.duration) is None]
     with common.json_alone(arguments.json), counted(len(waiting), "battery") as advance:
-        for number, case in waiting:
-            outcome = outcomes.judge(case, _diagnosis(case, arguments.jobs), arguments.duration, arguments.jobs)
+        for number, outcome in _judged(waiting, arguments):
             outcomes.save(folder, number, outcome)
             advance(1)
     done = [outcomes.load(folder, k, case, arguments.duration) for k, case in every]
@@ -157,6 +161,25 @@ def _bags(mine: Sequence[tuple[int, Case]], arguments: argparse.Namespace) -> in
             write_json(partial / f"{number:03d}" / "truth.json", {**truth, "reached": case.reached})
     print(f"{folder}: {len(mine)} cases, a free and a locked bag each, and truth.json")
     return common.DONE
+
+
+def _judged(waiting: Sequence[tuple[int, Case]], arguments: argparse.Namespace) -> Iterator[tuple[int, Outcome]]:
+    """The outcome of each case, as soon as it is there."""
+    if arguments.dask is None:
+        for number, case in waiting:
+            yield number, _judge(case, arguments.duration, arguments.jobs)
+        return
+    with cluster.connected(arguments.dask):
+        work = (delayed(_numbered)(number, case, arguments.duration) for number, case in waiting)
+        yield from Parallel(return_as="generator_unordered")(work)
+
+
+def _numbered(number: int, case: Case, duration: float) -> tuple[int, Outcome]:
+    return number, _judge(case, duration, 1)
+
+
+def _judge(case: Case, duration: float, jobs: int) -> Outcome:
+    return outcomes.judge(case, _diagnosis(case, jobs), duration, jobs)
 
 
 def _diagnosis(case: Case, jobs: int) -> outcomes.Diagnose:

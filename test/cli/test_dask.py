@@ -1,0 +1,74 @@
+"""Commands whose work is done by two processes of a Dask scheduler give what they give by themselves."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from joblib import Parallel, delayed
+
+from pam_antagonist.cli import close_loop, identify, simulate
+from pam_antagonist.cli.cluster import connected
+from pam_antagonist.validation.battery import command as battery
+
+pytestmark = pytest.mark.slow
+
+distributed = pytest.importorskip("distributed", reason="Dask is an option: pip install 'pam_antagonist[dask]'")
+
+FEW = ["--freeze", "muscle_1", "--freeze", "muscle_2", "--freeze", "gas", "--freeze", "joint", "--freeze", "friction"]
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as local:
+        yield local.scheduler_address
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bags")
+    for joint, length in (("free", "10"), ("locked", "22")):
+        arguments = ["--rig", "shin2022", "--out", str(folder / joint), "--duration", length, "--profile", "steps"]
+        assert simulate.main([*arguments, "--seed", "3", "--mismatch", "0.02", "--joint", joint]) == 0
+    return folder
+
+
+def test_work_is_done_by_both_workers_and_not_here(scheduler: str) -> None:
+    def where(number: int) -> int:
+        return os.getpid()
+
+    with connected(scheduler):
+        places = set(Parallel(n_jobs=1, prefer="threads")(delayed(where)(number) for number in range(40)))
+    assert os.getpid() not in places and len(places) == 2
+
+
+def without_times(file: Path) -> dict[str, Any]:
+    found = json.loads(file.read_text())
+    return {key: value for key, value in found.items() if key not in ("timing", "seconds", "threads", "created")}
+
+
+@pytest.mark.parametrize(("command", "options"), [(identify.main, ["free", *FEW]), (close_loop.main, ["locked"])])
+def test_a_report_is_the_same(
+    command: Callable[[list[str]], int], options: list[str], scheduler: str, bags: Path, tmp_path: Path
+) -> None:
+    bag, *further = options
+    reports = []
+    for name, where in (("here", []), ("there", ["--dask", scheduler])):
+        arguments = [str(bags / bag), "--rig", "shin2022", "--out", str(tmp_path / name), "--no-figures", *further]
+        assert command([*arguments, *where]) == 0
+        reports.append(without_times(tmp_path / name / "report.json"))
+    assert reports[0] == reports[1]
+
+
+def test_cases_of_a_battery_are_the_same(scheduler: str, tmp_path: Path) -> None:
+    for name, where in (("here", []), ("there", ["--dask", scheduler])):
+        arguments = ["--out", str(tmp_path / name), "--count", "0", "--nothing", "2", "--duration", "12", *where]
+        assert battery.main(arguments) == 0
+    names = sorted(path.name for path in (tmp_path / "here").iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "there").iterdir()) and len(names) == 3
+    for name in names:
+        assert without_times(tmp_path / "here" / name) == without_times(tmp_path / "there" / name)
