@@ -32,6 +32,8 @@ def run(arguments: argparse.Namespace, rig: Rig, share: float, recordings: Seque
     Raises:
         BadInput: recordings from which nothing can be learned.
     """
+    if arguments.dask is not None:
+        raise BadInput("--dask: episodes are fitted on this machine; leave it out")
     if len(arguments.bags) > 1 or len(recordings) > 2:
         raise BadInput(f"rig {rig.name} has pressure regulators: expected one recording, and one to hold out at most")
     first = PressureDriven.of(recordings[0], rig, arguments.also, arguments.jobs)

@@ -31,6 +31,8 @@ def run(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[Recording]
     """
     if len(recordings) > 1:
         raise BadInput("a recording of many episodes: expected it alone, as it is a series by itself")
+    if arguments.dask is not None:
+        raise BadInput("--dask: episodes are fitted on this machine; leave it out")
     for name in ("free", "freeze"):
         if getattr(arguments, name):
             raise BadInput(f"--{name}: what episodes tell of a joint is fixed; leave it out")

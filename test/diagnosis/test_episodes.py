@@ -161,17 +161,17 @@ def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("also", "rig", "says"),
+    ("options", "rig", "says"),
     [
-        (["elbow"], "regulator_joint", "no signal 'elbow'; expected one of decoy, other"),
-        (["other"], "shin2022", "--also: rig shin2022 has valves"),
+        (["--also", "elbow"], "regulator_joint", "no signal 'elbow'; expected one of decoy, other"),
+        (["--also", "other"], "shin2022", "--also: rig shin2022 has valves"),
+        (["--dask", "tcp://127.0.0.1:1"], "regulator_joint", "--dask: episodes are fitted on this machine"),
     ],
 )
 def test_what_cannot_be_is_refused(
-    tied: Recording, tmp_path: Path, capsys: Any, also: list[str], rig: str, says: str
+    tied: Recording, tmp_path: Path, capsys: Any, options: list[str], rig: str, says: str
 ) -> None:
     write_bag(tmp_path / "bag", tied)
-    options = [part for name in also for part in ("--also", name)]
     assert main([str(tmp_path / "bag"), "--rig", rig, *options, "--out", str(tmp_path / "out")]) == 2
     assert says in capsys.readouterr().err
 
