@@ -75,7 +75,7 @@ def test_the_velocity_is_kept_by_slower_references():
         states = run(laws, plant, wanted(8.0, 7.0), 4.0)
         assert np.degrees(states[-1, 0]) == pytest.approx(8.0, abs=0.5)
         beyond.append(np.mean(np.abs(states[:, 1]) > slow.velocity))
-    # Some milliseconds of 6 s: when a joint slips out of its friction depends on the last bits of the model.
+    # Some milliseconds of 4 s: when a joint slips out of its friction depends on the last bits of the model.
     assert beyond[0] <= 0.002 and beyond[1] > 0.01
 
 
