@@ -100,10 +100,10 @@ class EstimatorNode(PamNode):
         if self._linked:
             return
         driven = topics_of(self._rig)
-        self.create_subscription(driven.message, driven.state, self._on_valves, qos.STREAM, raw=True)
         if self._measured:
             for name, callback in (("pressure_1", self._on_pressure_1), ("pressure_2", self._on_pressure_2)):
                 self.create_subscription(FluidPressure, TOPICS[name].relative, callback, qos.STREAM, raw=True)
+        self.create_subscription(driven.message, driven.state, self._on_valves, qos.STREAM, raw=True)
         if self._encoder:
             name = TOPICS["angle_sensor"].relative
             self.create_subscription(JointState, name, self._on_angle, qos.STREAM, raw=True)
