@@ -36,6 +36,7 @@ PRIORITY_VARIABLE = "PAM_ANTAGONIST_PRIORITY"
 _PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _WAIT = 0.1  # longest time until a signal is noticed [s]
 _FAREWELL = 0.15  # from the last message to the end of its publisher: three heartbeats of config/fastdds.xml [s]
+_MOMENT = 0.05  # in which a signal that reached another thread of the process comes to the one that looks [s]
 
 
 class _Interrupted(BaseException):
@@ -142,6 +143,8 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
         except _Interrupted:
             return 0  # nothing has been published, and nothing was subscribed to
         except Exception as error:
+            stop.waits = True
+            time.sleep(_MOMENT)
             if stop.signal is not None:
                 return 0  # the compiler was calling back: it swallows what the signal raises, and fails a moment later
             if secured() and "secur" in str(error).lower():
@@ -159,6 +162,7 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
             for one in (*node.members, node):
                 one.destroy_node()
     finally:
+        stop.waits = True
         rclpy.try_shutdown()
         for number, handler in handlers.items():
             signal.signal(number, handler)
