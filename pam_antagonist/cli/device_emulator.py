@@ -98,12 +98,13 @@ def _main(argv: Sequence[str] | None) -> int:
     rig = load_rig(arguments.rig, regulators=True)
     calibration = load_calibration(arguments.hardware)
     converter, regulated = Converter(calibration), rig.drive == "regulator"
+    converter.suits(rig.drive)
     low, high = rig.command_limits
-    before = (5.5, 5.5)
+    before = power_on = (5.5, 5.5)
     if regulated:
-        converter.has_regulators()
         before = (0.5 * (low + high), 0.5 * (low + high))
-        (low, _), (high, _) = converter.output((low, low)), converter.output((high, high))
+        power_on = converter.output(before)
+        low, high = min(converter.output((low, low))), max(converter.output((high, high)))
     angle = common.lock_angle(arguments) or 0.0
     plant = Plant(
         rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise
@@ -123,6 +124,7 @@ def _main(argv: Sequence[str] | None) -> int:
         period_us=round(rig.sample_period * 1e6),
         voltage_min=low,
         voltage_max=high,
+        safe_voltage=power_on,
     )
     stopping = _Stop()
     with ExitStack() as stack:

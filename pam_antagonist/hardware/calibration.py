@@ -67,8 +67,11 @@ class Calibration(Strict):
     name: str
     unit: Literal["V", "code"] = Field(description="of the readings: V, or codes of the converter")
     atmosphere: float = Field(gt=50e3, lt=120e3, description="pressure of the surroundings, absolute [Pa]")
-    pressure_1: PressureChannel
-    pressure_2: PressureChannel
+    pressure_sensors: Literal["measured", "none"] = Field(
+        "measured", description="none: of a joint with pressure regulators, whose pressures nobody measures"
+    )
+    pressure_1: Optional[PressureChannel] = Field(None, description="or none, with pressure_sensors: none")  # noqa: UP045
+    pressure_2: Optional[PressureChannel] = Field(None, description="the same of muscle 2")  # noqa: UP045
     regulator_1: Optional[RegulatorChannel] = Field(None, description="of a joint with pressure regulators")  # noqa: UP045
     regulator_2: Optional[RegulatorChannel] = Field(None, description="the same of muscle 2")  # noqa: UP045
     encoder: Optional[EncoderChannel] = Field(None, description="or none")  # noqa: UP045
@@ -121,7 +124,10 @@ def _complaints(found: Calibration) -> Iterator[str]:
             yield f"{name}: lowest is {channel.lowest:g} and highest {channel.highest:g}: expected lowest < highest"
     if (found.regulator_1 is None) != (found.regulator_2 is None):
         yield "regulator_1 and regulator_2: expected both, or neither"
+    yield from _sensor_complaints(found)
     for name, channel in (("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2)):
+        if channel is None:
+            continue
         if (channel.offset is None) == (channel.at_rest is None):
             yield f"{name}: expected either offset or at_rest"
         if channel.at_rest is not None and not channel.lowest <= channel.at_rest <= channel.highest:
@@ -135,6 +141,18 @@ def _complaints(found: Calibration) -> Iterator[str]:
                 f"{name}: readings from lowest to highest mean {low:g} to {high:g} Pa absolute: expected what "
                 f"covers the atmosphere's pressure and ends below {_HIGHEST_PRESSURE:g} Pa; is gain in Pa?"
             )
+
+
+def _sensor_complaints(found: Calibration) -> Iterator[str]:
+    """Pressure sensors that are there and are said not to be, or the other way round."""
+    measured = found.pressure_sensors == "measured"
+    if not measured and found.regulator_1 is None:
+        yield "pressure_sensors is none: expected regulator_1 and regulator_2 as well; valves do not tell the pressures"
+    for name, channel in (("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2)):
+        if measured and channel is None:
+            yield f"{name} is missing: expected a sensor, or pressure_sensors: none with pressure regulators"
+        if not measured and channel is not None:
+            yield f"{name}: pressure_sensors is none; expected one of the two"
 
 
 def _absolute(channel: PressureChannel, atmosphere: float, reading: float) -> float:
@@ -176,6 +194,7 @@ class Converter:
         self._pressures = tuple(
             _Linear(channel.gain, _absolute(channel, calibration.atmosphere, 0.0), channel.lowest, channel.highest)
             for channel in (calibration.pressure_1, calibration.pressure_2)
+            if channel is not None
         )
         self._regulators: tuple[tuple[float, float], tuple[float, float]] | None = None
         if calibration.regulator_1 is not None and calibration.regulator_2 is not None:
@@ -203,21 +222,36 @@ class Converter:
             if getattr(self.calibration, channel) is not None and not there:
                 raise BadInput(f"calibration {name} has {channel}, but {info.name} has no such channel")
 
+    @property
+    def measures_pressures(self) -> bool:
+        """Whether there are pressure sensors."""
+        return bool(self._pressures)
+
     def pressure(self, readings: tuple[float, float]) -> tuple[float, float]:
-        """Both pressures, absolute [Pa]; NaN where the sensor is out of order."""
+        """Both pressures, absolute [Pa]; NaN where the sensor is out of order, or where there is none."""
+        if not self._pressures:
+            return math.nan, math.nan
         first, second = self._pressures
         return first.value(readings[0]) + self.rest[0], second.value(readings[1]) + self.rest[1]
 
-    def has_regulators(self) -> None:
-        """Make sure that the calibration says what the regulators make of a voltage.
+    def suits(self, drive: str) -> None:
+        """Make sure that the calibration says what a rig needs.
+
+        Args:
+            drive: of the rig, ``valve`` or ``regulator``.
 
         Raises:
-            BadInput: it does not.
+            BadInput: nothing of the regulators that the rig has, or no pressure sensors for a rig with valves.
         """
-        if self._regulators is None:
+        if drive == "regulator" and self._regulators is None:
             raise BadInput(
                 f"calibration {self.calibration.name} says nothing of regulators, which the rig has; expected "
                 "regulator_1 and regulator_2, such as {gain: 60.0e+3, offset: 0.0, reference: gauge}"
+            )
+        if drive == "valve" and not self._pressures:
+            raise BadInput(
+                f"calibration {self.calibration.name} has no pressure sensors (pressure_sensors: none), but the rig "
+                "has valves, whose voltages do not tell the pressures; expected pressure_1 and pressure_2"
             )
 
     def asked(self, command: tuple[float, float]) -> tuple[float, float]:
@@ -267,6 +301,7 @@ class Converter:
         Returns:
             Readings of both pressures, counts of the encoder, reading of the torque meter; 0 where there is none.
         """
-        first, second = (channel.reading(value) for channel, value in zip(self._pressures, pressure, strict=True))
+        shown = [channel.reading(value) for channel, value in zip(self._pressures, pressure, strict=False)]
+        first, second = shown or (0.0, 0.0)
         counts = 0 if self.calibration.encoder is None else round(angle / self._step) + self._zero
         return first, second, counts, 0.0 if self._torque is None else self._torque.reading(torque)

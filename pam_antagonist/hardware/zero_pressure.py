@@ -36,8 +36,10 @@ class ZeroPressureMeasurement:
         """What has to be added to both pressures (2,) [Pa], so that they are the atmosphere's.
 
         Raises:
-            BadInput: too few samples yet, or pressures that are not those of open muscles.
+            BadInput: no sensors, too few samples yet, or pressures that are not those of open muscles.
         """
+        if not self._converter.measures_pressures:
+            raise BadInput("sensors at rest: the calibration has no pressure sensors (pressure_sensors: none)")
         if len(self._pressures) < _SAMPLES:
             raise BadInput(f"sensors at rest: {len(self._pressures)} samples so far, expected {_SAMPLES}")
         first, second = (self._one(muscle) for muscle in (0, 1))

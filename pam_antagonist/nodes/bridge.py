@@ -25,6 +25,7 @@ publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pa
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
              A rig with drive: regulator has pressure_state and pressure_command (pam_antagonist_msgs/PressureCommand)
              in the place of valve_state and valve_command; the calibration says which voltages ask for which pressures.
+             With pressure_sensors: none in the calibration, no pressures are published.
 services:    ~/stop, ~/clear_stop (std_srvs/Trigger); ~/measure_rest (std_srvs/Trigger: with both muscles open to the
              air, takes what the sensors show for the atmosphere's pressure); and those of a lifecycle node
 """

@@ -104,8 +104,8 @@ class BridgeNode(PamNode):
         self._output: _Conversion = _as_it_is
         self._asked: _Conversion = _as_it_is
         action = drive.action
+        self._converter.suits(rig.drive)
         if rig.drive == "regulator":
-            self._converter.has_regulators()
             self._output, self._asked = self._converter.output, self._converter.asked
             action = self._converter.action(action)
         low, high = (self._output((limit, limit)) for limit in (drive.limits.minimum, drive.limits.maximum))
@@ -121,7 +121,7 @@ class BridgeNode(PamNode):
         self._rest = ZeroPressureMeasurement(self._converter)
         self._pressures = tuple(
             wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
-            for i in (1, 2)
+            for i in ((1, 2) if self._converter.measures_pressures else ())
         )
         topics = drive.topics
         self._valves = wire.Outgoing(self, topics.message, topics.state, topics.frame_id, wire.VALVES)
@@ -167,12 +167,13 @@ class BridgeNode(PamNode):
         self._device.command(self._output(voltage))
 
     def _deliver(self, sample: Sample) -> None:
-        for output, pressure in zip(self._pressures, sample.pressure, strict=True):
+        for output, pressure in zip(self._pressures, sample.pressure, strict=False):
             output.send(sample.stamp_ns, pressure, self._variance)
         self._valves.send(sample.stamp_ns, *self._asked(sample.voltage))
         self._joint.send(sample)
         with self._lock:
-            self.port.supervise(sample.stamp_ns, *sample.pressure)
+            if self._pressures:
+                self.port.supervise(sample.stamp_ns, *sample.pressure)
             for flag, reason in _DEVICE_STOPS:
                 if sample.status & flag:
                     self.port.stop(reason)

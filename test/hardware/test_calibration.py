@@ -13,9 +13,11 @@ import yaml
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter, load_calibration
 from pam_antagonist.hardware.device import DeviceInfo
+from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
 from pam_antagonist.paths import config_dir
 
 EXAMPLE: dict[str, Any] = yaml.safe_load((config_dir() / "hardware" / "example.yaml").read_text(encoding="utf-8"))
+REGULATORS = {f"regulator_{n}": {"gain": 60e3, "offset": 0.0, "reference": "gauge"} for n in (1, 2)}
 INFO = DeviceInfo("bench", "V", True, True, 1_000_000, 20_000_000, 0.0, 10.0)
 
 
@@ -89,6 +91,18 @@ def test_channels_may_be_left_out(tmp_path: Path) -> None:
     converter.check(INFO)
 
 
+def test_a_joint_with_regulators_does_without_pressure_sensors_and_one_with_valves_does_not(tmp_path: Path) -> None:
+    none = {"pressure_sensors": "none", "pressure_1": None, "pressure_2": None}
+    converter = Converter(load_calibration(write(tmp_path, **none, **REGULATORS)))
+    assert not converter.measures_pressures and all(math.isnan(value) for value in converter.pressure((2.0, 2.0)))
+    assert converter.readings((450e3, 300e3), 0.2, 1.5)[:2] == (0.0, 0.0)
+    converter.suits("regulator")
+    with pytest.raises(BadInput, match="has no pressure sensors .*but the rig has valves"):
+        converter.suits("valve")
+    with pytest.raises(BadInput, match="the calibration has no pressure sensors"):
+        ZeroPressureMeasurement(converter).result()
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -109,6 +123,12 @@ def test_channels_may_be_left_out(tmp_path: Path) -> None:
         ({"encoder__sign": 0}, "encoder.sign"),
         ({"pressure_1__gain": math.nan}, "pressure_1.gain"),
         ({"pressure_1__gain": True}, "pressure_1.gain is yes or no"),
+        ({"pressure_2": None}, "pressure_2 is missing: expected a sensor, or pressure_sensors: none"),
+        (
+            {"pressure_sensors": "none", "pressure_1": None, "pressure_2": None},
+            "pressure_sensors is none: expected regul",
+        ),
+        ({"pressure_sensors": "none", **REGULATORS}, "pressure_1: pressure_sensors is none"),
     ],
 )
 def test_what_no_sensor_has_is_refused_in_one_line(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
