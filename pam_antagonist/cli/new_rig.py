@@ -13,7 +13,15 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.new import Facts, starting_point
-from pam_antagonist.rig.parts import MusclePart, ValvePart, muscle_parts, named, valve_parts
+from pam_antagonist.rig.parts import (
+    MusclePart,
+    RegulatorPart,
+    ValvePart,
+    muscle_parts,
+    named,
+    regulator_parts,
+    valve_parts,
+)
 from pam_antagonist.rig.schema import Curve
 from pam_antagonist.rig.write import write_rig
 
@@ -24,19 +32,20 @@ Asks for what a person can measure with a ruler, a scale and data sheets. Every 
 then it is not asked for. Lengths, pressures and so on are given with their unit, such as 36.5mm or 6bar. What nobody
 can measure by hand is filled in, marked as assumed, and has a wide prior: identify moves it.
 
-Muscles and valves of the data sheets: {parts}.
+Muscles, valves and regulators by name: {parts}.
 Status: 0 done, 2 bad input (one line says what and where).
 """
 _EXAMPLES = """\
 examples:
   {run} new_rig --out my_rig.yaml
   {run} new_rig --out my_rig.yaml --radius 36.5mm --muscle DMSP-10 --supply 6bar --valve MPYE-5-M5
+  {run} new_rig --out my_rig.yaml --drive regulator --regulator ITV2050
 """
 
 
 def parser() -> common.Parser:
     """The arguments."""
-    parts = ", ".join((*muscle_parts(), *valve_parts()))
+    parts = ", ".join((*muscle_parts(), *valve_parts(), *regulator_parts()))
     out = common.Parser("new_rig", _DESCRIPTION.format(parts=parts), _EXAMPLES)
     out.add_argument("--out", required=True, type=Path, metavar="FILE", help="the rig file to write (.yaml), a new one")
     for question in QUESTIONS:
@@ -136,10 +145,10 @@ def _facts(values: Mapping[str, Any]) -> Facts:
         )
     else:
         muscle = named("muscle", values["muscle"], muscle_parts())
-    regulated = values["drive"] == "regulator"
     low, high = values.get("voltage", (0.0, 10.0))
-    if regulated:
-        valve = valve_parts()["shin2022"].replaced(source="range and time as asked")  # its numbers play no part
+    regulator = _regulator(values) if values["drive"] == "regulator" else None
+    if regulator is not None:
+        valve = valve_parts()["shin2022"].replaced(source=regulator.source)  # its numbers play no part
     elif values["valve"] == OWN:
         curve = Curve(voltage=(low, high), open_rate=(0.0, 1.0))
         valve = ValvePart(
@@ -157,7 +166,7 @@ def _facts(values: Mapping[str, Any]) -> Facts:
         muscle_name=f"muscle {values['muscle']}",
         supply=values["supply"],
         valve=valve,
-        valve_name="pressure regulators" if regulated else f"valve {values['valve']}",
+        valve_name=f"valve {values['valve']}" if regulator is None else f"pressure regulators {values['regulator']}",
         voltage=(low, high),
         shaft_radius=values["shaft_radius"],
         mass=values["mass"],
@@ -166,8 +175,16 @@ def _facts(values: Mapping[str, Any]) -> Facts:
         pressure_range=values["sensor_range"],
         pressure_bits=round(values["sensor_bits"]),
         period=1.0 / values["rate"],
-        regulator=(*values["regulator_range"], values["regulator_time"]) if regulated else None,
+        regulator=regulator,
+        regulator_time=values.get("regulator_time", 0.0),
     )
+
+
+def _regulator(values: Mapping[str, Any]) -> RegulatorPart:
+    if values["regulator"] != OWN:
+        return named("regulator", values["regulator"], regulator_parts())
+    low, high = values["regulator_range"]
+    return RegulatorPart(lowest=low, highest=high, source="range as asked")
 
 
 def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
@@ -182,7 +199,10 @@ def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
     if assumed:
         lines.append(f"Default answers were taken for: {', '.join(question.option for question in assumed)}.")
     if facts.regulator is not None:
-        lines.append("Of the regulators: range and time as asked, damping ratio assumed. Valves and flow play no part.")
+        told = "hysteresis as their source tells it" if facts.regulator.hysteresis else "hysteresis not known: none"
+        lines.append(f"Of the regulators: range by {facts.regulator.source}.")
+        lines.append(f"Their time as asked, damping ratio assumed, {told}. Valves and flow play no part.")
+        lines.append("Compare range and hysteresis with the data sheet of yours.")
     if facts.valve.closed_centre:
         lines.append(
             "Attention: this valve lets no air pass at its middle voltage. Equation (5) has no such place: steady"

@@ -10,10 +10,10 @@ from typing import Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording.units import UNITS, canonical
-from pam_antagonist.rig.parts import muscle_parts, named, valve_parts
+from pam_antagonist.rig.parts import muscle_parts, named, regulator_parts, valve_parts
 
 OWN = "own"
-"""Answer for a muscle or a valve that is in no list."""
+"""Answer for a muscle, a valve or a regulator that is in no list."""
 _NUMBER = re.compile(r"\s*([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*)\s*")
 
 
@@ -126,8 +126,9 @@ def condition(option: str) -> str:
     """
     if option in ("valve", "voltage"):
         return "--drive valve"
-    first = option.split("-", maxsplit=1)[0]
-    return "--drive regulator" if first == "regulator" else f"--{first} {OWN}"
+    if option in ("regulator", "regulator-time"):
+        return "--drive regulator"
+    return f"--{option.split('-', maxsplit=1)[0]} {OWN}"
 
 
 def _is_own(name: str) -> Callable[[Mapping[str, Any]], bool]:
@@ -200,12 +201,20 @@ QUESTIONS = (
         "valve",
     ),
     Question(
+        "regulator",
+        "Pressure regulator",
+        "a name of the list above, or own",
+        _part("regulator", regulator_parts),
+        OWN,
+        _is_driven_by("regulator"),
+    ),
+    Question(
         "regulator-range",
         "Least and largest gauge pressure of a regulator",
         _SHEET,
         _gauge_range,
         "0bar:6bar",
-        _is_driven_by("regulator"),
+        _is_own("regulator"),
     ),
     Question(
         "regulator-time",

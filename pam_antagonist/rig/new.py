@@ -28,7 +28,7 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import orifice
-from pam_antagonist.rig.parts import MusclePart, ValvePart
+from pam_antagonist.rig.parts import MusclePart, RegulatorPart, ValvePart
 from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.schema import Rig
 from pam_antagonist.strict_yaml import validated
@@ -82,8 +82,8 @@ class Facts:
         pressure_range: of a pressure sensor [Pa].
         pressure_bits: of its converter.
         period: from sample to sample [s].
-        regulator: of a joint with pressure regulators: least and largest gauge pressure [Pa], and the time from 10 to
-            90 % of a small step [s]; None: it has valves.
+        regulator: of both sides of a joint with pressure regulators; None: it has valves.
+        regulator_time: from 10 to 90 % of a small step of it [s].
     """
 
     name: str
@@ -104,7 +104,8 @@ class Facts:
     pressure_range: float
     pressure_bits: int
     period: float
-    regulator: tuple[float, float, float] | None = None
+    regulator: RegulatorPart | None = None
+    regulator_time: float = 0.0
 
     def travel(self) -> tuple[float, float]:
         """Shortest and longest length of a muscle within the joint's range [m]."""
@@ -159,16 +160,19 @@ def _with_regulators(rig: Rig, facts: Facts) -> Rig:
     """The rig with pressure regulators in the place of valves, where the facts have some."""
     if facts.regulator is None:
         return rig
-    low, high, rise = facts.regulator
+    part = facts.regulator
     # A step of second order rises from 10 to 90 % within (1 + 1.1 ζ + 1.4 ζ²)/ω, about.
-    frequency = (1.0 + 1.1 * _DAMPING + 1.4 * _DAMPING**2) / rise
+    frequency = (1.0 + 1.1 * _DAMPING + 1.4 * _DAMPING**2) / facts.regulator_time
     lag = {"frequency_1": frequency, "frequency_2": frequency, "damping": _DAMPING}
-    limits = {"lowest": low + ATMOSPHERE, "highest": min(high, facts.supply) + ATMOSPHERE}
+    limits = {"lowest": part.lowest + ATMOSPHERE, "highest": min(part.highest, facts.supply) + ATMOSPHERE}
+    effects = {"regulator_lag": lag, "regulator_limits": limits}
+    if part.hysteresis:
+        effects["regulator_threshold"] = {"threshold_1": part.hysteresis, "threshold_2": part.hysteresis}
     names = {name: f"effects.regulator_lag.{name}" for name in lag}
     flow = ("valve_", "gas.polytropic_flow")
     return rig.replaced(
         drive="regulator",
-        effects=_rounded({"regulator_lag": lag, "regulator_limits": limits}),
+        effects=_rounded(effects),
         priors={
             **{name: std for name, std in rig.priors.items() if not name.startswith(flow)},
             **{path: 0.5 * lag[name] for name, path in names.items()},

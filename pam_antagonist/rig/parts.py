@@ -1,4 +1,7 @@
-"""Muscles and valves that can be bought, as their data sheets describe them: where a new rig file starts from."""
+"""Muscles, valves and pressure regulators that can be bought, as their data sheets describe them.
+
+A new rig file starts from them.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +36,25 @@ class ValvePart(Strict):
     source: str = Field(description="where the numbers come from")
 
 
+class RegulatorPart(Strict):
+    """A pressure regulator."""
+
+    lowest: float = Field(ge=0.0, lt=1e6, description="least gauge pressure that it can be set to [Pa]")
+    highest: float = Field(gt=1e4, lt=2e6, description="largest one [Pa]")
+    hysteresis: float = Field(0.0, ge=0.0, lt=1e5, description="between the way up and the way down; 0: not told [Pa]")
+    source: str = Field(description="where the numbers come from")
+
+
 class _Muscles(Strict):
     parts: Dict[str, MusclePart]  # noqa: UP006
 
 
 class _Valves(Strict):
     parts: Dict[str, ValvePart]  # noqa: UP006
+
+
+class _Regulators(Strict):
+    parts: Dict[str, RegulatorPart]  # noqa: UP006
 
 
 Part = TypeVar("Part")
@@ -60,11 +76,19 @@ def valve_parts() -> dict[str, ValvePart]:
     return dict(validated(_Valves, {"parts": content}, str(path), ("closed_centre",)).parts)
 
 
+@cache
+def regulator_parts() -> dict[str, RegulatorPart]:
+    """Pressure regulators by name, from ``config/parts/regulators.yaml``."""
+    path = config_dir() / "parts" / "regulators.yaml"
+    content = read_mapping(path, "parts", str(path))
+    return dict(validated(_Regulators, {"parts": content}, str(path), ("hysteresis",)).parts)
+
+
 def named(what: str, name: str, parts: dict[str, Part]) -> Part:
     """The part of a name; upper and lower case do not matter.
 
     Args:
-        what: ``muscle`` or ``valve``, for the message.
+        what: ``muscle``, ``valve`` or ``regulator``, for the message.
         name: as it was typed.
         parts: by name.
 

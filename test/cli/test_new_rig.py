@@ -11,7 +11,7 @@ import pytest
 from pam_antagonist import check, load_rig, simulate
 from pam_antagonist.cli import new_rig
 from pam_antagonist.model import muscle, orifice
-from pam_antagonist.rig.parts import muscle_parts, valve_parts
+from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
 
 # The joint of the paper, as somebody would measure it who knows neither its force map nor its valves' areas.
 MEASURED = {
@@ -133,3 +133,20 @@ def test_a_joint_with_regulators_is_asked_for_their_range_and_time(tmp_path, cap
     capsys.readouterr()
     assert new_rig.main(typed({**REGULATED, "valve": "shin2022"}, tmp_path / "other.yaml")) == 2
     assert "--valve: only with --drive valve" in capsys.readouterr().err
+
+
+def test_a_regulator_of_a_name_has_the_numbers_of_its_source(tmp_path, capsys) -> None:
+    path, answers = tmp_path / "rig.yaml", {**REGULATED, "supply": "7bar", "regulator": "veaa-d9"}
+    del answers["regulator-range"]
+    assert new_rig.main(typed(answers, path)) == 0
+    assert load_rig(path, regulators=True).command_limits == pytest.approx((104.3e3, 701.3e3))
+    assert "Zephyr" in path.read_text() and "hysteresis not known" in path.read_text()
+    path = tmp_path / "with_data_sheet.yaml"
+    assert new_rig.main(typed({**answers, "regulator": "VEAA-D11"}, path)) == 0
+    rig = load_rig(path, regulators=True)
+    assert rig.value("effects.regulator_threshold.threshold_2") == 2500.0
+    assert rig.command_limits[1] == pytest.approx(801.3e3), "no more than the supply has"
+    capsys.readouterr()
+    assert new_rig.main(typed({**answers, "regulator-range": "0bar:6bar"}, tmp_path / "other.yaml")) == 2
+    assert "--regulator-range: only with --regulator own" in capsys.readouterr().err
+    assert all(part.source and part.lowest < part.highest for part in regulator_parts().values())
