@@ -25,6 +25,7 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.recording.resets import resets
 from pam_antagonist.recording.units import UNITS
 from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 from pam_antagonist.rig import NO_ENCODER, Rig
@@ -91,6 +92,11 @@ def check_recording(recording: Recording, rig: Rig, joint: str = "auto", lock_an
     ):
         if not np.isfinite(values).all(axis=1).any():
             raise BadInput(f"{name}: holds no finite {what}")
+    jumped = resets(recording)
+    if jumped is not None:
+        # A model that goes on over a reset goes with nothing.
+        joint = joint_condition(recording, joint, lock_angle).condition
+        return Checked((Finding("wrong", f"{jumped.sentence} (sure)"),), Corrections(), joint)
     recording = recording.slice(0.0, _LONGEST)
     asked = regulators.commands(recording, rig)
     if any(finding.status == "wrong" for finding in asked):

@@ -30,6 +30,7 @@ from pam_antagonist.model.effects import CATALOGUE, Form
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.recording import Recording, bag_name
+from pam_antagonist.recording.resets import resets
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -163,6 +164,8 @@ class PressureDriven:
         signals = np.column_stack(columns) if columns else np.empty((len(recording), 0))
         whole: NDArray[np.bool_] = np.asarray(np.isfinite(np.column_stack([recording.pressure, signals])).all(axis=1))
         parts = [part for part in recording.episodes if whole[part].all() and np.isfinite(recording.angle[part.start])]
+        if recording.episode_ns is None and (jumped := resets(recording)) is not None:
+            raise BadInput(f"{name}: {jumped.sentence}")
         if len(parts) < LEAST_EPISODES:
             raise BadInput(
                 f"{name}: {len(parts)} whole episodes of {len(recording.episodes)}; expected at least {LEAST_EPISODES} "

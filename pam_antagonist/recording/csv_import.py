@@ -17,6 +17,7 @@ from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
 from .notes import REGULATOR, SEALED
 from .recording import Recording
+from .resets import resets
 from .signals import FurtherSignal
 from .stamps import interpolate, judge_pairing
 from .units import UNITS
@@ -81,6 +82,9 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
         drive=drive,
     )
     _judge_missing(where, recording, table, issues)
+    jumped = resets(recording)
+    if jumped is not None:
+        issues.append(jumped.sentence)
     return _cut(where, replace(recording, issues=tuple(issues)), mapping)
 
 
