@@ -184,7 +184,7 @@ def _regulator(values: Mapping[str, Any]) -> RegulatorPart:
     if values["regulator"] != OWN:
         return named("regulator", values["regulator"], regulator_parts())
     low, high = values["regulator_range"]
-    return RegulatorPart(lowest=low, highest=high, source="range as asked")
+    return RegulatorPart(lowest=low, highest=high, hysteresis=0.0, source="range as asked")
 
 
 def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
