@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_tuning import tuned
 from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
-from pam_antagonist.inference.free_parameters import Direction, moved, values_along
+from pam_antagonist.inference.free_parameters import Direction, moved, start_values, values_along
 from pam_antagonist.inference.trial import BLOCK_S
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.recording import Recording
@@ -143,9 +143,10 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
     mean = float(np.mean(np.concatenate([trial.pressure[:, muscle] for trial in trials])))
     start = moved(rig, {f"valves.charge_{number}": mean})
     directions = chamber_directions(start, number)
+    known = start_values(start, directions)
 
     def named(theta: Floats) -> dict[str, float]:
-        return values_along(start, directions, theta)
+        return values_along(known, directions, theta)
 
     def residual(theta: Floats) -> Floats:
         p = rig.parameters(changes=named(theta))
@@ -192,9 +193,10 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
     forces = {f"muscle_{number}.force.w2": way for number, way in ((1, 1.0), (2, -1.0))}
     directions = [Direction(name, {name: rig.value(name)}) for name in names]
     directions.append(Direction("difference of the muscles' forces", forces))
+    known = start_values(rig, directions)
 
     def named(theta: Floats) -> dict[str, float]:
-        return values_along(rig, directions, theta)
+        return values_along(known, directions, theta)
 
     def residual(theta: Floats) -> Floats:
         p = rig.parameters(changes=named(theta))

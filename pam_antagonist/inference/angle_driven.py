@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pam_antagonist._jit import kernel
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
-from pam_antagonist.inference.free_run import predict, start_of
+from pam_antagonist.inference.free_run import Run, predict, start_of
 from pam_antagonist.inference.likelihood import in_mean_squares
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, block_noise
 from pam_antagonist.model import dynamics, equilibrium
@@ -293,7 +293,7 @@ class AngleDriven(Experiment):
         pressure, needed = whole.driven(whole.origin, whole=True)
         alone = np.full(len(self.trial), np.nan)
         if self.trial.has(TORQUE):
-            alone = predict(self.trial, rig.parameters("free"), start_of(self.trial))[:, ANGLE]
+            alone = predict(self.trial, Run(rig.parameters("free")), start_of(self.trial))[:, ANGLE]
         return np.column_stack([alone, needed, pressure])
 
     @property

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference import calibration
-from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, values_along
+from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, start_values, values_along
 from pam_antagonist.inference.likelihood import ERROR_S, Equations, Scale, in_decibels
 from pam_antagonist.inference.trial import Split, Trial
 from pam_antagonist.model import parameters as par
@@ -303,7 +303,11 @@ class Experiment(ABC):
 
     def changes(self, point: Point) -> dict[str, float]:
         """Values of the base parameters that differ from the rig file's, by dotted path."""
-        return values_along(self.rig, self.directions, point.theta)
+        return values_along(self._start_values, self.directions, point.theta)
+
+    @cached_property
+    def _start_values(self) -> dict[str, float]:
+        return start_values(self.rig, self.directions)
 
     def parameters(self, point: Point, at_s: float | None = None) -> Floats:
         """Parameter vector of a point: with all of its effects, or with those that act at a time [s]."""

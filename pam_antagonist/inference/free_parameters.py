@@ -285,18 +285,30 @@ class FreeEffectParameter:
         return 0.1 * max(1.0, abs(value / self.item.scale))
 
 
-def values_along(rig: Rig, directions: Iterable[Direction], amounts: Iterable[float]) -> dict[str, float]:
+def start_values(rig: Rig, directions: Iterable[Direction]) -> dict[str, float]:
+    """Values of the parameters that directions move as a rig has them, by dotted path.
+
+    Args:
+        rig: the rig.
+        directions: the directions.
+    """
+    return {name: rig.value(name) for direction in directions for name in direction.changes}
+
+
+def values_along(
+    start: Mapping[str, float], directions: Iterable[Direction], amounts: Iterable[float]
+) -> dict[str, float]:
     """Values of the parameters that directions move, by dotted path.
 
     Args:
-        rig: start values.
+        start: values before, of these parameters at least.
         directions: K of them; further amounts count for nothing.
         amounts: how far each is gone.
     """
     total: dict[str, float] = {}
     for direction, amount in zip(directions, amounts, strict=False):
         for name, change in direction.changes.items():
-            total[name] = total.get(name, rig.value(name)) + change * float(amount)
+            total[name] = total.get(name, start[name]) + change * float(amount)
     return total
 
 

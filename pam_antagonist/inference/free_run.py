@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
-from pam_antagonist.model import dynamics, equilibrium, lanes, sensor
+from pam_antagonist.model import equilibrium, lanes, sensor
 from pam_antagonist.model import parameters as par
 
 Floats = NDArray[np.float64]
+Course = tuple[Floats, Floats]
+"""States (N, n) and torques (N,) [N m]."""
 
 _START_S = 0.02
 """[s] At the beginning of a recording: a straight line through it tells the first sample's true values."""
@@ -42,11 +44,23 @@ class Run(NamedTuple):
 
     Attributes:
         parameters: vector (P,).
-        shift: deviation of the true start from what the sensors showed (3,) [rad, Pa, Pa].
+        shift: deviation of the true start from what the sensors showed (3,) [rad, Pa, Pa]; None for none.
+        later: what the model is from some times on, in their order. States that a phase adds start settled.
     """
 
     parameters: Floats
-    shift: Floats
+    shift: Floats | None = None
+    later: tuple[Phase, ...] = ()
+
+    @property
+    def key(self) -> Key:
+        """What tells the model from others."""
+        shift = b"" if self.shift is None else self.shift.tobytes()
+        return self.parameters.tobytes(), shift, tuple((one.begin_s, one.parameters.tobytes()) for one in self.later)
+
+
+Key = tuple[bytes, bytes, tuple[tuple[float, bytes], ...]]
+"""A model by its parameters, its start and its phases."""
 
 
 @dataclass(frozen=True)
@@ -101,24 +115,18 @@ def _rate(values: Floats) -> float:
     return abs(float(np.polynomial.Polynomial.fit(known, values[known], 1).deriv()(0.0))) if len(known) > 1 else 0.0
 
 
-def predict(trial: Trial, p: Floats, start: Start, shift: Floats | None = None, later: Sequence[Phase] = ()) -> Floats:
+def predict(trial: Trial, model: Run, start: Start) -> Floats:
     """The model alone, from the start of a recording on.
 
     Args:
         trial: its voltages are used.
-        p: parameter vector (P,).
+        model: the model.
         start: what the sensors showed first; the added states start settled.
-        shift: deviation of the true start from that (3,) [rad, Pa, Pa].
-        later: what the model is from some times on, in their order.
 
     Returns:
         What the sensors would show (N, 4), in the order of ``trial.CHANNELS``.
     """
-    states, torque = run(trial, p, start, shift, later)
-    shown = np.empty((len(states), 2))
-    for rows, vector in _parts(trial, p, later):
-        shown[rows] = sensor.readings(states[rows, 2:4], vector)
-    return np.column_stack([states[:, 0], torque, shown])
+    return predict_each(trial, [model], start, 1)[0]
 
 
 def predict_each(trial: Trial, models: Sequence[Run], start: Start, jobs: int) -> list[Floats]:
@@ -126,72 +134,83 @@ def predict_each(trial: Trial, models: Sequence[Run], start: Start, jobs: int) -
 
     Args:
         trial: its voltages are used.
-        models: without phases.
+        models: the models.
         start: what the sensors showed first.
         jobs: threads.
 
     Returns:
         What the sensors would show (N, 4) by each model.
     """
-    given = trial.voltage if trial.external is None else trial.given
-    vectors = []
-    for model in models:
-        vectors.append(model.parameters.copy())
-        vectors[-1][par.FRICTION_STEP] = trial.step
-    starts = [initial_state(trial, p, start, model.shift) for p, model in zip(vectors, models, strict=True)]
-    groups = lanes.groups(vectors)
+    alike: dict[tuple[float, ...], list[int]] = {}
+    for k, model in enumerate(models):
+        alike.setdefault(tuple(phase.begin_s for phase in model.later), []).append(k)
+    groups = [
+        [some[k] for k in group]
+        for some in alike.values()
+        for group in lanes.groups([[models[k].parameters, *(one.parameters for one in models[k].later)] for k in some])
+    ]
 
     def together(these: Sequence[int]) -> list[Floats]:
-        x, p = [starts[k] for k in these], [vectors[k] for k in these]
-        return [
-            np.column_stack([states[:, 0], torque, sensor.readings(states[:, 2:4], models[k].parameters)])
-            for k, (states, torque) in zip(these, lanes.courses(x, given, p, trial.dt, trial.substeps), strict=True)
-        ]
+        group = [models[k] for k in these]
+        return [_shown(trial, *pair) for pair in zip(group, courses(trial, group, start), strict=True)]
 
     results = side_by_side(together, groups, jobs)
     shown = dict(zip(itertools.chain.from_iterable(groups), itertools.chain.from_iterable(results), strict=True))
     return [shown[k] for k in range(len(models))]
 
 
-def run(
-    trial: Trial, p: Floats, start: Start, shift: Floats | None = None, later: Sequence[Phase] = ()
-) -> tuple[Floats, Floats]:
-    """States (N, n) and torques (N,) [N m] of the same.
+def _shown(trial: Trial, model: Run, course: Course) -> Floats:
+    """What the sensors show (N, 4) of a model's course."""
+    states, torque = course
+    shown = np.empty((len(states), 2))
+    for rows, vector in _parts(trial, model):
+        shown[rows] = sensor.readings(states[rows, 2:4], vector)
+    return np.column_stack([states[:, 0], torque, shown])
+
+
+def courses(trial: Trial, models: Sequence[Run], start: Start) -> list[Course]:
+    """States (N, n) and torques (N,) [N m] of models whose phases begin at the same times, side by side.
 
     Args:
         trial: its voltages are used.
-        p: parameter vector (P,); the step of its friction is that of the integration.
+        models: the models; the step of their friction is that of the integration.
         start: what the sensors showed first.
-        shift: deviation of the true start from that (3,) [rad, Pa, Pa].
-        later: what the model is from some times on, in their order. States that a phase adds start settled.
     """
     given = trial.voltage if trial.external is None else trial.given
-    courses: list[tuple[Floats, Floats]] = []
-    before = p
-    for rows, vector in _parts(trial, p, later):
-        now = vector.copy()
-        # A joint must be able to stick within a step.
-        now[par.FRICTION_STEP] = trial.step
-        if not courses:
-            x0 = initial_state(trial, now, start, shift)
-            courses.append(dynamics.course(x0, given[rows], now, trial.dt, trial.substeps))
+    parts = [_parts(trial, model) for model in models]
+    done: list[list[Course]] = [[] for _ in models]
+    for number, (rows, _) in enumerate(parts[0]):
+        vectors = [part[number][1].copy() for part in parts]
+        for vector in vectors:
+            # A joint must be able to stick within a step.
+            vector[par.FRICTION_STEP] = trial.step
+        # The first row of a later phase's course is its start, which is the last one of the course before.
+        later = min(number, 1)
+        begin = rows.start - later
+        if not later:
+            starts = [initial_state(trial, p, start, model.shift) for p, model in zip(vectors, models, strict=True)]
         else:
-            # The first row of a course is its start, which is the last one of the course before.
-            last = rows.start - 1
-            x0 = _taken_over(courses[-1][0][-1], before, now, given[last])
-            states, torque = dynamics.course(x0, given[last : rows.stop], now, trial.dt, trial.substeps)
-            courses.append((states[1:], torque[1:]))
-        before = now
-    if len(courses) == 1:
-        return courses[0]
-    out = np.zeros((len(given), max(states.shape[1] for states, _ in courses)))
-    end = len(given)
-    for states, _ in reversed(courses):
+            ends = zip(done, parts, vectors, strict=True)
+            starts = [_taken_over(own[-1][0][-1], part[number - 1][1], p, given[begin]) for own, part, p in ends]
+        here = lanes.courses(starts, given[begin : rows.stop], vectors, trial.dt, trial.substeps)
+        for own, (states, torque) in zip(done, here, strict=True):
+            own.append((states[later:], torque[later:]))
+    return [_joined(own) for own in done]
+
+
+def _joined(phases: Sequence[Course]) -> Course:
+    """The course through all phases."""
+    if len(phases) == 1:
+        return phases[0]
+    end = sum(len(states) for states, _ in phases)
+    out = np.zeros((end, max(states.shape[1] for states, _ in phases)))
+    last = end - 1
+    for states, _ in reversed(phases):
         # States that a phase does not have yet stand where the next phase begins with them.
-        out[end - len(states) : end] = out[min(end, len(given) - 1)]
+        out[end - len(states) : end] = out[min(end, last)]
         out[end - len(states) : end, : states.shape[1]] = states
         end -= len(states)
-    return out, np.concatenate([torque for _, torque in courses])
+    return out, np.concatenate([torque for _, torque in phases])
 
 
 def initial_state(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> Floats:
@@ -210,11 +229,11 @@ def initial_state(trial: Trial, p: Floats, start: Start, shift: Floats | None = 
     return np.asarray(equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], p))
 
 
-def _parts(trial: Trial, p: Floats, later: Sequence[Phase]) -> list[tuple[slice, Floats]]:
+def _parts(trial: Trial, model: Run) -> list[tuple[slice, Floats]]:
     """The samples of each phase, with its parameter vector (P,); a phase has one sample at least."""
-    first = [0, *(round(phase.begin_s / trial.dt) for phase in later), len(trial)]
+    first = [0, *(round(phase.begin_s / trial.dt) for phase in model.later), len(trial)]
     rows = [slice(begin, min(end, len(trial))) for begin, end in zip(first[:-1], first[1:], strict=True)]
-    vectors = [p, *(phase.parameters for phase in later)]
+    vectors = [model.parameters, *(phase.parameters for phase in model.later)]
     return [(part, vector) for part, vector in zip(rows, vectors, strict=True) if part.start < part.stop]
 
 

@@ -117,8 +117,7 @@ class JointProblem:
             steps: the trial as a model in longer steps sees it; default: as it is.
         """
         experiment = self.experiments[index]
-        p, shift = self._run(local, index)
-        return predict(steps or experiment.trial, p, experiment.first, shift)
+        return predict(steps or experiment.trial, self._run(local, index), experiment.first)
 
     def _run(self, local: Floats, index: int) -> Run:
         """Model and start of one trial at what it sees of a fitted vector."""

@@ -22,6 +22,7 @@ from pam_antagonist.inference.free_parameters import (
     Candidate,
     FreeDirection,
     FreeEffectParameter,
+    start_values,
     values_along,
 )
 from pam_antagonist.inference.trial import converter_step, white_std
@@ -257,7 +258,10 @@ class PressureDriven:
 
     def values(self, model: PressureModel) -> dict[str, float]:
         """Values of all parameters of a model that differ from the rig file's, by dotted path."""
-        return {**values_along(self.rig, self.directions, model.amounts), **model.effects}
+        return {
+            **values_along(start_values(self.rig, self.directions), self.directions, model.amounts),
+            **model.effects,
+        }
 
     @cached_property
     def _start(self) -> Floats:

@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import Experiment, Point
-from pam_antagonist.inference.free_parameters import Direction, measured_directions, moved, values_along
+from pam_antagonist.inference.free_parameters import (
+    Direction,
+    measured_directions,
+    moved,
+    start_values,
+    values_along,
+)
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, moved_by, relinearised
 from pam_antagonist.inference.likelihood import Equations
 
@@ -116,7 +122,7 @@ def _slope(experiment: Experiment, point: Point, direction: Direction) -> Floats
     """Derivative of the residual (B, C) by what no fit moves, for one standard deviation."""
 
     def left(share: float) -> Floats:
-        values = values_along(experiment.rig, (direction,), (share,))
+        values = values_along(start_values(experiment.rig, (direction,)), (direction,), (share,))
         return replace(experiment, rig=moved(experiment.rig, values)).residual(point)
 
     return (left(_SHARE) - left(-_SHARE)) / (2.0 * _SHARE)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Channel, Experiment, Point
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, base_directions, candidates
-from pam_antagonist.inference.free_run import Phase, Run, Start, predict, predict_each, run, start_of
+from pam_antagonist.inference.free_run import Key, Phase, Run, Start, courses, predict_each, start_of
 from pam_antagonist.inference.long_steps import in_steps, stride_blocks
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
 from pam_antagonist.model import parameters as par
@@ -44,9 +44,6 @@ _TITLES = (
     Channel("Pressure 1", "kPa", 1e-3),
     Channel("Pressure 2", "kPa", 1e-3),
 )
-
-_Key = tuple[bytes, bytes, tuple[tuple[float, bytes], ...]]
-"""A simulation by its parameters, its start and its phases."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,53 +146,39 @@ class ValveDriven(Experiment):
 
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """States (N, n) and torques (N,) [N m] of the model over all of the recording."""
-        return run(self.trial, self._first(point), self.first, self.start_shift(point), self._later(point))
+        return courses(self.trial, [self._run(point)], self.first)[0]
 
     def _shown(self, trial: Trial, point: Point) -> Floats:
         """What the sensors would show (N, 4), calibrations included, in the steps of a trial."""
-        exact = self._exact(trial, self._first(point), self.start_shift(point), self._later(point))
-        return calibration.readings(exact, trial.dt, calibration.values_of(point.effects))
+        return self._shown_each(trial, [point])[0]
 
     def _shown_each(self, trial: Trial, points: Sequence[Point]) -> list[Floats]:
         """:meth:`_shown` of several models."""
-        # One alone is kept: what a step is tried at may be where the next derivatives are taken.
-        if len(points) == 1 or any(self._later(point) for point in points):
-            return self.side_by_side(lambda point: self._shown(trial, point), points)
-        models = [Run(self._first(point), self.start_shift(point)) for point in points]
-        # Calibrations change what is shown, and not what the model does.
-        keys = [(model.parameters.tobytes(), model.shift.tobytes()) for model in models]
-        known = {key[:2]: exact for of, key, exact in self._recent.get("runs", ()) if of is trial and not key[2]}
-        new = {key: model for key, model in zip(keys, models, strict=True) if key not in known}
-        known |= zip(new, predict_each(trial, list(new.values()), self.first, self.jobs), strict=True)
+        models = [self._run(point) for point in points]
+        # Calibrations change what is shown, and not what the model does: one simulation serves for all that are tried.
+        recent = self._recent.get("runs", ())
+        known = {key: exact.copy() for of, key, exact in recent if of is trial}
+        new = {model.key: model for model in models if model.key not in known}
+        found = dict(zip(new, predict_each(trial, list(new.values()), self.first, self.jobs), strict=True))
+        if len(models) == 1:
+            # One alone is kept: what a step is tried at may be where the next derivatives are taken.
+            # Put in place as a whole: other threads see the former runs or these.
+            kept = ((trial, key, exact.copy()) for key, exact in found.items())
+            self._recent["runs"] = (*kept, *recent)[:_RECENT]
+        known |= found
         return [
-            calibration.readings(known[key], trial.dt, calibration.values_of(point.effects))
-            for key, point in zip(keys, points, strict=True)
+            calibration.readings(known[model.key], trial.dt, calibration.values_of(point.effects))
+            for model, point in zip(models, points, strict=True)
         ]
 
-    def _exact(self, trial: Trial, p: Floats, shift: Floats, later: Sequence[Phase]) -> Floats:
-        """What exact sensors would show (N, 4), once for all the calibrations that are tried beside a model."""
-        phases = tuple((phase.begin_s, phase.parameters.tobytes()) for phase in later)
-        key: _Key = p.tobytes(), shift.tobytes(), phases
-        known = self._recent.get("runs", ())
-        for of, other, exact in known:
-            if of is trial and other == key:
-                return exact.copy()
-        exact = predict(trial, p, self.first, shift, later)
-        # Put in place as a whole: other threads see the former runs or these.
-        self._recent["runs"] = ((trial, key, exact), *known[: _RECENT - 1])
-        return exact.copy()
-
     @cached_property
-    def _recent(self) -> dict[str, tuple[tuple[Trial, _Key, Floats], ...]]:
+    def _recent(self) -> dict[str, tuple[tuple[Trial, Key, Floats], ...]]:
         return {}
 
-    def _first(self, point: Point) -> Floats:
-        """Parameter vector at the start of the recording."""
-        return self.parameters(point, 0.0)
-
-    def _later(self, point: Point) -> tuple[Phase, ...]:
-        """What the model is after each time at which an effect begins or ends."""
-        return tuple(Phase(edge, self.parameters(point, edge)) for edge in self.edges(point) if edge > 0.0)
+    def _run(self, point: Point) -> Run:
+        """The model at the start of the recording, and after each time at which an effect begins or ends."""
+        later = tuple(Phase(edge, self.parameters(point, edge)) for edge in self.edges(point) if edge > 0.0)
+        return Run(self.parameters(point, 0.0), self.start_shift(point), later)
 
     @cached_property
     def _part(self) -> Trial:

@@ -40,7 +40,7 @@ def courses(
     """
     out: list[Any] = [None] * len(vectors)
     fewest = _fewest()
-    for group in groups(vectors):
+    for group in groups([[p] for p in vectors]):
         run = _side_by_side() if len(group) >= fewest else None
         if run is None:
             for k in group:
@@ -58,15 +58,15 @@ def courses(
     return out
 
 
-def groups(vectors: Sequence[np.ndarray]) -> list[list[int]]:
+def groups(models: Sequence[Sequence[np.ndarray]]) -> list[list[int]]:
     """Which models can run side by side: indices, at most eight together.
 
     Args:
-        vectors: parameter vector (P,) of each model.
+        models: parameter vectors (P,) of each model, one for each of its phases.
     """
-    alike: dict[bytes, list[int]] = {}
-    for k, p in enumerate(vectors):
-        alike.setdefault(_structure(p), []).append(k)
+    alike: dict[tuple[bytes, ...], list[int]] = {}
+    for k, vectors in enumerate(models):
+        alike.setdefault(tuple(map(_structure, vectors)), []).append(k)
     return [some[begin : begin + LANES] for some in alike.values() for begin in range(0, len(some), LANES)]
 
 

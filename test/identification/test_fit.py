@@ -12,7 +12,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.balance import fit_force_map
 from pam_antagonist.identification.stages import run_stages
 from pam_antagonist.inference.free_parameters import free_parameters, moved
-from pam_antagonist.inference.free_run import predict, start_of
+from pam_antagonist.inference.free_run import Run, predict, start_of
 from pam_antagonist.inference.joint_fit import joint_fit
 from pam_antagonist.inference.joint_problem import JointProblem, step_directions
 from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial, check, make_trial
@@ -153,7 +153,7 @@ def test_a_torque_from_outside_reaches_the_model() -> None:
     external = 0.5 * np.sin(np.arange(len(quiet)) * 1e-3)
     pushed = make_trial(_changed(record("free", 1), external_torque=external), RIG, "free", 0.0, "bag")
     p = RIG.parameters()
-    angles = [predict(trial, p, start_of(trial))[:, 0] for trial in (quiet, pushed)]
+    angles = [predict(trial, Run(p), start_of(trial))[:, 0] for trial in (quiet, pushed)]
     assert np.abs(angles[1] - angles[0]).max() > np.radians(1.0)
 
 

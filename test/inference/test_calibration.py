@@ -13,7 +13,7 @@ from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 
 DT = 1e-3
-PREDICT, EACH = free_run.predict, free_run.predict_each
+EACH = free_run.predict_each
 ALL = {
     "encoder_zero": 0.01, "torque_zero": -0.2, "torque_scale": 0.03, "delay_voltage": 0.0304, "delay_torque": -0.002,
 }  # fmt: skip
@@ -84,7 +84,7 @@ def test_calibrations_are_tried_on_one_simulation(experiment_of, recorded, monke
     recording = recorded("none", joint="locked", seconds=10.0)
     experiment, fresh = experiment_of(recording, "locked"), experiment_of(recording, "locked")
     runs = []
-    monkeypatch.setattr(valve_driven, "predict", lambda *a, **k: runs.append(1) or PREDICT(*a, **k))
+    monkeypatch.setattr(valve_driven, "predict_each", lambda _, models, *a: runs.extend(models) or EACH(_, models, *a))
     for values in ({}, {"torque_zero": 0.1}, {"delay_torque": 0.01, "torque_scale": 0.02}):
         point = Point(np.zeros(experiment.size), {f"calibration.{name}": value for name, value in values.items()})
         assert np.array_equal(experiment.simulated(point), fresh.simulated(point), equal_nan=True)
@@ -99,7 +99,6 @@ def test_calibrations_are_tried_on_one_simulation(experiment_of, recorded, monke
     other[:] = 0.0
     assert np.any(experiment.simulated(Point(moved, {})) != 0.0)
     # Side by side as well: two calibrations of a model are one simulation, which is known by now.
-    monkeypatch.setattr(valve_driven, "predict_each", lambda _, models, *a: runs.extend(models) or EACH(_, models, *a))
     tried = [Point(moved, {"calibration.torque_zero": value}) for value in (0.1, 0.2)]
     assert len(experiment.residuals(tried)) == 2
     assert len(runs) == 1 + 3 + 1

@@ -56,7 +56,7 @@ def test_plain_and_far_models_have_the_same_bits(p0: np.ndarray) -> None:
     locked[par.LOCKED] = 1.0
     # Models of other structure go in groups of their own, one that is alone by itself.
     assert_same([*vectors, locked], inputs())
-    assert [len(group) for group in lanes.groups([*vectors, locked])] == [8, 4, 1]
+    assert [len(group) for group in lanes.groups([[p] for p in (*vectors, locked)])] == [8, 4, 1]
 
 
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=lambda effect: effect.name)
