@@ -38,7 +38,8 @@ Measure what the package costs on this machine.
             ROS 2): the round trip with, against that without, and what the page takes of a core; only by --only
 
   before    close_loop and identify against those of an earlier checkout (--before), over recordings (--cases):
-            processor time, and whether the verdicts are the same; only by --only
+            processor time, what close_loop does besides since 8e1972c apart, and whether the verdicts are the same;
+            only by --only
   growth    replay, identify and close_loop against the length of recordings (--minutes) and their number
             (--recordings): processor time and memory; only by --only, and takes an hour with the defaults
 

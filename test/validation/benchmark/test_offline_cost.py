@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from pam_antagonist.api.simulate import simulate
 from pam_antagonist.errors import BadInput
-from pam_antagonist.validation.benchmark import before, growth
+from pam_antagonist.validation.benchmark import added, before, growth
 from pam_antagonist.validation.benchmark import command as benchmark
 from pam_antagonist.validation.benchmark.spent import Spent, spent
 
@@ -52,13 +53,23 @@ def test_verdicts_and_times_of_two_checkouts_are_compared(tmp_path: Path, monkey
         return Spent(cpu_s=10.0 if checkout is None else 40.0, wall_s=5.0, peak_mb=100.0)
 
     monkeypatch.setattr(before, "spent", run)
+    monkeypatch.setattr(added, "parts", lambda bags, rig: {"splits": 1.0, "calibrations": 2.0})
     figures = {found.name: found for found in before.measure("shin2022", tmp_path / "earlier", tmp_path / "cases")}
-    assert set(figures) == {"close_loop_case_leak", "close_loop_nominal", "identify_nominal", "close_loop_all"}
+    cases = {"close_loop_case_leak", "close_loop_nominal", "identify_nominal"}
+    assert set(figures) == {*cases, "close_loop_all", "close_loop_same_work"}
     assert figures["close_loop_all"].value == 0.25
-    assert figures["close_loop_all"].parts == {"before_cpu_s": 80.0, "now_cpu_s": 20.0}
+    assert figures["close_loop_all"].parts == {"before_cpu_s": 80.0, "now_cpu_s": 20.0, "added_cpu_s": 6.0}
+    assert figures["close_loop_same_work"].value == 14.0 / 80.0
     assert figures["close_loop_case_leak"].meaning.endswith("verdict effect leak, was none")
     assert figures["close_loop_nominal"].meaning.endswith("verdict none")
     assert ran[:2] == [("close_loop", "case_leak", False), ("close_loop", "case_leak", True)], "both compile first"
+
+
+def test_parts_of_close_loop_are_told_apart() -> None:
+    recording = simulate("shin2022", profile="steps", duration=20.0, joint="locked", seed=1, mismatch=0.01)
+    found = added.parts([recording], "shin2022")
+    assert found["calibrations"] > 0.0
+    assert found["joints that stick"] == 0.0, "a joint that is held sticks all the time"
 
 
 def test_growth_is_the_exponent_between_the_smallest_and_the_largest() -> None:
