@@ -52,7 +52,9 @@ class DiagnoseResult(Diagnosis):
     @property
     def report(self) -> numbers.CloseLoopReport:
         """The numbers of ``report.json``."""
-        return numbers.report(self, self.start, self.hashes, self.seed, self.kept, self.typed)
+        return numbers.report(
+            self, self.start, self.hashes, self.seed, self.kept, self.typed, self.rig_files, self.no_common_rig
+        )
 
     @property
     def worse(self) -> tuple[str, ...]:

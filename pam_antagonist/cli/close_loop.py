@@ -133,15 +133,12 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     found.save(arguments.out, figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
     print(found.summary())
-    reason, rigs = found.no_common_rig, found.rig_files
-    if reason:
-        instead = f"; {', '.join(rigs)} have each recording's own values" if rigs else ""
-        print(f"\nno rig_extended.yaml: {reason}{instead}")
+    rigs = found.rig_files
     if not rigs:
         common.announce_report(arguments, arguments.out)
         return common.DONE
     given.announce_output(arguments, rigs[0])
-    bags = arguments.bags[:1] if reason else arguments.bags
+    bags = arguments.bags[:1] if found.no_common_rig else arguments.bags
     print(common.next_command("replay", bags, f"--rig {arguments.out / rigs[0]} --out DIR"))
     return common.DONE
 

@@ -23,6 +23,8 @@ from pam_antagonist.diagnosis.result import (
     Splits,
     Verdict,
 )
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.program import typed as typed_command
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report.assumption import assumption
 from pam_antagonist.rig import Rig
@@ -139,6 +141,7 @@ class CloseLoopReport:
         calibration: zeros, scales and late stamps that the recordings need; they are no effects.
         corrections: options to type for this calibration, with those that were typed already.
         assumption: the uncertainty that the configured rig claims; None of an identified one.
+        next_steps: what to do with the answer, in sentences.
     """
 
     verdict: Verdict
@@ -166,6 +169,7 @@ class CloseLoopReport:
     calibration: tuple[Calibration, ...] = ()
     corrections: tuple[str, ...] = ()
     assumption: str | None = None
+    next_steps: tuple[str, ...] = ()
 
     @property
     def driven(self) -> bool:
@@ -184,6 +188,8 @@ def report(
     seed: int,
     holdout: float | Sequence[str],
     typed: Corrections | None = None,
+    rig_files: Sequence[str] = (),
+    no_common_rig: str = "",
 ) -> CloseLoopReport:
     """The numbers of a diagnosis.
 
@@ -194,6 +200,8 @@ def report(
         seed: as asked.
         holdout: share of each recording that was held out, or names of the recordings that were.
         typed: corrections with which the recordings were read; default: none.
+        rig_files: names of the rig files that are written beside the report.
+        no_common_rig: why none of them is for all recordings; empty where one is.
     """
     further = found_calibrations.corrections({item.name: item.value for item in found.calibrations})
     return CloseLoopReport(
@@ -242,4 +250,36 @@ def report(
         software=versions(),
         splits=_least(found.effects),
         assumption=assumption(rig),
+        next_steps=next_steps(found, rig, rig_files, no_common_rig),
     )
+
+
+def next_steps(found: Diagnosis, rig: Rig, rig_files: Sequence[str], no_common_rig: str) -> tuple[str, ...]:
+    """What to do with a diagnosis, in sentences.
+
+    Args:
+        found: the diagnosis.
+        rig: as configured.
+        rig_files: names of the rig files that are written beside the report.
+        no_common_rig: why none of them is for all recordings; empty where one is.
+    """
+    out = []
+    if no_common_rig:
+        each = f" {', '.join(rig_files)} have each recording's own values." if rig_files else ""
+        out.append(f"There is no rig_extended.yaml, since {no_common_rig}.{each}")
+    rivals = [name for name in found.ambiguous_with if name in CATALOGUE]
+    if found.effects and rivals and not no_common_rig and rig.drive == "valve" and not rig.valves.sealed:
+        either = " and ".join(name.replace("_", " ") for name in (found.effects[0].name, *rivals))
+        out.append(
+            f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
+            "folder of this report designs the voltages."
+        )
+    if found.verdict == "effect":
+        instead = f", or go on with {rig_files[0]}, which every command and node takes" if rig_files else ""
+        out.append(f"Next: repair the joint and record again{instead}.")
+    elif found.verdict == "unexplained":
+        out.append(f"Next: keep the rig file of {rig.name}, and read when the rest appears and with what it goes.")
+    else:
+        also = "" if no_common_rig else "; rig_extended.yaml is the same, recalibrated by these recordings"
+        out.append(f"Next: nothing. Keep the rig file of {rig.name}{also}.")
+    return tuple(out)

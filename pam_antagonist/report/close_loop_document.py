@@ -61,12 +61,13 @@ def summary(report: CloseLoopReport) -> tuple[Block, ...]:
     notes = (*(Finding("warn", sentence(text)) for text in report.warnings), *unseen)
     return (
         Text(report.sentence),
-        *in_first_lines(report.assumption),
         Findings((*calibration_findings(report), *notes)),
+        *in_first_lines(report.assumption),
         errors_table(report),
         sizes_table(report),
         calibration_table(report),
         ranking_table(report),
+        Findings(_next_steps(report)),
     )
 
 
@@ -93,10 +94,10 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
     ]
     before_and_after = drawn.residuals(found) if with_figures else ()
     parts += [
+        Tiles(_tiles(report)),
+        Findings((*calibration_findings(report), *findings(report), *_next_steps(report))),
         *before_and_after[:1],
         *in_first_lines(report.assumption),
-        Tiles(_tiles(report)),
-        Findings((*calibration_findings(report), *findings(report))),
         errors_table(report),
     ]
     if before_and_after[1:]:
@@ -119,6 +120,10 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
     return Document("Closing the loop with measured data", title, tuple(parts))
 
 
+def _next_steps(report: CloseLoopReport) -> tuple[Finding, ...]:
+    return tuple(Finding("note", step) for step in report.next_steps)
+
+
 def _unseen(report: CloseLoopReport) -> tuple[Finding, ...]:
     return tuple(Finding("note", text) for text in report.unseen)
 
@@ -138,7 +143,7 @@ def errors_table(report: CloseLoopReport) -> Table:
             if errors.extended.sliding is not None:
                 out.values(f"    torque {name}, RMSE [N m]", values)
     else:
-        out.heading("Model alone, driven by what was commanded")
+        out.heading("Model alone, from what was commanded")
         _channel_rows(out, errors, ("angle", "torque"), largest=True)
     _pressure_rows(out, errors, report.driven)
     if report.driven and errors.extended.angle is not None:
@@ -232,7 +237,10 @@ def _tiles(report: CloseLoopReport) -> tuple[Tile, ...]:
         evidence = {effect.name: effect.delta_bic for effect in report.effects}
         out.append(Tile("Explained", percent(report.share_explained), "of the excess over noise on held-out data"))
         values = " and ".join(f"{value:.0f}" for value in evidence.values())
-        out.append(Tile(f"ΔBIC of {', '.join(evidence)}".replace("_", " "), values, "above 6 is strong"))
+        out.append(Tile(f"Evidence for {', '.join(evidence)}".replace("_", " "), values, "ΔBIC; above 6 is strong"))
+    if report.splits is not None:
+        agreeing = f"{report.splits.agree} of {report.splits.of}"
+        out.append(Tile("How sure", agreeing, "splits into fitted and held-out parts agree"))
     reference = (report.reference or {}).get("angle_and_pressures")
     for channel in CHANNELS:
         before, after = channel_of(errors, channel.name)

@@ -14,6 +14,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.write import write_rig
+from pam_antagonist.strict_json import plain
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +99,25 @@ def test_recordings_with_different_faults_get_a_rig_each(rig, leaking, tmp_path)
         "one rig for all recordings would be worse than shin2022 (pressure 1 1e+03 kPa"
     )
     assert "rig_extended.yaml" not in alike.rig_files
+
+
+def test_a_report_says_what_to_do_next(rig, leaking) -> None:
+    fields = {item.name: getattr(leaking, item.name) for item in dataclasses.fields(Diagnosis)}
+    fields |= {"ambiguous_with": [], "own": leaking.own[:1]}
+    found = DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
+    (repair,) = found.report.next_steps
+    assert repair.startswith("Next: repair the joint and record again, or go on with rig_extended.yaml,")
+    assert " ".join(found.summary().split()).endswith(repair)
+    assert plain(found.report)["next_steps"] == [repair]
+    undecided = dataclasses.replace(found, ambiguous_with=["valve_offset", "encoder_zero"])
+    decide, _ = undecided.report.next_steps
+    assert decide.startswith("Next: record once more, to decide between leak and valve offset.")
+    assert "--tell-apart" in decide
+    # A sealed joint has no valves that excite could move.
+    sealed = dataclasses.replace(undecided, start=load_rig("sealed_joint"))
+    assert all("--tell-apart" not in step for step in sealed.report.next_steps)
+    nothing = dataclasses.replace(found, verdict="unexplained", effects=())
+    assert nothing.report.next_steps[-1].startswith("Next: keep the rig file of shin2022")
 
 
 def test_what_a_locked_joint_cannot_show_is_said(leaking) -> None:

@@ -148,5 +148,5 @@ def test_a_part_that_is_not_explained_is_a_warning(report: CloseLoopReport) -> N
 
 def test_names_of_recordings_keep_their_first_letter(report: CloseLoopReport) -> None:
     shown = summary(replace(report, warnings=("lab/free: too short", "the noise is large")))
-    (warnings,) = [block for block in shown if isinstance(block, Findings)]
+    warnings, *_ = [block for block in shown if isinstance(block, Findings)]
     assert [item.text for item in warnings.items] == ["lab/free: too short.", "The noise is large."]
