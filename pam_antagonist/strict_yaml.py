@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import reprlib
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -198,35 +199,61 @@ def _first_complaint(error: ValidationError, schema: type[BaseModel]) -> str:
     """One line for the first thing that pydantic found wrong, typos first: they explain missing keys."""
     complaints = sorted(error.errors(), key=lambda item: "extra" not in str(item["type"]))
     first = complaints[0]
-    where = ".".join(str(part) for part in first["loc"])
-    if "extra" in str(first["type"]):
+    kind, loc = str(first["type"]), first["loc"]
+    # pydantic 2 adds which member of a union it tried; each member complains for itself.
+    tried = kind.split("_", maxsplit=1)[0]
+    if len(loc) > 1 and str(loc[-1]) == {"string": "str"}.get(tried, tried):
+        loc = loc[:-1]
+        complaints = [item for item in complaints if item is first or item["loc"][: len(loc)] != loc]
+    where = ".".join(str(part) for part in loc)
+    description = _description(loc, schema)
+    if kind == "invalid_key" or ("extra" in kind and not isinstance(loc[-1], str)):
+        text = f"{where}: expected a name and a value there; decimals are written after a point, as 1.5"
+    elif "extra" in kind:
         missing = [str(item["loc"][-1]) for item in complaints if "missing" in str(item["type"])]
-        close = difflib.get_close_matches(str(first["loc"][-1]), missing, 1, cutoff=0.5)
+        close = difflib.get_close_matches(str(loc[-1]), missing, 1, cutoff=0.5)
         text = f"unknown key {where!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
-    elif "missing" in str(first["type"]):
-        text = f"{where} is missing"
+    elif "missing" in kind:
+        text = f"{where} is missing" + (f": {description}" if description else "")
     else:
         value = f" (found {reprlib.repr(first['input'])[:80]})" if "input" in first else ""
-        text = f"{where}: {str(first['msg'])[:1].lower()}{str(first['msg'])[1:]}{value}"
-        description = _description(first["loc"], schema)
-        if description:
-            text += f"; it is {description}"
+        text = f"{where}: {_expected(first, loc, schema)}{value}"
+        text += f"; it is {description}" if description else ""
     more = len(complaints) - 1
     return text + (f"; and {more} more" if more else "")
 
 
+def _expected(complaint: Mapping[str, Any], location: tuple[Any, ...], schema: type[BaseModel]) -> str:
+    """What pydantic expected, in words that do not name its classes."""
+    kind, message = str(complaint["type"]), str(complaint["msg"])
+    if kind in ("model_type", "type_error.dict", "model_attributes_type"):
+        part = _at(location, schema)[0]
+        fields = getattr(part, "model_fields", None) or getattr(part, "__fields__", {})
+        return f"expected entries {', '.join(fields)}"
+    text = f"{message[:1].lower()}{message[1:]}"
+    # pydantic 1 does not say what it found.
+    if "float" in kind and re.fullmatch(r"[-+]?\d+,\d+", str(complaint.get("input", "0,0"))):
+        text += "; decimals are written after a point"
+    return text
+
+
 def _description(location: tuple[Any, ...], schema: type[BaseModel]) -> str:
     """What the schema says about the value at a location."""
+    return _at(location, schema)[1]
+
+
+def _at(location: tuple[Any, ...], schema: type[BaseModel]) -> tuple[Any, str]:
+    """The part of a schema at a location, and its description; empty where the schema has no such part."""
     node: Any = schema
     text = ""
     for part in location:
         fields = getattr(node, "model_fields", None) or getattr(node, "__fields__", {})
         field = fields.get(part)
         if field is None:
-            return ""
+            return None, ""
         info = getattr(field, "field_info", field)
         text = info.description or ""
         node = getattr(field, "annotation", None) or getattr(field, "outer_type_", None)
         # An optional part of a file is a union of its schema and None.
         node = next((part for part in get_args(node) if isinstance(part, type) and issubclass(part, BaseModel)), node)
-    return text
+    return node, text

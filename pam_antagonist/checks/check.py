@@ -172,13 +172,13 @@ def _still(recording: Recording, now: Corrections, rig: Rig) -> list[Finding]:
         still = _STILL_VOLTAGE if rig.drive == "valve" else _STILL_PRESSURE
         if not rig.valves.sealed and range_of(recording.voltage[:, muscle]) < still:
             what = "voltage of valve" if rig.drive == "valve" else "command of regulator"
-            out.append(Finding("doubtful", f"the {what} {muscle + 1} never changes: was it recorded"))
+            out.append(Finding("doubtful", f"the {what} {muscle + 1} never changes: was it recorded?"))
         if np.nanmax(recording.pressure[:, muscle]) == np.nanmin(recording.pressure[:, muscle]):
             text = f"pressure_{muscle + 1} has one value throughout: its sensor is not connected (sure)"
             out.append(Finding("wrong", text))
         elif range_of(recording.pressure[:, muscle]) < _STILL_PRESSURE / UNITS["pressure"][now.pressure_unit]:
             if now.pressure_unit == "Pa" and np.nanmax(np.abs(recording.pressure)) > 10 * _STILL_PRESSURE:
-                out.append(Finding("doubtful", f"pressure_{muscle + 1} hardly moves: is the muscle connected"))
+                out.append(Finding("doubtful", f"pressure_{muscle + 1} hardly moves: is the muscle connected?"))
     if recording.angle is None:
         out.append(Finding("untested", "no angle was measured: its sign, unit and zero are not tested"))
     if recording.torque is None and recording.external_torque is None:

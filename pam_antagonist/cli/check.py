@@ -70,6 +70,8 @@ def _main(argv: Sequence[str] | None) -> int:
         results[str(bag)] = check(recording, rig, arguments.joint, lock_angle)
         if arguments.json != "-":
             print(_text(bag, recording, rig, results[str(bag)]))
+    if arguments.json != "-" and (rests_on := next(iter(results.values())).assumption) is not None:
+        print(f"\n{terminal.render(in_first_lines(rests_on))}")
     if arguments.json != "-" and not any(checked.wrong for checked in results.values()):
         print(f"\n{common.next_command('replay', arguments.bags, f'--rig {arguments.rig} --out DIR')}")
     if arguments.json:
@@ -80,13 +82,11 @@ def _main(argv: Sequence[str] | None) -> int:
 
 def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> str:
     lines = [f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}"]
-    if checked.assumption is not None:
-        lines.append(terminal.render(in_first_lines(checked.assumption)))
     for finding in checked.findings:
         text = finding.text
         if finding.options:
             text += f". Type {' '.join(finding.options)}"
-        lines.append(terminal.marked(f"{text}.", _MARKS[finding.status]))
+        lines.append(terminal.marked(text if text.endswith("?") else f"{text}.", _MARKS[finding.status]))
     options = checked.corrections.options()
     if options:
         lines.append(f"With these options every command reads it corrected: {' '.join(options)}")

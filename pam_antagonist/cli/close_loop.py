@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import re
 import shlex
 import shutil
 import sys
@@ -77,6 +78,8 @@ def _held_out(text: str) -> float | Path:
     try:
         float(text)
     except ValueError:
+        if re.fullmatch(r"0?,\d+", text):
+            raise argparse.ArgumentTypeError(f"{text!r}: expected a share with a point, such as 0.3") from None
         return Path(text)
     return real(0.1, 0.5, "a share")(text)
 

@@ -148,7 +148,8 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
         effects = [str(effect["name"]) for effect in report["effects"]]
         rivals = [str(name) for name in report["ambiguous_with"] if name in CATALOGUE]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadInput(f"{folder}: expected a folder of close_loop with its report.json: {error}") from None
+        why = error.strerror if isinstance(error, OSError) else error
+        raise BadInput(f"{folder}: expected a folder of close_loop with its report.json: {why}") from None
     if not effects:
         raise BadInput(f"{folder}: close_loop found no effect there; expected one with ambiguous_with in report.json")
     if not rivals:

@@ -246,7 +246,10 @@ def _contradictions(found: CsvMap) -> Iterator[str]:
     pressures = {name: getattr(found, name) for name in ("pressure_1", "pressure_2", "command_1", "command_2")}
     gauges = [name for name, entry in pressures.items() if entry is not None and entry.reference == "gauge"]
     if gauges and found.atmosphere is None:
-        yield f"atmosphere is missing: {gauges[0]} is gauge pressure, and bags hold absolute pressure"
+        yield (
+            f"atmosphere is missing: {gauges[0]} is gauge pressure, and bags hold absolute pressure; write "
+            "atmosphere: {pressure: 101.325, unit: kPa}, or what a barometer shows"
+        )
     yield from _columns_twice(found)
     yield from _file_contradictions(found)
 

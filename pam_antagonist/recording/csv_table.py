@@ -217,6 +217,8 @@ class _Reader:
                 line = block[number]
                 other = other_delimiter(self.layout, line.text) if len(row) == 1 else ""
                 hint = f"; is the delimiter {other}?" if other else ""
+                if self.layout.delimiter == "," and len(row) == 2 * width:
+                    hint = "; commas stand before decimals and between cells: write the file with another delimiter"
                 expected = "as in the first row" if self.head.names is None else "as in the header"
                 raise BadInput(
                     f"{self.path}: line {line.number} has {len(row)} cells ({shown(line.text)}), expected {width} "

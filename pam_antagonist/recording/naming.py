@@ -72,6 +72,8 @@ def _renamed(topics: Mapping[str, str]) -> dict[str, str]:
     for name, actual in topics.items():
         topic = find_topic(name)
         if topic is None or topic.name not in READ_TOPICS:
+            if name.endswith(":") and name[:-1] in READ_TOPICS:
+                raise BadInput(f"topic name {name!r}: expected --topic {name[:-1]}=/NAME, without a colon")
             raise BadInput(f"topic name {name!r} is unknown, expected one of {', '.join(READ_TOPICS)}")
         renamed[topic.name] = actual if actual.startswith("/") else f"/{actual}"
     return renamed

@@ -21,6 +21,8 @@ CERTAIN = 0.01
 """p-value below which innovations are called not white."""
 FAINT = 0.1
 """Autocorrelation of innovations below which it is called small."""
+SHORTEST_S = 1.0
+"""[s] Shorter recordings hold too few independent errors to call a filter good or bad."""
 _ISSUES = 6
 
 DEFINITIONS = (
@@ -102,6 +104,9 @@ def overall_verdict(reports: Sequence[ReplayReport]) -> str:
 
 def findings(report: ReplayReport) -> tuple[Finding, ...]:
     """What a reader should take from the numbers of one recording."""
+    if report.duration_s < SHORTEST_S:
+        text = f"{report.duration_s:.3f} s is too short to judge the filter by; expected {SHORTEST_S:g} s or more."
+        return (Finding("warn", text), *_live(report), *_quality(report))
     known = judged(report)
     against = [_against_model(item) for item in known]
     return (*against, *_honesty(known), *_innovations(report), *_live(report), *_quality(report))

@@ -67,6 +67,8 @@ def test_the_page_needs_no_network(done: Path) -> None:
     ("arguments", "words"),
     [
         (["--holdout", "0.9"], ["--holdout", "0.1 to 0.5"]),
+        (["--holdout", "0,3"], ["--holdout", "such as 0.3"]),
+        (["--topic", "pressure_1:=/mine/p1"], ["--topic pressure_1=/NAME"]),
         (["--jobs", "0"], ["--jobs"]),
         (["--lock-angle", "3"], ["--lock-angle"]),
         (["--seed", "-1"], ["--seed"]),

@@ -43,14 +43,14 @@ class Lab:
         """Write the CSV file with commas."""
         return self.text(table(header, rows))
 
-    def entries(self, **changes: Mapping[str, Any] | None) -> Lab:
+    def entries(self, **changes: Any) -> Lab:
         """Write the map: entries are laid over those of ``MAP``, None removes one."""
         content = copy.deepcopy(MAP)
         for name, entry in changes.items():
             if entry is None:
                 content.pop(name, None)
             else:
-                content[name] = dict(entry)
+                content[name] = dict(entry) if isinstance(entry, Mapping) else entry
         self.map.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
         return self
 

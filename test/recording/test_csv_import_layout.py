@@ -137,6 +137,10 @@ def test_a_last_line_that_was_cut_off_is_left_out(lab: Lab) -> None:
         (NAMES, "fewer than two rows"),
         (NAMES + "0.0,300,500,5,5\n", "1 row of numbers, expected at least two"),
         (BODY, "line 1 should name the columns and holds numbers only (0.0,300,500,4.5,5.5)"),
+        (
+            NAMES + "0,00,300,0,500,0,4,5,5,5\n" * 2,
+            "expected 5 as in the header; commas stand before decimals and between cells",
+        ),
         (NAMES + BODY + "0.04,340\n0.05,340,460,5,5\n", "line 6 has 2 cells (0.04,340), expected 5 as in the header"),
         (NAMES + BODY + "0.04,340,460,5,5,7\n", "line 6 has 6 cells"),
         (NAMES + BODY + "0.04,340,460\n", "line 6 has 3 cells"),

@@ -31,9 +31,28 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "no time": ({"time": None}, "time is missing"),
     "a typo": ({"presure_1": gauge(), "pressure_1": None}, "unknown key 'presure_1' (did you mean 'pressure_1'?)"),
     "an unknown key": ({"angle": {"column": "a", "unit": "deg", "sign": -1}}, "unknown key 'angle.sign'"),
-    "no reference": ({"pressure_1": {"column": "p1", "unit": "kPa"}}, "pressure_1.reference is missing"),
+    "no reference": (
+        {"pressure_1": {"column": "p1", "unit": "kPa"}},
+        "reference is missing: whether 0 is the atmosphere",
+    ),
     "another reference": ({"pressure_1": gauge(reference="relative")}, "pressure_1.reference: "),
-    "gauge without an atmosphere": ({"pressure_1": gauge()}, "atmosphere is missing: pressure_1 is gauge pressure"),
+    "gauge without an atmosphere": (
+        {"pressure_1": gauge()},
+        "pressure_1 is gauge pressure, and bags hold absolute pressure; write atmosphere: {pressure",
+    ),
+    "a number for an atmosphere": (
+        {"atmosphere": 101325.0},
+        "atmosphere: expected entries pressure, unit (found 101325",
+    ),
+    "entries for a name": ({"episode": {"column": "trial"}}, "episode: "),
+    "a decimal comma": (
+        {"angle": {"column": "a", "unit": "deg", "scale": "1,5"}},
+        "decimals are written after a point",
+    ),
+    "a decimal comma in braces": (
+        {"angle": {"column": "a", "unit": "deg", "scale": 1, 5: None}},
+        "written after a point",
+    ),
     "an atmosphere in kPa as bar": (
         {"atmosphere": {"pressure": 101.325, "unit": "bar"}},
         "atmosphere.pressure is 101.325 bar = 1.01325e+07 Pa, expected 50000 to 120000 Pa absolute",

@@ -52,6 +52,12 @@ def test_verdict(report: ReplayReport) -> None:
     assert verdict(report) == f"From the two pressures alone, {known}"
 
 
+def test_a_filter_is_not_judged_by_a_few_samples(report: ReplayReport) -> None:
+    short = replace(report, samples=3, duration_s=0.002)
+    assert said(short, "warn") == "0.002 s is too short to judge the filter by; expected 1 s or more."
+    assert not said(short, "good") and said(report, "good")
+
+
 def test_an_interval_ten_times_the_error_is_called_wide(report: ReplayReport) -> None:
     def with_angle(coverage: float, width: float) -> ReplayReport:
         return replace(report, ukf=replace(report.ukf, angle=replace(ANGLE, coverage95=coverage, width=width)))
