@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from pam_antagonist.model import equilibrium, lanes, sensor
 from pam_antagonist.model import parameters as par
 
 Floats = NDArray[np.float64]
+_Result = TypeVar("_Result")
 Course = tuple[Floats, Floats]
 """States (N, n) and torques (N,) [N m]."""
 
@@ -126,20 +127,25 @@ def predict(trial: Trial, model: Run, start: Start) -> Floats:
     Returns:
         What the sensors would show (N, 4), in the order of ``trial.CHANNELS``.
     """
-    return predict_each(trial, [model], start, 1)[0]
+    return predict_each(trial, [model], start, 1, lambda _, shown: shown)[0]
 
 
-def predict_each(trial: Trial, models: Sequence[Run], start: Start, jobs: int) -> list[Floats]:
+def predict_each(
+    trial: Trial, models: Sequence[Run], start: Start, jobs: int, made: Callable[[int, Floats], _Result]
+) -> list[_Result]:
     """:func:`predict` of many models, side by side: for the same result, eight take little longer than one.
+
+    Of a long recording, no more than what is made of eight at a time is held.
 
     Args:
         trial: its voltages are used.
         models: the models.
         start: what the sensors showed first.
         jobs: threads.
+        made: is called with the number of a model, and with what the sensors would show (N, 4).
 
     Returns:
-        What the sensors would show (N, 4) by each model.
+        What is made of each.
     """
     alike: dict[tuple[float, ...], list[int]] = {}
     for k, model in enumerate(models):
@@ -150,13 +156,13 @@ def predict_each(trial: Trial, models: Sequence[Run], start: Start, jobs: int) -
         for group in lanes.groups([[models[k].parameters, *(one.parameters for one in models[k].later)] for k in some])
     ]
 
-    def together(these: Sequence[int]) -> list[Floats]:
-        group = [models[k] for k in these]
-        return [_shown(trial, *pair) for pair in zip(group, courses(trial, group, start), strict=True)]
+    def together(these: Sequence[int]) -> list[_Result]:
+        there = courses(trial, [models[k] for k in these], start)
+        return [made(k, _shown(trial, models[k], there.pop(0))) for k in these]
 
     results = side_by_side(together, groups, jobs)
-    shown = dict(zip(itertools.chain.from_iterable(groups), itertools.chain.from_iterable(results), strict=True))
-    return [shown[k] for k in range(len(models))]
+    found = dict(zip(itertools.chain.from_iterable(groups), itertools.chain.from_iterable(results), strict=True))
+    return [found[k] for k in range(len(models))]
 
 
 def _shown(trial: Trial, model: Run, course: Course) -> Floats:

@@ -175,8 +175,11 @@ class JointProblem:
         experiment, trial = self.experiments[index], self.trials[index]
         stride, count = round(steps.dt / trial.dt), len(trial) // trial.block
         runs = [self._run(part, index) for part in local]
-        predicted = predict_each(steps, runs, experiment.first, self.jobs)
-        return [stride_blocks(values, stride, count, trial.block) for values in predicted]
+
+        def means(_: int, shown: Floats) -> Floats:
+            return stride_blocks(shown, stride, count, trial.block)
+
+        return predict_each(steps, runs, experiment.first, self.jobs, means)
 
     def _in_longest_steps(self, local: Floats, index: int) -> Trial:
         """A trial in the longest steps in which the model goes its way."""

@@ -7,7 +7,7 @@ The model runs by itself from the first sample on, effects and sensors included.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -150,26 +150,36 @@ class ValveDriven(Experiment):
 
     def _shown(self, trial: Trial, point: Point) -> Floats:
         """What the sensors would show (N, 4), calibrations included, in the steps of a trial."""
-        return self._shown_each(trial, [point])[0]
+        return self._made_of_each(trial, [point], np.copy)[0]
 
-    def _shown_each(self, trial: Trial, points: Sequence[Point]) -> list[Floats]:
-        """:meth:`_shown` of several models."""
+    def _made_of_each(self, trial: Trial, points: Sequence[Point], made: Callable[[Floats], Floats]) -> list[Floats]:
+        """What is made of :meth:`_shown` of several models."""
         models = [self._run(point) for point in points]
         # Calibrations change what is shown, and not what the model does: one simulation serves for all that are tried.
+        alike: dict[Key, list[int]] = {}
+        for k, model in enumerate(models):
+            alike.setdefault(model.key, []).append(k)
+
+        def of_all(key: Key, exact: Floats) -> dict[int, Floats]:
+            values = {k: calibration.values_of(points[k].effects) for k in alike[key]}
+            return {k: made(calibration.readings(exact, trial.dt, values[k])) for k in alike[key]}
+
         recent = self._recent.get("runs", ())
-        known = {key: exact.copy() for of, key, exact in recent if of is trial}
-        new = {model.key: model for model in models if model.key not in known}
-        found = dict(zip(new, predict_each(trial, list(new.values()), self.first, self.jobs), strict=True))
-        if len(models) == 1:
-            # One alone is kept: what a step is tried at may be where the next derivatives are taken.
-            # Put in place as a whole: other threads see the former runs or these.
-            kept = ((trial, key, exact.copy()) for key, exact in found.items())
-            self._recent["runs"] = (*kept, *recent)[:_RECENT]
-        known |= found
-        return [
-            calibration.readings(known[model.key], trial.dt, calibration.values_of(point.effects))
-            for model, point in zip(models, points, strict=True)
-        ]
+        known = {key: exact for of, key, exact in recent if of is trial and key in alike}
+        new = [key for key in alike if key not in known]
+
+        def simulated(number: int, exact: Floats) -> dict[int, Floats]:
+            if len(models) == 1:
+                # One alone is kept: what a step is tried at may be where the next derivatives are taken.
+                # Put in place as a whole: other threads see the former runs or these.
+                self._recent["runs"] = ((trial, new[number], exact), *recent)[:_RECENT]
+            return of_all(new[number], exact)
+
+        runs = [models[alike[key][0]] for key in new]
+        found = [of_all(key, exact) for key, exact in known.items()]
+        found += predict_each(trial, runs, self.first, self.jobs, simulated)
+        each = {k: values for some in found for k, values in some.items()}
+        return [each[k] for k in range(len(models))]
 
     @cached_property
     def _recent(self) -> dict[str, tuple[tuple[Trial, Key, Floats], ...]]:
@@ -210,7 +220,7 @@ class ValveDriven(Experiment):
         in_fine = [fine(there) for there in points]
         exact = iter(self.residuals(there for there, as_it_is in zip(points, in_fine, strict=True) if as_it_is))
         others = [there for there, as_it_is in zip(points, in_fine, strict=True) if not as_it_is]
-        approximate = (self._coarse_means(values, coarse) for values in self._shown_each(coarse, others))
+        approximate = iter(self._made_of_each(coarse, others, lambda shown: self._coarse_means(shown, coarse)))
         return [next(exact) - residual if as_it_is else next(approximate) - here for as_it_is in in_fine]
 
     def residuals(self, points: Iterable[Point]) -> list[Floats]:
@@ -219,9 +229,12 @@ class ValveDriven(Experiment):
         Args:
             points: the models.
         """
-        shown = self._shown_each(self._part, list(points))
         channels = list(self.channels)
-        return [self.fitted_rows(self.residual_of(self.trial.blocks(values[:, channels]))) for values in shown]
+
+        def left(shown: Floats) -> Floats:
+            return self.fitted_rows(self.residual_of(self.trial.blocks(shown[:, channels])))
+
+        return self._made_of_each(self._part, list(points), left)
 
     def _coarsest(self, point: Point, residual: Floats) -> tuple[Trial, Floats]:
         """The part that is fitted in the longest steps in which the model goes its way at a point; its residual."""
