@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+from numpy.lib.recfunctions import repack_fields
 
 from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays import Replay, after, replay
-from pam_antagonist.replays.result import Innovation, JointFacts
+from pam_antagonist.replays.result import Innovation, JointFacts, ReplayReport
 from pam_antagonist.report.channels import ANGLE, CHANNELS, Channel
 from pam_antagonist.report.channels import judged as judged_channels
 from pam_antagonist.report.table import Comparison, Table, percent
@@ -28,14 +30,16 @@ class Judged:
     Attributes:
         name: of the recording.
         from_s: where the held-out part begins [s].
-        whole: replays of the whole recording by name of the rig; ``own`` only where there are several recordings.
-        held: the same, judged on the held-out part alone.
+        whole: replays of the whole recording by name of the rig; ``own`` only where there are several recordings. Of
+            all but the identified rig, angle and torque alone are kept: what a filter says of a long recording fills
+            the memory.
+        held: what they come to on the held-out part alone.
     """
 
     name: str
     from_s: float
     whole: Mapping[str, Replay]
-    held: Mapping[str, Replay]
+    held: Mapping[str, ReplayReport]
 
 
 def judge(
@@ -57,9 +61,19 @@ def judge(
         if progress:
             progress(f"held-out part of {name}")
         angle = state.lock_angle if state.condition == "locked" else None
-        whole = {key: replay(recording, rig, "default", state.condition, angle) for key, rig in compared.items()}
-        out.append(Judged(name, begin, whole, {key: after(item, begin) for key, item in whole.items()}))
+        whole, held = {}, {}
+        for key, rig in compared.items():
+            item = replay(recording, rig, "default", state.condition, angle)
+            held[key] = after(item, begin).report
+            whole[key] = item if key == "identified" else _lean(item)
+        out.append(Judged(name, begin, whole, held))
     return out
+
+
+def _lean(item: Replay) -> Replay:
+    """A replay of whose estimates only angle and torque are kept."""
+    rows = repack_fields(item.run.rows[["angle", "torque"]])
+    return replace(item, run=replace(item.run, rows=rows, added={}))
 
 
 @dataclass(frozen=True)
@@ -81,9 +95,8 @@ class HeldOutFigures:
     innovation: Innovation
 
     @classmethod
-    def of(cls, item: Replay) -> HeldOutFigures:
-        """The figures of a replay."""
-        report = item.report
+    def of(cls, report: ReplayReport) -> HeldOutFigures:
+        """The figures of a replay's report."""
         return cls(report.samples, report.duration_s, report.ukf, report.model_alone, report.innovation)
 
 
@@ -114,7 +127,7 @@ class HeldOut:
         return cls(
             item.name,
             item.from_s,
-            item.held["identified"].report.joint,
+            item.held["identified"].joint,
             HeldOutFigures.of(item.held["as_configured"]),
             HeldOutFigures.of(item.held["identified"]),
             None if own is None else HeldOutFigures.of(own),
@@ -142,7 +155,7 @@ def pooled_coverage(judged: Sequence[Judged], rig: str = "identified") -> float:
         judged: of :func:`judge`.
         rig: ``identified``, or ``own`` for each recording's own values.
     """
-    reports = [item.held[rig].report for item in judged if rig in item.held]
+    reports = [item.held[rig] for item in judged if rig in item.held]
     shares = [item.coverage for report in reports for item in judged_channels(report)]
     return sum(shares) / len(shares) if shares else math.nan
 
