@@ -66,6 +66,10 @@ ESTIMATE_SHAPES: Mapping[str, tuple[int, ...]] = MappingProxyType(
 """Fields of JointEstimate beside its times -> shape of one sample."""
 
 
+_ROUNDING = 1.0
+"""[Pa] By so much a measured pressure may differ from a command that was logged in its place."""
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedEstimate:
     """The estimator's output (M samples), named as in ``pam_antagonist_msgs/msg/JointEstimate``.
@@ -246,6 +250,15 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
+
+    @property
+    def logged_commands(self) -> tuple[int, ...]:
+        """Columns of the pressures that are what a regulator was asked for, sample by sample, and no measurement."""
+        if self.drive == "valve":
+            return ()
+        apart = np.abs(self.pressure - self.voltage)
+        moves = np.ptp(self.voltage, axis=0) > 0.0
+        return tuple(k for k in (0, 1) if moves[k] and np.nanmax(apart[:, k]) <= _ROUNDING)
 
     def driven_by(self, drive: str) -> Recording:
         """This recording, if that is what drove its joint.

@@ -74,7 +74,10 @@ def resets(recording: Recording) -> Resets | None:
     if recording.episode_ns is not None:
         joined[np.searchsorted(recording.stamp_ns, recording.episode_ns[1:]) - 1] = False
     signals = [("the measured angle", recording.angle, _LEAST_ANGLE, _LONGEST_ANGLE_ROW)]
-    signals += [(f"pressure_{k + 1}", recording.pressure[:, k], _LEAST_PRESSURE, _LONGEST_PRESSURE_ROW) for k in (0, 1)]
+    measured = [k for k in (0, 1) if k not in recording.logged_commands]
+    signals += [
+        (f"pressure_{k + 1}", recording.pressure[:, k], _LEAST_PRESSURE, _LONGEST_PRESSURE_ROW) for k in measured
+    ]
     for name, values, least, longest in signals:
         if values is None or period > longest:
             continue
