@@ -47,3 +47,16 @@ def test_pipeline_has_the_five_steps_in_this_order() -> None:
     body = source.split("def diagnose(")[1].split("\ndef ")[0]
     places = [body.index(f"{step}(") for step in ("prepare", "recalibrated", "select", "judge", "describe")]
     assert places == sorted(places)
+
+
+def test_the_docstring_of_the_diagnosis_names_all_of_its_modules() -> None:
+    folder = ROOT / "pam_antagonist" / "diagnosis"
+    named = set(re.findall(r":mod:`(\w+)`", (folder / "__init__.py").read_text(encoding="utf-8")))
+    assert named == {path.stem for path in folder.glob("*.py")} - {"__init__"}
+
+
+def test_each_folder_of_the_table_says_where_to_begin() -> None:
+    table = pages.read(PAGE).split("## What is where")[1].split("\n\n")[1]
+    for row in table.splitlines()[2:]:
+        first, _, begin = (cell.strip() for cell in row.strip("|").split("|"))
+        assert not begin or begin.startswith("[`"), f"{first}: {begin}"
