@@ -8,10 +8,13 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pam_antagonist.api import episodes
+from pam_antagonist.api.episodes import EpisodesDiagnoseResult
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig, corrections
 from pam_antagonist.diagnosis import Diagnosis, found_calibrations
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.recording import bag_name, recording_hash
@@ -177,11 +180,14 @@ def diagnose(
     profiles: bool = True,
     estimator: bool = True,
     store: Checkpoint | None = None,
-) -> DiagnoseResult:
+    also: Sequence[str] = (),
+) -> DiagnoseResult | EpisodesDiagnoseResult:
     """Trace what a rig's model lacks to a physical effect, as ``close_loop`` does.
 
     Args:
-        recordings: of one rig; a free and a locked one show most. Of a sealed rig, its joint driven to and fro.
+        recordings: of one rig; a free and a locked one show most. Of a sealed rig, its joint driven to and fro. Of a
+            joint with pressure regulators also one of many short episodes, of which whole ones are held out; then
+            joint, lock_angle, seed, profiles, estimator and store play no part.
         rig: as configured: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
         lock_angle: of a locked joint [rad], where it is known.
@@ -193,9 +199,10 @@ def diagnose(
         profiles: False leaves out profile likelihoods, which saves time.
         estimator: False leaves out the estimator before and after, which saves time.
         store: keeps finished candidates; default: nowhere.
+        also: further signals of episodes that may be causes, such as another joint's pressures.
 
     Returns:
-        The verdict and everything behind it.
+        The verdict and everything behind it; of episodes a result of its own kind.
 
     Raises:
         BadInput: recordings from which nothing can be learned.
@@ -208,7 +215,11 @@ def diagnose(
         ('effect', 'leak', 1)
     """
     chosen = as_rig(rig, regulators=True)
-    fitted, kept = as_recordings(recordings, chosen), as_recordings(held_out, chosen)
+    fitted, kept = (as_recordings(given, chosen, also) for given in (recordings, held_out))
+    if episodes.are_given((*fitted, *kept), chosen):
+        return episodes.diagnosed(fitted, kept, chosen, also, holdout, jobs, progress)
+    if also:
+        raise BadInput("also: expected a recording of many episodes of a joint with pressure regulators")
     for recording in (*fitted, *kept):
         recording.driven_by(chosen.drive).in_one_piece()
     found = _diagnose(

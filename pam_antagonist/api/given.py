@@ -36,24 +36,26 @@ def calibration(rig: Rig) -> Corrections:
     return Corrections(**dict(rig.calibration))
 
 
-def as_recording(bag: Bag, rig: Rig) -> Recording:
+def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
     """The recording itself; a bag is read with the calibration of its rig.
 
     Args:
         bag: or its bag.
         rig: of the recording.
+        also: further signals that it has to hold.
     """
-    return bag if isinstance(bag, _Recording) else read_bag(bag, corrections=calibration(rig))
+    return bag if isinstance(bag, _Recording) else read_bag(bag, corrections=calibration(rig), also=also)
 
 
-def as_recordings(bags: Bag | Sequence[Bag], rig: Rig) -> list[Recording]:
+def as_recordings(bags: Bag | Sequence[Bag], rig: Rig, also: Sequence[str] = ()) -> list[Recording]:
     """Recordings, one by one; bags are read with the calibration of their rig.
 
     Args:
         bags: one or several.
         rig: of the recordings.
+        also: further signals that each has to hold.
     """
-    return [as_recording(bag, rig) for bag in _several(bags)]
+    return [as_recording(bag, rig, also) for bag in _several(bags)]
 
 
 def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pam_antagonist.api import episodes
+from pam_antagonist.api.episodes import EpisodesIdentifyResult
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.errors import BadInput
@@ -138,11 +140,13 @@ def identify(
     seed: int = 0,
     jobs: int = 2,
     progress: Callable[[str], None] | None = None,
-) -> IdentifyResult:
+) -> IdentifyResult | EpisodesIdentifyResult:
     """Identify a rig: parameters with error bars, sensor noise, filter tuning.
 
     Args:
-        recordings: of a joint that moves, and of one that is held, with angle and torque measured where you can.
+        recordings: of a joint that moves, and of one that is held, with angle and torque measured where you can. Or,
+            of a joint with pressure regulators, one of many short episodes, of which whole ones are held out; then
+            joint, lock_angle, starts and seed play no part.
         rig: start values, priors and bounds: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
         lock_angle: of a locked joint [rad], where it is known.
@@ -155,7 +159,7 @@ def identify(
         progress: is called with what is being done.
 
     Returns:
-        The identified rig and everything behind it.
+        The identified rig and everything behind it; of episodes a result of its own kind.
 
     Raises:
         BadInput: recordings from which nothing can be learned, or that are not of one rig.
@@ -168,13 +172,16 @@ def identify(
         7.1
     """
     chosen = as_rig(rig, regulators=True)
+    given = as_recordings(recordings, chosen)
+    if episodes.are_given(given, chosen):
+        return episodes.identified(given, chosen, [*free, *freeze], holdout, jobs, progress)
     read = [
         (
             recording.driven_by(chosen.drive).in_one_piece(),
             joint_condition(recording, joint, lock_angle),
             bag_name(recording.path),
         )  # fmt: skip
-        for recording in as_recordings(recordings, chosen)
+        for recording in given
     ]
     if chosen.valves.sealed:
         return _sealed(read, chosen, holdout, seed, progress, [*free, *freeze])

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from pam_antagonist import __version__
+from pam_antagonist.api import episodes
 from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
-from pam_antagonist.cli import close_loop_episodes, cluster, common
+from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.first_start import FITS, compile_first
 from pam_antagonist.cli.numbers import JOBS, SEED, real
-from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, planned
+from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, planned, said_by
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
@@ -105,8 +106,8 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
     recordings = given.read(arguments, rig, bags) if rig.drive == "regulator" else []
-    if any(recording.episode_ns is not None or recording.drive == "valve" for recording in recordings):
-        return close_loop_episodes.run(arguments, rig, share, recordings)
+    if episodes.are_given(recordings, rig):
+        return _of_episodes(arguments, rig, share, recordings)
     if arguments.also:
         raise BadInput(
             "--also: expected a recording of many episodes (import_csv: episode), whose pressures were measured"
@@ -143,6 +144,19 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     given.announce_output(arguments, rigs[0])
     bags = arguments.bags[:1] if found.no_common_rig else arguments.bags
     print(common.next_command("replay", bags, f"--rig {arguments.out / rigs[0]} --out DIR"))
+    return common.DONE
+
+
+def _of_episodes(arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording]) -> int:
+    """Diagnose a joint with pressure regulators in many short episodes."""
+    cluster.refuse_for_episodes(arguments.dask)
+    found = diagnose(
+        recordings[: len(arguments.bags)], rig, holdout=share, held_out=recordings[len(arguments.bags) :],
+        jobs=arguments.jobs, progress=said_by("close_loop"), also=arguments.also,
+    )  # fmt: skip
+    found.save(arguments.out, figures=not arguments.no_figures)
+    print(found.summary())
+    given.announce_output(arguments, "rig_extended.yaml")
     return common.DONE
 
 
@@ -188,10 +202,12 @@ def _diagnosed(
 ) -> DiagnoseResult:
     plan = SEALED_CLOSE_LOOP if rig.valves.sealed else CLOSE_LOOP
     with planned("close_loop", [*fitted, *held_out], plan) as progress:
-        return diagnose(
+        found = diagnose(
             fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=held_out,
             jobs=arguments.jobs, seed=arguments.seed, progress=progress, store=store,
         )  # fmt: skip
+    assert isinstance(found, DiagnoseResult)
+    return found
 
 
 if __name__ == "__main__":

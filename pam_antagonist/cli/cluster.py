@@ -29,6 +29,19 @@ def add_dask(parser: argparse.ArgumentParser, work: str = "fit") -> None:
     )  # fmt: skip
 
 
+def refuse_for_episodes(address: str | None) -> None:
+    """Say that episodes are fitted here.
+
+    Args:
+        address: of a scheduler, or None.
+
+    Raises:
+        BadInput: an address.
+    """
+    if address is not None:
+        raise BadInput("--dask: episodes are fitted on this machine; leave it out")
+
+
 @contextmanager
 def connected(address: str | None) -> Iterator[None]:
     """Everything inside that runs in parallel by joblib does so on the workers of a scheduler.

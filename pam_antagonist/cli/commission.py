@@ -315,10 +315,12 @@ class Commission:
         return [self._out / step["bag"] for step in self._steps.values() if "bag" in step]
 
     def _identify(self) -> dict[str, Any]:
+        from pam_antagonist.api.episodes import EpisodesIdentifyResult
         from pam_antagonist.api.identify import identify
 
         try:
             result = identify(self._bags(), self._rig, seed=self._arguments.seed)
+            assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
         except BadInput as error:
             # An effect that acts on the free joint only lets both recordings look like two joints.
             return {"said": f"left to close_loop, since the model does not fit: {error}"}
@@ -330,8 +332,10 @@ class Commission:
 
     def _diagnosed(self, name: str) -> dict[str, Any]:
         from pam_antagonist.api.diagnose import diagnose
+        from pam_antagonist.api.episodes import EpisodesDiagnoseResult
 
         result = diagnose(self._bags(), self._rig, seed=self._arguments.seed)
+        assert not isinstance(result, EpisodesDiagnoseResult), "recorded in one piece"
         result.save(self._again(name), figures=False)
         return {
             "said": result.sentence,

@@ -6,15 +6,17 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from pam_antagonist.api import episodes
 from pam_antagonist.api.identify import identify
-from pam_antagonist.cli import cluster, common, identify_episodes
+from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.first_start import FITS, compile_first
 from pam_antagonist.cli.numbers import JOBS, SEED, real, whole
-from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, planned
+from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, planned, said_by
 from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording
 from pam_antagonist.report import terminal
-from pam_antagonist.rig import load_rig
+from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
 Identify a rig from its recordings: parameters with error bars, sensor noise, filter tuning.
@@ -82,8 +84,8 @@ def _run(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name):
             raise BadInput(f"--{name}: the parameters of a sealed joint that can be identified are fixed; leave it out")
     recordings = given.read(arguments, rig)
-    if rig.drive == "regulator" and any(recording.episode_ns is not None for recording in recordings):
-        return identify_episodes.run(arguments, rig, recordings)
+    if episodes.are_given(recordings, rig):
+        return _of_episodes(arguments, rig, recordings)
     damage = given.damage(arguments, recordings)
     if damage:
         print(terminal.warnings(damage))
@@ -98,6 +100,22 @@ def _run(arguments: argparse.Namespace) -> int:
     print(found.summary())
     given.announce_output(arguments)
     print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
+    return common.DONE
+
+
+def _of_episodes(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[Recording]) -> int:
+    """Identify a joint with pressure regulators from many short episodes."""
+    cluster.refuse_for_episodes(arguments.dask)
+    for name in ("free", "freeze"):
+        if getattr(arguments, name):
+            raise BadInput(f"--{name}: what episodes tell of a joint is fixed; leave it out")
+    found = identify(
+        recordings, rig, holdout=arguments.holdout, jobs=arguments.jobs, progress=said_by("identify")
+    )  # fmt: skip
+    found.save(arguments.out, figures=not arguments.no_figures)
+    print(found.summary())
+    given.announce_output(arguments)
+    print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE
 
 

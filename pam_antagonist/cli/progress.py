@@ -321,6 +321,15 @@ def planned(what: str, recordings: Sequence[Recording], plan: Plan) -> Iterator[
         yield report
 
 
+def said_by(what: str) -> Callable[[str], None]:
+    """Says each thing that is being done in a line, for work whose time nobody knows.
+
+    Args:
+        what: is done.
+    """
+    return lambda text: print(f"{what}: {text}", file=sys.stderr, flush=True)
+
+
 def _how_long(count: int, seconds: float, plan: Plan, slower: float) -> str:
     """The time that a command takes for recordings of so many seconds, where it is `slower` than on idle cores."""
     one = "1 recording" if count == 1 else f"{count} recordings"

@@ -94,6 +94,7 @@ class EpisodeDiagnosis:
             with the names of both: the one, and the one whose place it takes.
         ratio: squared error of the extended model on interleaved episodes by that of the model with Coulomb friction
             alone; None where that is not known.
+        left: squared error of the extended model over what the noise of the readings alone would leave.
     """
 
     effects: tuple[str, ...]
@@ -108,6 +109,7 @@ class EpisodeDiagnosis:
     lines: Row
     others: tuple[tuple[str, str, Row], ...] = ()
     ratio: Interval | None = None
+    left: Interval | None = None
 
 
 @one_blas_thread
@@ -127,7 +129,8 @@ def diagnose(
     held = held_out(len(joint), 0.0 if later is not None else share)
     unseen = joint.take(held.later) if later is None else replace(later, usual=joint.usual)
     progress("base parameters")
-    base, model, tried, replaced = search(joint, held.pool, progress)
+    searched = search(joint, held.pool, progress)
+    base, model, tried, replaced = searched.base, searched.model, searched.tried, searched.replaced
     coulomb = _with(base, joint.candidates({}).get("friction", ()), {})
     models = {"mechanics with viscous friction": base}
     if coulomb is not None:
@@ -161,16 +164,32 @@ def diagnose(
     return EpisodeDiagnosis(
         tuple(item.name for item in tried if item.taken), tried, tuple(rows), fitted, intervals(recent, fitted),
         window, forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), drifting, tuple(others),
-        compared,
+        compared, searched.left,
     )  # fmt: skip
 
 
-def search(
-    joint: PressureDriven, pool: Indices, progress: Callable[[str], None]
-) -> tuple[PressureModel, PressureModel, tuple[Tried, ...], dict[tuple[str, str], PressureModel]]:
-    """The base model, the extended one, all that was tried, and the extended one with an effect that is not told apart.
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """What a search for effects found.
 
-    Of the latter there is one for each effect that may remove as much as one that was taken, by both their names.
+    Attributes:
+        base: the model without any.
+        model: the extended one.
+        tried: all that were tried, by rounds.
+        replaced: the extended one with an effect that may remove as much as one that was taken in its place, by both
+            their names.
+        left: squared error of the extended model over what the noise of the readings alone would leave.
+    """
+
+    base: PressureModel
+    model: PressureModel
+    tried: tuple[Tried, ...]
+    replaced: Mapping[tuple[str, str], PressureModel]
+    left: Interval
+
+
+def search(joint: PressureDriven, pool: Indices, progress: Callable[[str], None]) -> Searched:
+    """Add effects to the base model, one in each round, as long as something is left that is not noise.
 
     Args:
         joint: the episodes.
@@ -196,7 +215,10 @@ def search(
             after = judged.squares(judged.residual(refitted)).sums
             removed = ratio(before - after, before, len(offered))
             found.append((Tried(name, number, score, removed), refitted))
-        near = _best(judged, found, float(before.sum()), whole)
+        left = ratio(before, _of_noise(fitted, judged, model))
+        near = []
+        if left.low > thresholds.EPISODES_ABOVE_NOISE:
+            near = _best(judged, joint.take(thinned(pool, _FITTED)), found, float(before.sum()), whole)
         best = near[0][0] if near else None
         tried += [replace(item, taken=item is best) for item, _ in found]
         if best is None:
@@ -207,7 +229,7 @@ def search(
     replaced = {
         names: _exchanged(model, taken, other) for names, (taken, other) in rivals.items() if names[0] not in also
     }
-    return base, model, tuple(tried), replaced
+    return Searched(base, model, tuple(tried), replaced, left)
 
 
 def _exchanged(model: PressureModel, taken: PressureModel, other: PressureModel) -> PressureModel:
@@ -218,12 +240,17 @@ def _exchanged(model: PressureModel, taken: PressureModel, other: PressureModel)
 
 
 def _best(
-    judged: PressureDriven, found: Sequence[tuple[Tried, PressureModel | None]], left: float, whole: float
+    judged: PressureDriven,
+    both: PressureDriven,
+    found: Sequence[tuple[Tried, PressureModel | None]],
+    left: float,
+    whole: float,
 ) -> list[tuple[Tried, PressureModel]]:
     """Effects that may remove as much as the best one, with the fewest numbers first; none that is worth it: none.
 
     Args:
         judged: episodes that decide.
+        both: these and those that were fitted.
         found: effects, those that were fitted with their models.
         left: squared error before them.
         whole: squared error without any effect.
@@ -234,6 +261,7 @@ def _best(
         if item.removed is not None and refitted is not None
         and item.removed.low > 0.0 and item.removed.value >= thresholds.FIRST_SHARE
         and item.removed.value * left >= LEAST_OF_ALL * whole
+        and _has_a_size(both, refitted)
     ]  # fmt: skip
     if not worth:
         return []
@@ -241,6 +269,31 @@ def _best(
     near = [entry for entry in worth if entry is first or ratio(entry[2], first[2], len(found)).low <= 1.0]
     near.sort(key=lambda entry: (len(entry[1].free), entry[2].sum()))
     return [(item, refitted) for item, refitted, _ in near]
+
+
+def _of_noise(fitted: PressureDriven, judged: PressureDriven, model: PressureModel) -> Floats:
+    """Squared errors by episode that the noise of the readings alone would leave, in start, input and fit (E,).
+
+    Args:
+        fitted: episodes that the model was fitted to.
+        judged: those that decide.
+        model: taken to be right.
+    """
+    refitted, seen = fitted.as_if(model).fit(model), judged.as_if(model)
+    return seen.squares(seen.residual(refitted)).sums
+
+
+def _has_a_size(joint: PressureDriven, model: PressureModel) -> bool:
+    """Whether the effect that was freed last differs from none, by its sizes' intervals by episode.
+
+    Args:
+        joint: episodes to fit it to.
+        model: with the effect.
+    """
+    effect = model.free[-1].paths[0].rsplit(".", 1)[0]
+    sizes = [item.paths[0] for item in model.free if item.item.is_size and item.paths[0].startswith(f"{effect}.")]
+    values = intervals(joint, joint.fit(model))
+    return any(not values[path].low <= 0.0 <= values[path].high for path in sizes)
 
 
 def _with(

@@ -7,6 +7,7 @@ angle alone can tell: torque only shows by the inertia that it moves, so that to
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -299,6 +300,21 @@ class PressureDriven:
             np.add.reduceat(known.astype(float), self.first[:-1]),
         )
 
+    def as_if(self, model: PressureModel) -> PressureDriven:
+        """These episodes as if a model were right: what it does, with the noise of the readings once more.
+
+        Args:
+            model: the model.
+        """
+        rng = np.random.default_rng(0)
+
+        def noisier(readings: Floats, shown: Floats) -> Floats:
+            return np.asarray(shown + _noise(readings) * rng.standard_normal(len(shown)))
+
+        pressure = np.column_stack([noisier(column, column) for column in self.pressure.T])
+        angle = np.where(np.isfinite(self.angle), noisier(self.angle, self.simulated(model)), np.nan)
+        return replace(self, pressure=pressure, angle=angle)
+
     def coordinates(self, model: PressureModel) -> Floats:
         """The numbers that a fit moves (K + F,)."""
         own = [item.coordinate(model.effects[item.path]) for item in model.free]
@@ -354,6 +370,17 @@ class PressureDriven:
             bounds=(low, high), x_scale="jac", ftol=_ENOUGH, xtol=_ENOUGH, max_nfev=rounds,
         )  # fmt: skip
         return self.moved(model, found.x)
+
+
+def _noise(readings: Floats) -> float:
+    """Standard deviation of the noise of a signal, from its fourth differences.
+
+    What a joint or a regulator does within rows of 10 ms counts for little in these; half of them may be between two
+    episodes.
+    """
+    differences = np.diff(readings[np.isfinite(readings)], 4)
+    spread = float(np.median(np.abs(differences))) / (0.6745 * math.sqrt(70.0)) if len(differences) else 0.0
+    return max(spread, converter_step(readings) / math.sqrt(12.0))
 
 
 def _refuse_commands(recording: Recording, name: str) -> None:

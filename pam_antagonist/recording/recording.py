@@ -288,8 +288,8 @@ class Recording:
             return self
         raise BadInput(
             f"{self.path}: holds {len(self.episode_ns)} episodes; expected a recording in one piece. Episodes are "
-            "taken by replay and check, and with a rig of pressure regulators (drive: regulator) by the commands "
-            "identify and close_loop"
+            "taken by replay and check, and with a rig of pressure regulators (drive: regulator) by identify and "
+            "close_loop"
         )
 
     @property

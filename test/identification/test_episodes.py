@@ -124,6 +124,9 @@ def test_identify_writes_a_rig_with_the_regulators_that_it_found(tmp_path: Path,
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert rig.value("effects.regulator_lag.frequency_1") == pytest.approx(25.0, rel=0.01)
     assert report["episodes"] == {"fitted": 22, "later": 13, "interleaved": 5}
+    again = identify(tmp_path / "bag", "regulator_joint")
+    assert again.rig.value("joint.stiffness") == rig.value("joint.stiffness")
+    assert list(again.hashes) == report["recordings_sha256"]
 
 
 def test_a_joint_that_does_not_move_is_refused() -> None:
@@ -137,6 +140,15 @@ def test_commands_in_the_place_of_measured_pressures_are_refused() -> None:
     recording = commanded(dead_time=0)
     with pytest.raises(BadInput, match="pressure_1 is the command of regulator 1, row by row"):
         PressureDriven.of(replace(recording, pressure=recording.voltage), UNKNOWN)
+
+
+def test_parameters_cannot_be_chosen_for_episodes_and_one_recording_is_enough() -> None:
+    recording = commanded(dead_time=0)
+    with pytest.raises(BadInput, match="joint: what episodes tell of a joint is fixed"):
+        identify(recording, UNKNOWN, free=["joint"])
+    for door in (identify, diagnose):
+        with pytest.raises(BadInput, match="expected it alone|expected one recording"):
+            door([recording, recording], UNKNOWN)
 
 
 def test_where_episodes_are_not_taken_that_is_said() -> None:

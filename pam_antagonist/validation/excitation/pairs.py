@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.api.diagnose import diagnose
+from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
 from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import whole
@@ -169,6 +169,7 @@ def tried(rig: Rig, pair: tuple[str, str], seeds: int) -> Iterator[dict[str, Any
             for name, voltage in (("steps", steps), ("designed", plan.voltage))
         ]
         found = diagnose(recordings, rig, profiles=False, estimator=False)
+        assert isinstance(found, DiagnoseResult)
         yield {
             **promise,
             "seed": seed,

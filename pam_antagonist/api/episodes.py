@@ -1,0 +1,224 @@
+"""What ``identify`` and ``diagnose`` give of a joint with pressure regulators in many short episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis
+from pam_antagonist.diagnosis.episodes import diagnose as _diagnose
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.episodes import EpisodesIdentified
+from pam_antagonist.identification.episodes import identify as _identify
+from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.optional import needs
+from pam_antagonist.output import output_folder
+from pam_antagonist.recording import Recording, bag_name, recording_hash
+from pam_antagonist.report import episodes as diagnosis_report
+from pam_antagonist.report import html, terminal
+from pam_antagonist.report import identify_episodes as identify_report
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import write_rig
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Progress = Callable[[str], None] | None
+
+
+def are_given(recordings: Sequence[Recording], rig: Rig) -> bool:
+    """Whether these are many short episodes of a joint with pressure regulators.
+
+    Args:
+        recordings: of one rig.
+        rig: the rig.
+    """
+    # Of a joint with regulators whose commands were not recorded, nothing but episodes can tell anything.
+    return rig.drive == "regulator" and any(one.episode_ns is not None or one.drive == "valve" for one in recordings)
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodesIdentifyResult:
+    """A rig that was identified from episodes.
+
+    Attributes:
+        rig: with the identified values.
+        found: these with their intervals, and the errors on episodes that were held out whole.
+        joint: the episodes.
+        hashes: SHA-256 of the recording, as a tuple of one.
+    """
+
+    rig: Rig
+    found: EpisodesIdentified
+    joint: PressureDriven
+    hashes: tuple[str, ...]
+
+    @property
+    def report(self) -> Mapping[str, Any]:
+        """The numbers of ``report.json``."""
+        return identify_report.numbers(self.found, self.hashes[0])
+
+    def summary(self) -> str:
+        """The tables that the command prints."""
+        return terminal.render(identify_report.summary(self.found, self.joint))
+
+    def save(self, path: str | Path, figures: bool = True) -> Path:
+        """Write ``rig.yaml``, ``report.html`` and ``report.json``.
+
+        Args:
+            path: of a new folder.
+            figures: plays no part: this page has none.
+
+        Returns:
+            The folder.
+
+        Raises:
+            BadInput: it exists already, or cannot be written.
+        """
+        remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {self.found.counts[0]} episodes of "
+        with output_folder(Path(path)) as folder:
+            html.write(folder, identify_report.document(self.found, self.joint, self.hashes[0]), self.report)
+            write_rig(self.rig, folder / "rig.yaml", [f"{remark}{self.joint.name}."])
+        return Path(path)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each identified value: the value and its 95 % interval by episode (needs pandas)."""
+        regulators = {} if self.found.regulators is None else self.found.regulators.values
+        return _table({**self.found.values, **regulators})
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodesDiagnoseResult:
+    """What the model of a joint lacks, from episodes.
+
+    Attributes:
+        found: effects, errors on episodes that were held out whole, and the drift.
+        joint: the episodes.
+        hashes: SHA-256 of the recordings, the one that is held out as a whole behind.
+    """
+
+    found: EpisodeDiagnosis
+    joint: PressureDriven
+    hashes: tuple[str, ...]
+
+    @property
+    def report(self) -> Mapping[str, Any]:
+        """The numbers of ``report.json``."""
+        return diagnosis_report.numbers(self.found, self.joint, self.hashes)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects that were found, each with the signal that it goes by."""
+        return self.found.effects
+
+    @property
+    def sentence(self) -> str:
+        """What was found, in words."""
+        return diagnosis_report.verdict(self.found)
+
+    @property
+    def rig_extended(self) -> Rig:
+        """The rig with the effects, and with the further signals that they need."""
+        values = self.joint.values(self.found.model)
+        rig = moved(self.joint.rig, values)
+        last = max((int(path[-1]) for path in values if "_by_signal." in path), default=0)
+        signals = dict(list(self.joint.rig.signals.items())[:last])
+        source = f"extended by close_loop from {self.joint.name}; started from: {self.joint.rig.source}"
+        return rig.replaced(name=f"{self.joint.rig.name}_extended", source=source, signals=signals)
+
+    def summary(self) -> str:
+        """The tables that the command prints."""
+        return terminal.render(diagnosis_report.summary(self.found, self.joint))
+
+    def save(self, path: str | Path, figures: bool = True) -> Path:
+        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
+
+        Args:
+            path: of a new folder.
+            figures: False leaves the figure of the drift out of the page.
+
+        Returns:
+            The folder.
+
+        Raises:
+            BadInput: it exists already, or cannot be written.
+        """
+        about = f"By pam_antagonist close_loop, from rig {self.joint.rig.name}. {self.sentence}"
+        with output_folder(Path(path)) as folder:
+            html.write(
+                folder, diagnosis_report.document(self.found, self.joint, self.hashes, figures), self.report
+            )  # fmt: skip
+            write_rig(self.rig_extended, folder / "rig_extended.yaml", [about])
+        return Path(path)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each number of the extended model: its value and 95 % interval by episode (needs pandas)."""
+        return _table(self.found.values)
+
+
+def identified(
+    recordings: Sequence[Recording], rig: Rig, free: Sequence[str], holdout: float, jobs: int, progress: Progress
+) -> EpisodesIdentifyResult:
+    """Identify mechanics and regulators.
+
+    Args:
+        recordings: one, of many episodes.
+        rig: whose pressures regulators hold.
+        free: parameters that were asked to move, or not to; what episodes tell is fixed.
+        holdout: share of the episodes that is held out at the end.
+        jobs: threads.
+        progress: is called with what is being done.
+
+    Raises:
+        BadInput: several recordings, parameters that were chosen, or episodes from which nothing can be learned.
+    """
+    if len(recordings) > 1:
+        raise BadInput("a recording of many episodes: expected it alone, as it is a series by itself")
+    if free:
+        raise BadInput(f"{free[0]}: what episodes tell of a joint is fixed; leave it out")
+    joint = PressureDriven.of(recordings[0], rig, jobs=jobs)
+    found = _identify(joint, holdout, progress or _silent)
+    source = f"identified from {bag_name(recordings[0].path)}; started from: {rig.source.strip()}"
+    named = found.rig.replaced(name=f"{rig.name}_identified", source=" ".join(source.split()))
+    return EpisodesIdentifyResult(named, found, joint, (recording_hash(recordings[0]),))
+
+
+def diagnosed(
+    fitted: Sequence[Recording], kept: Sequence[Recording], rig: Rig, also: Sequence[str], holdout: float, jobs: int,
+    progress: Progress,
+) -> EpisodesDiagnoseResult:  # fmt: skip
+    """Trace what the model lacks.
+
+    Args:
+        fitted: one recording of many episodes.
+        kept: one that is held out as a whole, or none.
+        rig: whose pressures regulators hold.
+        also: names of further signals that may be causes.
+        holdout: share of the episodes that is held out at the end, where no recording is.
+        jobs: threads.
+        progress: is called with what is being done.
+
+    Raises:
+        BadInput: several recordings, or episodes from which nothing can be learned.
+    """
+    if len(fitted) > 1 or len(kept) > 1:
+        raise BadInput(f"rig {rig.name} has pressure regulators: expected one recording, and one to hold out at most")
+    first = PressureDriven.of(fitted[0], rig, also, jobs)
+    later = PressureDriven.of(kept[0], first.rig, jobs=jobs) if kept else None
+    found = _diagnose(first, holdout, later, progress or _silent)
+    return EpisodesDiagnoseResult(found, first, tuple(recording_hash(one) for one in (*fitted, *kept)))
+
+
+def _silent(_text: str) -> None:
+    """Nobody asked what is being done."""
+
+
+def _table(values: Mapping[str, Interval]) -> DataFrame:
+    with needs("import", "a data frame"):
+        import pandas as pd
+    rows = [(name, *value) for name, value in values.items()]
+    return pd.DataFrame(rows, columns=["value_of", "value", "low", "high"]).set_index("value_of")
