@@ -82,9 +82,7 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording) -> 
     result = pam_antagonist.diagnose(tied, "regulator_joint", also=["decoy", "other"])
     assert isinstance(result, EpisodesDiagnoseResult)
     episodes, found = result.joint, result.found
-    assert (
-        "friction that grows with other" in result.sentence
-    )
+    assert "friction that grows with other" in result.sentence
     assert set(found.effects) == {"friction", "friction_by_signal: other"}
     base, coulomb, extended = found.rows[1:]
     assert extended.later.high < 0.5 * coulomb.later.low < base.later.low
