@@ -21,9 +21,10 @@ from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference import calibration
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.point import Point
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, random_part
 from pam_antagonist.rig import Rig
 

@@ -27,9 +27,10 @@ from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
 from pam_antagonist.diagnosis.selection import Selection
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
 from pam_antagonist.inference.calibration import CALIBRATIONS
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
+from pam_antagonist.inference.point import Point
 from pam_antagonist.model.effects import CATALOGUE, EffectParameter, experiment_between, parameter_path
 from pam_antagonist.rig import Rig
 

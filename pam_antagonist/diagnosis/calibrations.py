@@ -12,19 +12,13 @@ from pam_antagonist.diagnosis import explained, far_calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, evidence
 from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.inference import calibration
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
-from pam_antagonist.inference.gauss_newton import (
-    Fitted,
-    best_of_starts,
-    cost_of,
-    effect_jacobian,
-    prior_cost,
-    refit,
-    relinearised,
-)
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, prior_cost, refit, relinearised
 from pam_antagonist.inference.likelihood import Equations
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.standard_errors import settled, well_known
+from pam_antagonist.inference.starts import best_of_starts
 
 _IMITATED = ("torque_scale",)
 """Calibrations that base parameters imitate exactly: muscles, inertia and friction that are as much larger."""

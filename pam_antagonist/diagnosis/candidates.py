@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, held_residual, prior_cost
 from pam_antagonist.inference.likelihood import Equations, Scale, Step
+from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
 

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.stretches import clearest, fitted_to_all
-from pam_antagonist.inference.experiment import Experiment, Point, Span
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, effect_jacobian, refit
 from pam_antagonist.inference.likelihood import Equations
+from pam_antagonist.inference.point import Point, Span
 from pam_antagonist.inference.trial import Mask, Split
 
 Floats = NDArray[np.float64]

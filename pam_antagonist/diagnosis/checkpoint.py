@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.point import Point
 
 _SETTINGS = "settings.json"
 

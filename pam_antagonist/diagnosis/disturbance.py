@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.diagnosis import explained, thresholds
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, refit
 from pam_antagonist.inference.likelihood import in_mean_squares
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.model import dynamics, equilibrium
 

@@ -14,8 +14,9 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.disturbance import estimate
 from pam_antagonist.diagnosis.result import FoundEffect, Size
 from pam_antagonist.diagnosis.selection import recalibrate, select
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
+from pam_antagonist.inference.point import Point
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, parameter_path
 
 NOTE = (

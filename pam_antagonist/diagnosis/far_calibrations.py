@@ -13,10 +13,12 @@ from typing import NamedTuple
 from scipy.optimize import minimize_scalar
 
 from pam_antagonist.diagnosis.candidates import as_configured
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate
-from pam_antagonist.inference.gauss_newton import Fitted, best_of_starts, prior_cost, refit
+from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
 from pam_antagonist.inference.likelihood import Equations
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.starts import best_of_starts
 
 _SIZES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Values that are tried, in scales of the calibration, in either direction."""

@@ -14,9 +14,10 @@ from pam_antagonist.diagnosis.candidates import Model, price
 from pam_antagonist.diagnosis.explained import evidence_of, further_share, remaining_residuals
 from pam_antagonist.diagnosis.result import FoundEffect, Size, SizeProfile
 from pam_antagonist.diagnosis.selection import refitted_without
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.profile import effect_profile
 from pam_antagonist.model.effects import DISTURBANCE
 

@@ -22,7 +22,8 @@ from pam_antagonist.estimation import EstimateRun, Estimator, metrics
 from pam_antagonist.identification.tuning import innovation_likelihood
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.angle_driven import sweeps
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.recording import Recording

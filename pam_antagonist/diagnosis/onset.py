@@ -22,9 +22,10 @@ from pam_antagonist.diagnosis.result import FoundEffect, Judged
 from pam_antagonist.diagnosis.selection import Selection, select
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.calibration import is_calibration
-from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, Linear, Near, cost_of, refit, relinearised
+from pam_antagonist.inference.point import THROUGHOUT, Point, Span
 
 _THIRDS = 3
 """Blocks of such a recording that are counted in turn; the last of each three is held out in the selection."""

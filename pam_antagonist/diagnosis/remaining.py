@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, equation_errors, unit_of
-from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.inference.point import Channel, Point
 
 Floats = NDArray[np.float64]
 

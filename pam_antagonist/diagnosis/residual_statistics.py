@@ -27,8 +27,9 @@ from scipy.special import ndtr, ndtri
 
 from pam_antagonist.diagnosis.thresholds import CHANCE
 from pam_antagonist.estimation import metrics
-from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.model import dynamics, flow, muscle, sensor
 

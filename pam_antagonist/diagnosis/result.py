@@ -14,7 +14,8 @@ from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import ResidualRow
 from pam_antagonist.diagnosis.selection import Selection
 from pam_antagonist.diagnosis.splits import Firmness
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
 
 Verdict = Literal["effect", "none", "unexplained"]

@@ -20,8 +20,10 @@ from pam_antagonist.diagnosis.candidates import (
 )
 from pam_antagonist.diagnosis.checkpoint import Checkpoint, Kept, key_of
 from pam_antagonist.inference.calibration import is_calibration
-from pam_antagonist.inference.experiment import Experiment, Point
-from pam_antagonist.inference.gauss_newton import STARTS, Fitted, best_of_starts, refit, relinearised
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted, refit, relinearised
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.starts import STARTS, best_of_starts
 
 _REFITTED = 5
 """Candidates a round that are fitted in full simulation: those with the best scores."""

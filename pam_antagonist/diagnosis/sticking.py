@@ -14,9 +14,11 @@ from pam_antagonist.diagnosis import explained, findings, thresholds
 from pam_antagonist.diagnosis.candidates import Model, Score, TriedCandidate, score_all
 from pam_antagonist.diagnosis.preparation import Group, Settings
 from pam_antagonist.diagnosis.selection import Selection
-from pam_antagonist.inference.experiment import Experiment, Point
-from pam_antagonist.inference.gauss_newton import STARTS, Fitted, best_of_starts, refit, relinearised
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted, refit, relinearised
 from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.starts import STARTS, best_of_starts
 
 FRICTION = "friction"
 _RIVALS = 4

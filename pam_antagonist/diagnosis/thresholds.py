@@ -11,7 +11,7 @@ tolerances of an algorithm stand in its own module.
 
 from __future__ import annotations
 
-from pam_antagonist.inference import gauss_newton
+from pam_antagonist.inference import starts
 
 # Evidence.
 
@@ -37,7 +37,7 @@ nothing was fitted, in each split anew."""
 
 # Excess over noise.
 
-AT_NOISE = gauss_newton.AT_NOISE
+AT_NOISE = starts.AT_NOISE
 """Multiples of the noise. A residual below it is the noise's: 60 s tell the noise to a few per cent."""
 
 STRETCHES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)

@@ -14,11 +14,12 @@ from pam_antagonist.diagnosis.result import RecordingEntry, SizeProfile
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.stretches import Stretch
 from pam_antagonist.inference.angle_driven import BALANCE, sweeps
-from pam_antagonist.inference.experiment import Experiment, Point, Span
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.inference.likelihood import Equations
 from pam_antagonist.inference.measured_motion import MeasuredMotion
+from pam_antagonist.inference.point import Point, Span
 from pam_antagonist.inference.trial import ANGLE, TORQUE
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, Effect
 

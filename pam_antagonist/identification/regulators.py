@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pam_antagonist.inference.bootstrap import Interval, ratio, steps
-from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.held_episodes import Held, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.model.command_driven import pressures
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
 from pam_antagonist.inference.free_run import Run, predict, start_of
 from pam_antagonist.inference.likelihood import in_mean_squares
+from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, block_noise
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model.effects import CATALOGUE

@@ -47,7 +47,7 @@ CALIBRATIONS: Mapping[str, EffectParameter] = MappingProxyType(
 
 
 def path(name: str) -> str:
-    """Dotted path of a calibration in a :class:`~pam_antagonist.inference.experiment.Point`."""
+    """Dotted path of a calibration in a :class:`~pam_antagonist.inference.point.Point`."""
     return _PREFIX + name
 
 

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from typing import NamedTuple, TypeVar
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,64 +18,17 @@ from numpy.typing import NDArray
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, start_values, values_along
 from pam_antagonist.inference.likelihood import ERROR_S, Equations, Scale, in_decibels
+from pam_antagonist.inference.point import THROUGHOUT, Channel, Point, Span
+from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import Split, Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
 
 _STEP = 2e-3
 """Relative step of the base directions' differences: far above what stiction rounds off."""
 _RUNAWAY = 1e9
-
-
-class Span(NamedTuple):
-    """When an effect acts.
-
-    Attributes:
-        begin_s: since the first sample [s].
-        end_s: likewise [s].
-    """
-
-    begin_s: float = -np.inf
-    end_s: float = np.inf
-
-    @property
-    def edges(self) -> tuple[float, ...]:
-        """When it begins and when it ends [s], without what is beyond every recording."""
-        return tuple(float(time) for time in self if np.isfinite(time))
-
-
-THROUGHOUT = Span()
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """A point in the space of models of one recording.
-
-    Attributes:
-        theta: amounts of the free directions (K,), then the start's deviations in standard deviations (S,).
-        effects: values of the effects' parameters, and of calibrations, by dotted path.
-    """
-
-    theta: Floats
-    effects: Mapping[str, float] = field(default_factory=dict)
-
-
-class Channel(NamedTuple):
-    """What is compared, as a figure shows it.
-
-    Attributes:
-        title: its name.
-        unit: of the figure.
-        factor: from SI to that unit.
-    """
-
-    title: str
-    unit: str
-    factor: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -467,20 +418,3 @@ class Experiment(ABC):
     def side_by_side(self, work: Callable[[Point], Floats], points: Iterable[Point]) -> list[Floats]:
         """Something of several points, on the threads that all fits share."""
         return side_by_side(work, points, self.jobs)
-
-
-def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item], jobs: int) -> list[_Result]:
-    """Work on several items, each by itself: a single fit would leave the other cores idle.
-
-    Args:
-        work: gives an array of any shape; compiled for the most part, so that threads do.
-        items: what each call gets.
-        jobs: threads.
-    """
-    return list(map(work, items) if jobs == 1 else _workers(jobs).map(work, items))
-
-
-@lru_cache(maxsize=1)
-def _workers(jobs: int) -> ThreadPoolExecutor:
-    """Threads that all fits share, so that there are no more of them than asked for, however many fits run."""
-    return ThreadPoolExecutor(jobs, thread_name_prefix="simulation")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -11,10 +10,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.calibration import is_calibration
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.likelihood import Equations, Scale, Step
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import Mask
 
 Floats = NDArray[np.float64]
@@ -25,20 +24,10 @@ _PART_ROUNDS = 4
 _ENOUGH = 0.5
 _ENOUGH_OF_ALL = 2e-3
 """A step is the last one that gains less than these: in −2 log posterior, and of what was gained before."""
-AT_NOISE = 1.1
-"""A channel is at its noise whose residual is at most so many times as large: a minute shows it to a few per cent."""
 _STEP_LENGTHS = (1.0, 0.4, 0.1)
 """Shares of a Gauss-Newton step that are tried."""
 _CAREFUL = (0.01, 0.1, 1.0)
 """Damping of the steps that are tried after those."""
-_NEAR = 4.0
-STARTS = 2
-"""Starts of a fit that are drawn, beside the first."""
-_TRIED = 2
-_HOPELESS = 40.0
-"""A start is not followed that is so much behind after these steps, in −2 log posterior."""
-_SPREAD = float(np.log(6.0))
-"""Shapes are drawn up to so far from their scale in the catalogue, in logarithms."""
 _LEAP = 1.0
 """A step that multiplies a time constant by more than e is a leap in the dark."""
 
@@ -325,63 +314,9 @@ _HELD: WeakKeyDictionary[Fitted, tuple[Experiment, Floats]] = WeakKeyDictionary(
 """What was worked out before: each model is compared with several others."""
 
 
-def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS, finer: bool = True) -> Fitted:
-    """The best of fits from several starts; one that may be down to noise alone is fitted as a model that is right.
-
-    Its derivatives by the base coordinates may be those of a point nearby: :func:`relinearised` renews them.
-
-    Args:
-        experiment: the recording; its seed draws the starts.
-        fitted: the model at the pace of one that lacks something.
-        starts: how many others are drawn.
-        finer: whether a fit that ends at the noise of every channel may count every block.
-
-    Returns:
-        The best fit; where it ends at the noise of every channel, the finer one that counts every block.
-    """
-    best = min((fitted, *_from_elsewhere(experiment, fitted, starts)), key=lambda found: found.cost)
-    if finer and np.max(experiment.times_noise(best.residual)) <= _NEAR:
-        every = refit(experiment, best.point, best.free, best.base, renewals=2, blocks_per_error=1.0, careful=0)
-        best = every if np.max(experiment.times_noise(every.residual)) < AT_NOISE else best
-    return best
-
-
 def relinearised(experiment: Experiment, fitted: Fitted) -> Fitted:
     """A fit with the derivatives at its own point, so that one of which only the point was kept is the same again."""
     return refit(experiment, fitted.point, fitted.free, rounds=0, blocks_per_error=fitted.scale.blocks_per_error)
-
-
-def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list[Fitted]:
-    """Fits from other starts: after a few steps the best of those that are drawn, to its end if it may get there."""
-    if starts == 0 or all(is_calibration(parameter.path) for parameter in fitted.free):
-        return []
-    # Each model has draws of its own, whatever was fitted before it and on which thread.
-    name = zlib.crc32(" ".join(parameter.path for parameter in fitted.free).encode())
-    rng = np.random.default_rng([experiment.seed, name])
-    drawn = [
-        refit(experiment, _drawn(fitted, rng), fitted.free, fitted.base, rounds=_TRIED, renewals=0, careful=0)
-        for _ in range(starts)
-    ]
-    best = min(drawn, key=lambda found: found.cost)
-    if best.cost > fitted.cost + _HOPELESS:
-        return []
-    return [refit(experiment, best.point, best.free, best.base, renewals=0)]
-
-
-def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:
-    """Another start: sizes of another magnitude, also where one was 0, and any shape that makes sense."""
-    effects = dict(fitted.point.effects)
-    for parameter in fitted.free:
-        value, item = effects.get(parameter.path, parameter.item.neutral), parameter.item
-        if is_calibration(parameter.path):
-            continue
-        if item.is_size:
-            drawn = (value if value and rng.random() < 0.5 else item.scale) * float(np.exp(rng.normal()))
-            drawn = -drawn if item.low < 0.0 and rng.random() < 0.25 else drawn
-        else:
-            drawn = item.scale * float(np.exp(rng.uniform(-_SPREAD, _SPREAD)))
-        effects.update(dict.fromkeys(parameter.paths, parameter.bounded(drawn)))
-    return Point(fitted.point.theta, effects)
 
 
 def moved_by(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, effect: Floats) -> Point:

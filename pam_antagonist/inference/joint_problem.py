@@ -17,10 +17,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.inference.free_run import Run, predict, predict_each
 from pam_antagonist.inference.long_steps import stride_blocks
+from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import CHANNELS, Trial
 from pam_antagonist.inference.valve_driven import STARTS, ValveDriven
 from pam_antagonist.model import dynamics

@@ -24,8 +24,9 @@ from scipy.special import chdtri
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.inference.angle_driven import Motion, filled_in
-from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_run import initial_state
+from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model import dynamics, sensor

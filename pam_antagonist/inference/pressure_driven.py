@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.experiment import side_by_side
 from pam_antagonist.inference.free_parameters import (
     Candidate,
     FreeDirection,
@@ -26,6 +25,7 @@ from pam_antagonist.inference.free_parameters import (
     start_values,
     values_along,
 )
+from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import converter_step, white_std
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, Form

@@ -13,11 +13,12 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
 from pam_antagonist.inference.joint_fit import JointFit
 from pam_antagonist.inference.joint_problem import stacked
+from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import (
     Direction,
     measured_directions,
@@ -23,6 +23,7 @@ from pam_antagonist.inference.free_parameters import (
 )
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, moved_by, relinearised
 from pam_antagonist.inference.likelihood import Equations
+from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
 

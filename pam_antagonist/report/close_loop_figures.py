@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pam_antagonist.diagnosis.result import Diagnosis, HeldOutComparison, SizeProfile
-from pam_antagonist.inference.experiment import Span
+from pam_antagonist.inference.point import Span
 from pam_antagonist.report.figure import Figure, Points
 from pam_antagonist.report.figures import profile_panel, residual_figure
 from pam_antagonist.report.style import ESTIMATE, MODEL

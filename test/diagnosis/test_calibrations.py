@@ -13,8 +13,9 @@ from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, explaine
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.selection import recalibrate, select
-from pam_antagonist.inference.experiment import Point
-from pam_antagonist.inference.gauss_newton import best_of_starts, refit
+from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.starts import best_of_starts
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording

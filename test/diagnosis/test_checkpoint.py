@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis.checkpoint import Checkpoint, Kept
-from pam_antagonist.inference.experiment import Point
+from pam_antagonist.inference.point import Point
 
 
 def test_a_finished_candidate_is_found_again(tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ from pam_antagonist.diagnosis import Diagnosis, change_point, diagnose, onset, s
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.preparation import Group
-from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.point import THROUGHOUT, Point, Span
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 

@@ -12,8 +12,8 @@ from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.remaining import Surroundings
 from pam_antagonist.diagnosis.residual_statistics import equation_errors
 from pam_antagonist.diagnosis.selection import recalibrate
-from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.inference.point import Point
 from pam_antagonist.validation.battery.plants import staircase
 
 STEP = 0.02

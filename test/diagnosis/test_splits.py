@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis.splits import in_turn
-from pam_antagonist.inference.experiment import THROUGHOUT, Experiment, Point, Span
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.point import THROUGHOUT, Point, Span
 
 LEAK = {"effects.leak.area_1": 3e-8}
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis import stretches
-from pam_antagonist.inference.experiment import Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.point import Point
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from pam_antagonist.diagnosis import warnings
 from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.point import Point
 from pam_antagonist.model.effects import CATALOGUE
 
 

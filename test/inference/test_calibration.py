@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist.inference import calibration, free_run, valve_driven
-from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 
 DT = 1e-3

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pam_antagonist import simulate
-from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.long_steps import stride_blocks
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import PRESSURE_1, block_noise, blocks, converter_step, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE

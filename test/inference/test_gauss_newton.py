@@ -7,9 +7,9 @@ import pytest
 
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.selection import refitted_without, shared
-from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.standard_errors import well_known
 
 DROOP = Candidate("supply_droop")

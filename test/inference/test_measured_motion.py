@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion, motion_of
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import ANGLE
 from pam_antagonist.inference.valve_driven import ValveDriven
 

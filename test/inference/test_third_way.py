@@ -12,10 +12,12 @@ import pytest
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.remaining import describe
 from pam_antagonist.diagnosis.residual_statistics import statistics
-from pam_antagonist.inference.experiment import Channel, Experiment, Point
+from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, moved
-from pam_antagonist.inference.gauss_newton import best_of_starts, refit, relinearised
+from pam_antagonist.inference.gauss_newton import refit, relinearised
+from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.profile import effect_profile
+from pam_antagonist.inference.starts import best_of_starts
 from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import Rig

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.candidates import as_configured, score_all
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.experiment import Point
 from pam_antagonist.inference.free_parameters import Candidate
-from pam_antagonist.inference.gauss_newton import best_of_starts, refit
+from pam_antagonist.inference.gauss_newton import refit
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.starts import best_of_starts
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import CATALOGUE

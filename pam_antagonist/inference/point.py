@@ -1,0 +1,59 @@
+"""A model of a recording as a point: amounts of what is free, values of effects, and when these act."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+class Span(NamedTuple):
+    """When an effect acts.
+
+    Attributes:
+        begin_s: since the first sample [s].
+        end_s: likewise [s].
+    """
+
+    begin_s: float = -np.inf
+    end_s: float = np.inf
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """When it begins and when it ends [s], without what is beyond every recording."""
+        return tuple(float(time) for time in self if np.isfinite(time))
+
+
+THROUGHOUT = Span()
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point in the space of models of one recording.
+
+    Attributes:
+        theta: amounts of the free directions (K,), then the start's deviations in standard deviations (S,).
+        effects: values of the effects' parameters, and of calibrations, by dotted path.
+    """
+
+    theta: Floats
+    effects: Mapping[str, float] = field(default_factory=dict)
+
+
+class Channel(NamedTuple):
+    """What is compared, as a figure shows it.
+
+    Attributes:
+        title: its name.
+        unit: of the figure.
+        factor: from SI to that unit.
+    """
+
+    title: str
+    unit: str
+    factor: float
