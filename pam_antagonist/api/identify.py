@@ -26,6 +26,7 @@ from pam_antagonist.report import identify_document, terminal
 from pam_antagonist.report import identify_sealed as sealed
 from pam_antagonist.report.held_out import Judged, judge
 from pam_antagonist.report.identify_entries import IdentifyReport
+from pam_antagonist.report.identify_findings import lacks_an_effect
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import write_rig
 
@@ -58,6 +59,11 @@ class IdentifyResult:
     judged: tuple[Judged, ...]
     recordings: tuple[_Named, ...]
     seed: int = 0
+
+    @property
+    def lacks_an_effect(self) -> bool:
+        """Whether the filter got worse on held-out data: then :func:`diagnose` looks for what the model lacks."""
+        return isinstance(self.report, IdentifyReport) and lacks_an_effect(self.report)
 
     def summary(self) -> str:
         """The tables that the command prints."""

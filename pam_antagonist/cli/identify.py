@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from pam_antagonist.api import episodes
-from pam_antagonist.api.identify import identify
+from pam_antagonist.api.identify import IdentifyResult, identify
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.first_start import FITS, compile_first
@@ -99,7 +99,10 @@ def _run(arguments: argparse.Namespace) -> int:
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
     given.announce_output(arguments)
-    print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
+    if isinstance(found, IdentifyResult) and found.lacks_an_effect:
+        print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
+    else:
+        print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE
 
 

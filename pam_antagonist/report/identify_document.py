@@ -39,10 +39,11 @@ def write_report(
 def summary(report: IdentifyReport) -> tuple[Block, ...]:
     """What the terminal shows."""
     return (
-        *in_first_lines(report.assumption),
+        Text(verdict(report)),
         parameters_table(report),
         *map(held_out_table, report.held_out),
         Findings(findings(report)),
+        *in_first_lines(report.assumption),
     )
 
 
@@ -65,10 +66,10 @@ def document(
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(verdict(report), "verdict"),
-        *(drawn.held_out_figures(judged[0], found, 0)[:1] if with_figures else ()),
-        *in_first_lines(report.assumption),
         Tiles(_tiles(report)),
         Findings(findings(report)),
+        *(drawn.held_out_figures(judged[0], found, 0)[:1] if with_figures else ()),
+        *in_first_lines(report.assumption),
         _held_out(report, found, judged, with_figures),
         _parameters(report, found, with_figures),
         *_between(report),

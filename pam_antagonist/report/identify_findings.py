@@ -77,6 +77,11 @@ def findings(report: IdentifyReport) -> tuple[Finding, ...]:
     return (*out, *_coverage(report), _differences(report), *_undetermined(report), *_pairs(report))
 
 
+def lacks_an_effect(report: IdentifyReport) -> bool:
+    """Whether the filter got worse on held-out data, so that the model seems to lack what no parameter replaces."""
+    return any(_worse(entry) for entry in report.held_out)
+
+
 def _worse(entry: HeldOut) -> list[Finding]:
     """Channels in which the filter got worse: the fit followed something that the model lacks."""
     out = []

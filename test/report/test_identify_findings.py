@@ -27,5 +27,7 @@ def held_out(before: float, now: float) -> Any:
 def test_a_rig_that_became_worse_is_a_warning(before: float, now: float, said: int) -> None:
     found = identify_findings._worse(held_out(before, now))
     assert len(found) == said
+    report: Any = SimpleNamespace(held_out=(held_out(before, now),))
+    assert identify_findings.lacks_an_effect(report) == bool(said)
     for item in found:
         assert item.status == "warn" and "0.43°" in item.text and "close_loop" in item.text
