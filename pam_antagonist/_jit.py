@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numba.extending
 from numba.core import caching, event
 
 EFFECTS_GROUP = "pam_antagonist.effects"
@@ -253,6 +254,14 @@ def in_place(function: Callable[..., Any]) -> Any:
 def merged(function: Callable[..., Any]) -> Any:
     """A piece of one kernel in place, compiled as a part of it: by itself, it would be compiled once more."""
     return _compiled(function, _nrt=False, inline="always")
+
+
+def by_types(function: Callable[..., Any]) -> Any:
+    """Decorate what gives compiled code for calls of ``function``, a part of the kernel in place that calls it.
+
+    It is given the types of the arguments when such a kernel is compiled, and not where machine code is loaded.
+    """
+    return numba.extending.overload(function, jit_options={"_nrt": False, "error_model": "numpy", "nogil": True})
 
 
 def inlined(function: Callable[..., Any]) -> Any:

@@ -33,7 +33,7 @@ from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics, equilibrium, muscle
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY, WITH_EFFECTS
 from pam_antagonist.model.parameters import LENGTH, POLYTROPIC_VOLUME, RADIUS
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
@@ -166,7 +166,7 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
     x[VELOCITY] = 0.0
     excess, which = _excess(x, not of_torque, of_angle, push, of_pressures, of_velocity, of_force, limits, p)
     at_end, total = max(excess, 0.0), 0.0
-    _make_steady(x, seen.angle, seen.pressure_1, seen.pressure_2, held, p, 0.0)
+    _make_steady(x, seen.angle, seen.pressure_1, seen.pressure_2, held, p, 0.0, WITH_EFFECTS)
     x[VELOCITY] = 0.0 if of_torque else seen.velocity
     u[2] = known_torque(seen.external_torque, seen.external_variance)
     for _ in range(_STEPS):
@@ -282,5 +282,5 @@ class Governor:
         return self._applied
 
     def _present_stiffness(self, seen: Seen) -> float:
-        _make_steady(self._x, seen.angle, seen.pressure_1, seen.pressure_2, self._held, self._p, 0.0)
+        _make_steady(self._x, seen.angle, seen.pressure_1, seen.pressure_2, self._held, self._p, 0.0, WITH_EFFECTS)
         return -float(_torque_slope(self._x, self._p))

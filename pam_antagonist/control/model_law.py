@@ -45,7 +45,7 @@ from pam_antagonist.control.command import Command, Law, Mode, Status, VoltageLi
 from pam_antagonist.control.stiffness import Box, set_pressures
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import composition, dynamics, equilibrium, flow, muscle
-from pam_antagonist.model.dynamics import PRESSURE_1, PRESSURE_2
+from pam_antagonist.model.dynamics import PRESSURE_1, PRESSURE_2, WITH_EFFECTS
 from pam_antagonist.model.parameters import SLOT_OF, STATES, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
@@ -168,7 +168,7 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
         As :func:`~pam_antagonist.control.stiffness.set_pressures`.
     """
     angle = seen.angle if of_torque else value
-    _make_steady(x, angle, seen.pressure_1, seen.pressure_2, held, p, 0.0)
+    _make_steady(x, angle, seen.pressure_1, seen.pressure_2, held, p, 0.0, WITH_EFFECTS)
     torque = value + integral
     if not of_torque:
         side = min(max((value - seen.angle) / approach, -1.0), 1.0)

@@ -214,10 +214,14 @@ class Estimator:
             checkpoints.settings_hash(self._settings),
         )  # fmt: skip
         # What the kernel takes: plain tuples, see filter.process_all.
-        self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, m))
+        self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, sets))
         self._stamp, self._pressure, self._voltage = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 2))
         self._angle = np.full(1, np.nan)
-        self._live = self._stamp, self._pressure, self._voltage, self._angle, *self._fields, *_results(1, n)
+        self._effects = None if np.all(sets[:, par.PLAIN] != 0.0) else dynamics.WITH_EFFECTS
+        self._live = (
+            self._stamp, self._pressure, self._voltage, self._used(self._angle), self._effects, *self._fields,
+            *_results(1, n),
+        )  # fmt: skip
         rows = self._live[-4]
         self._row = rows[0]
         # numpy copies a record field by field, which takes longer than the filter's step.
@@ -230,6 +234,10 @@ class Estimator:
             self.step(stamp, 4e5, 4e5, command, command)
         self.reset()
         self._memory.counts[:] = 0
+
+    def _used(self, angles: np.ndarray) -> np.ndarray | None:
+        """Measured angles as the kernel takes them: None for a filter that uses none."""
+        return angles if self._settings.angle_noise > 0.0 else None
 
     def reset(self) -> None:
         """Forget the estimate; the next sample with both pressures and voltages starts the filter."""
@@ -383,7 +391,8 @@ class Estimator:
             stamps,
             np.array(pressure, dtype=np.float64, order="C"),
             np.array(voltage, dtype=np.float64, order="C"),
-            angles,
+            self._used(angles),
+            self._effects,
             *self._fields,
             rows,
             states,

@@ -71,7 +71,7 @@ _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps
 
 
 @in_place
-def _start(y, memory, settings, work):
+def _start(y, effects, memory, settings, work):
     """Set the state to what a first sample tells."""
     _start_state(
         y,
@@ -85,6 +85,7 @@ def _start(y, memory, settings, work):
         memory.covariance,
         memory.cross,
         memory.innovation,
+        effects,
         work,
     )
 
@@ -177,21 +178,21 @@ def _dropped(elapsed, x, covariance, clock, counts):
 
 
 @in_place
-def _begin(stamp, y, u, angle, memory, settings, work, row):
+def _begin(stamp, y, u, angles, k, effects, memory, settings, work, row):
     """Start with a sample that has pressures and voltages; whether there is an estimate."""
     memory.held[0], memory.held[1] = u
-    _start(y, memory, settings, work)
+    _start(y, effects, memory, settings, work)
     _start_clock(memory.clock, stamp)
     flags = _NO_FLAGS
-    if settings.angle_noise > 0.0:
+    if angles is not None:
         # Both are finite here. numba would compile all of this once more for a True that stands in the code.
-        flags = _angle(angle, 0.0, y, math.isfinite(y[0]), memory, settings, work)
+        flags = _angle(angles[k], 0.0, y, math.isfinite(y[0]), effects, memory, settings, work)
     memory.counts[_PROCESSED] += 1
     return _write(row, memory, settings, np.nan, flags, work)
 
 
 @in_place
-def _angle(angle, elapsed, y, usable, memory, settings, work):
+def _angle(angle, elapsed, y, usable, effects, memory, settings, work):
     """Update with a measured angle [rad], where there is one that may be used; flags of the estimate."""
     counts = memory.counts
     if not math.isfinite(angle):
@@ -204,7 +205,7 @@ def _angle(angle, elapsed, y, usable, memory, settings, work):
     )  # fmt: skip
     if memory.encoder[_VERDICT] != before and usable:
         # What a bad encoder has told the filter is of no use: begin again by the pressures.
-        _start(y, memory, settings, work)
+        _start(y, effects, memory, settings, work)
     if may and _correct_angle(reading, memory, settings, work):
         counts[_ANGLES_USED] += 1
         return _NO_FLAGS
@@ -213,7 +214,7 @@ def _angle(angle, elapsed, y, usable, memory, settings, work):
 
 
 @merged
-def _advance(elapsed, period, u, known_u, memory, settings, work):
+def _advance(elapsed, period, u, known_u, effects, memory, settings, work):
     """Predict over the time since the last sample [ns], missing samples included.
 
     The voltages of a sample were on the valves over the stream's period [s] that ends there.
@@ -237,6 +238,7 @@ def _advance(elapsed, period, u, known_u, memory, settings, work):
             dt,
             memory.noise,
             settings.kappa,
+            effects,
             work,
         )
         if outcome < 0:
@@ -316,14 +318,16 @@ def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
 
 
 @merged
-def process(stamp, y, u, angle, memory, settings, work, row):
+def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
     """Take one sample in.
 
     Args:
         stamp: [ns].
         y: both pressures [Pa], NaN where missing.
         u: both voltages [V] over the step that ends at the stamp, NaN where missing.
-        angle: measured angle [rad], NaN where missing; not looked at where the settings have no noise of it.
+        angles: measured angles (N,) [rad], NaN where missing; None where none is used.
+        k: which of them is the sample's.
+        effects: None where the rig is known to be plain.
         memory: :class:`Memory` of the filter, changed in place.
         settings: its :class:`Settings`.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
@@ -349,12 +353,12 @@ def process(stamp, y, u, angle, memory, settings, work, row):
         return False
     if clock[RUNNING] == 0:
         if complete:
-            return _begin(stamp, at_rest, u, angle, memory, settings, work, row)
+            return _begin(stamp, at_rest, u, angles, k, effects, memory, settings, work, row)
         counts[_MISSING] += 1
         return False
 
     period = _own_period(elapsed, clock, settings.period)
-    gap, repaired = _advance(elapsed, period, u, known_u, memory, settings, work)
+    gap, repaired = _advance(elapsed, period, u, known_u, effects, memory, settings, work)
     if gap:
         counts[_GAPS] += 1
     clock[LAST] = stamp
@@ -362,20 +366,21 @@ def process(stamp, y, u, angle, memory, settings, work, row):
         # Nothing of the old estimate is of use: begin again with this sample, or with the next good one.
         clock[RUNNING] = 0
         counts[_RESTARTS] += 1
-        return complete and _begin(stamp, at_rest, u, angle, memory, settings, work, row)
+        return complete and _begin(stamp, at_rest, u, angles, k, effects, memory, settings, work, row)
 
     use_1, use_2, outlier = _gate(y, finite_1, finite_2, memory, settings)
     nis = _correct(use_1, use_2, memory, settings, work)
     flags = _flagged(finite_1, finite_2, known_u, outlier, gap, repaired > 0, counts)
-    if settings.angle_noise > 0.0:
-        flags |= _angle(angle, elapsed * 1e-9, y, finite_1 and finite_2, memory, settings, work)
+    if angles is not None:
+        flags |= _angle(angles[k], elapsed * 1e-9, y, finite_1 and finite_2, effects, memory, settings, work)
     counts[_PROCESSED] += 1
     return _write(row, memory, settings, nis, flags, work)
 
 
 @in_place
 def process_all(
-    stamps, pressures, voltages, angles, memory_fields, settings_fields, work_fields, rows, states, index, started
+    stamps, pressures, voltages, angles, effects, memory_fields, settings_fields, work_fields, rows, states, index,
+    started,
 ):  # fmt: skip
     """:func:`process` for every sample of a recording, called from Python.
 
@@ -383,7 +388,8 @@ def process_all(
         stamps: (N,) [ns].
         pressures: (N, 2) [Pa].
         voltages: (N, 2) [V].
-        angles: (N,) [rad].
+        angles: (N,) [rad]; None for a filter that uses none, by which numba leaves out what looks at them.
+        effects: None where the rig is known to be plain, likewise.
         memory_fields: fields of :class:`Memory` as a plain tuple, which numba takes from Python in a third of the time.
         settings_fields: fields of :class:`Settings`, likewise.
         work_fields: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise.
@@ -399,7 +405,7 @@ def process_all(
     count = 0
     for k in range(stamps.shape[0]):
         y, u = (pressures[k, 0], pressures[k, 1]), (voltages[k, 0], voltages[k, 1])
-        if process(stamps[k], y, u, angles[k], memory, settings, work, rows[count]):
+        if process(stamps[k], y, u, angles, k, effects, memory, settings, work, rows[count]):
             for i in range(states.shape[1]):
                 states[count, i] = memory.x[i]
             index[count] = k

@@ -43,7 +43,7 @@ _torque_slope, _torque_needed, _sliding_friction = (
 
 
 @in_place
-def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross, innovation, work):
+def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross, innovation, effects, work):
     """Set state and covariance to what a first sample tells.
 
     Args:
@@ -58,11 +58,12 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
         covariance: result (n, n).
         cross: result (n, m), zero.
         innovation: (2,) [Pa], NaN afterwards, as of a sample that was not predicted.
+        effects: None where the rig is known to be plain.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
     """
     pressure_1, pressure_2 = _pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p)
     angle = lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
-    _make_steady(x, angle, pressure_1, pressure_2, u, p, 0.0)
+    _make_steady(x, angle, pressure_1, pressure_2, u, p, 0.0, effects)
     covariance[:] = 0.0
     cross[:] = 0.0
     for i in range(x.shape[0]):
@@ -74,8 +75,9 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
         known = math.isfinite(y[0])
         _update(x, covariance, cross, innovation, noise, gain_noise, known, known, work)
         innovation[:] = np.nan
-        _torque_from_outside(x, covariance, p)
-    elif p[LOCKED] == 0.0 and p[_PRIOR] < UNBOUNDED:
+        if effects is not None:
+            _torque_from_outside(x, covariance, p)
+    elif effects is not None and p[LOCKED] == 0.0 and p[_PRIOR] < UNBOUNDED:
         _leaning(x, covariance, p)
 
 

@@ -23,11 +23,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.estimation import sigma_steps
 from pam_antagonist.estimation.factor import factorise
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1
+from pam_antagonist.model.lane_values import LANES
 
-_rk4_step, _torque = dynamics.rk4_step_within, dynamics.torque
+_advance, _torque = sigma_steps.advance, dynamics.torque
 OUTPUTS = 2
 
 
@@ -41,6 +43,9 @@ class Work(NamedTuple):
         gain: K (n, 2).
         torques: torque of each sigma point (1 + 2 m + 2 n,) [N m].
         stages: of a Runge-Kutta step (STAGES + 1, n).
+        lane_sets: parameters of the sigma points, eight side by side (G, SIZE, 8).
+        lane_states: their states (n, 8).
+        lane_stages: of a Runge-Kutta step of eight (STAGES + 1, n, 8).
     """
 
     points: np.ndarray
@@ -49,16 +54,19 @@ class Work(NamedTuple):
     gain: np.ndarray
     torques: np.ndarray
     stages: np.ndarray
+    lane_sets: np.ndarray
+    lane_states: np.ndarray
+    lane_stages: np.ndarray
 
 
-def make_work(states: int, considered: int) -> Work:
+def make_work(states: int, parameter_sets: np.ndarray) -> Work:
     """Scratch arrays for a number of states and parameters.
 
     Args:
         states: n.
-        considered: m.
+        parameter_sets: of the sigma points (1 + 2 m, SIZE).
     """
-    n, points = states, 1 + 2 * (states + considered)
+    n, points = states, 2 * states + len(parameter_sets)
     return Work(
         points=np.zeros((points, n)),
         lower=np.zeros((n, n)),
@@ -66,6 +74,9 @@ def make_work(states: int, considered: int) -> Work:
         gain=np.zeros((n, 2)),
         torques=np.zeros(points),
         stages=np.zeros((dynamics.STAGES + 1, n)),
+        lane_sets=sigma_steps.beside(parameter_sets, points),
+        lane_states=np.zeros((n, LANES)),
+        lane_stages=np.zeros((dynamics.STAGES + 1, n, LANES)),
     )
 
 
@@ -132,7 +143,7 @@ def conditional_factor(covariance, cross, scratch, lower):
 
 
 @in_place
-def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
+def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, effects, work):
     """Prediction step, equations (13) to (18), in place.
 
     Args:
@@ -144,6 +155,7 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
         dt: step [s].
         noise: diagonal of Q (n,) for this step.
         kappa: κ.
+        effects: None where the rig is known to be plain.
         work: :class:`Work`, scratch.
 
     Returns:
@@ -158,9 +170,7 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, work):
     if repaired < 0:
         return repaired
     spread_points(x, cross, lower, reach, points)
-    for k in range(1 + 2 * m + 2 * n):
-        which = k if k <= 2 * m else 0
-        _rk4_step(points[k], u, parameter_sets[which], dt, points[k], work.stages)
+    _advance(points, u, parameter_sets, dt, effects, work)
     centre_weight = kappa / spread
     weight = 0.5 / spread
     for i in range(n):

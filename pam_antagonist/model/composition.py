@@ -8,7 +8,7 @@ hook, which calls the functions of the registered effects by name, one after ano
    a parameter becomes its place in the vector ``p``, a state its place in ``x``, a quantity an expression.
 2. The text is kept in the folder of the compiled kernels, under a name that holds its hash. numba finds kernels of the
    last process by file and time: a file that is there already is not written again.
-3. The module is imported from there, and its functions are made names of this module.
+3. The module is imported from there (:mod:`pam_antagonist.model.written`); its functions become names of this module.
 
 What an absent effect costs is one comparison: a function is called only where a size of its effect, or the state that
 it asks for, is there. A state is there if the rig has it *and* ``x`` holds it: a state of four numbers is one without
@@ -20,19 +20,18 @@ To read what was written: ``python -m pam_antagonist.model.composition``.
 from __future__ import annotations
 
 import hashlib
-import importlib.util
+import importlib
 import inspect
 import itertools
 import os
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from pam_antagonist._jit import cache_dir
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model import written
 from pam_antagonist.model.effects import CATALOGUE, AddedState, Effect, EffectParameter, parameter_path
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.hooks import (
@@ -278,7 +277,7 @@ def imported(text: str, what: str) -> ModuleType:
         text: its source.
         what: a word for its name.
     """
-    name = f"pam_antagonist_{what}_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+    name = f"{what}_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     file = cache_dir() / f"{name}.py"
     if not file.exists():
         # Whoever comes second finds a whole file, and leaves it: a newer one would make numba compile again.
@@ -292,16 +291,8 @@ def imported(text: str, what: str) -> ModuleType:
             os.replace(draft, file)
         finally:
             draft.unlink(missing_ok=True)
-    return _load(name, file)
-
-
-def _load(name: str, file: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
+        importlib.invalidate_caches()
+    return importlib.import_module(f"{written.__name__}.{name}")
 
 
 _composed = imported(source_text(CATALOGUE), "effects")

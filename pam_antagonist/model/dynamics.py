@@ -29,6 +29,9 @@ STAGES = 4
 """Stages of a Runge-Kutta step; a step with added states needs a row of scratch for each, and one more."""
 FIRST, SECOND = np.int64(0), np.int64(1)
 """The muscles. numba would compile whatever is given a bare 0 or 1 once for each."""
+WITH_EFFECTS = np.int64(1)
+"""What stands for ``effects`` where they may be at work. None stands for a plain rig: by its type, numba leaves out
+what only others need, so that it compiles less and runs faster."""
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
@@ -116,7 +119,7 @@ def _stopped(angle, velocity, p):
 
 
 @inlined
-def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, x, p, plain):
+def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, x, p, effects):
     """Equations (3) to (5) of one muscle.
 
     Returns:
@@ -124,21 +127,21 @@ def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, x, p, 
     """
     volume, volume_slope = _volume(i, muscle_length, p)
     passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
-    net = passed if plain else _mass_loss(passed, i, chamber, x, p)
+    net = passed if effects is None else _mass_loss(passed, i, chamber, x, p)
     polytropic = _pressure_rate(chamber, volume, volume_slope * length_rate, net, p)
-    rate = polytropic if plain else _cooling(polytropic, i, chamber, x, p)
+    rate = polytropic if effects is None else _cooling(polytropic, i, chamber, x, p)
     return polytropic, rate, passed, drawn
 
 
 @inlined
-def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_2, external, x, p, plain):
+def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_2, external, x, p, effects):
     """Equations (8) to (10): ψ̈, and whether the joint slides."""
     coulomb = _coulomb_torque(force_1, force_2, chamber_1, chamber_2, p)
     balance = _muscle_torque(cosine, force_1, force_2, p) + external
-    if not plain:
+    if effects is not None:
         coulomb = _with_coulomb(coulomb, angle, velocity, sine, chamber_1, chamber_2, x, p)
         balance = _joint_torque(balance, angle, velocity, sine, x, p)
-    return _acceleration(angle, velocity, balance, coulomb, p, plain)
+    return _acceleration(angle, velocity, balance, coulomb, p, effects)
 
 
 @inlined
@@ -174,10 +177,10 @@ def torque_needed(x, acceleration, direction, p):
 
 
 @inlined
-def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, plain):
+def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, effects):
     """The rows of equation (11a) without added states, in scalars: a sigma point passes through registers, not memory.
 
-    ``plain`` is a literal: a rig without options and effects is spared their branches.
+    Where ``effects`` is None, a rig without options and effects is spared their branches.
     """
     velocity = _stopped(angle, velocity, p)
     sine, cosine, _ = _leverage(angle, p)
@@ -185,18 +188,18 @@ def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external,
     length_2 = _length(SECOND, sine, p)
     speed_1 = _length_rate(FIRST, cosine, velocity, p)
     speed_2 = _length_rate(SECOND, cosine, velocity, p)
-    supply = p[SUPPLY] if plain else _supply_change(p[SUPPLY], None, p)
-    _, rate_1, _, _ = _air(FIRST, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, plain)
-    _, rate_2, _, _ = _air(SECOND, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, plain)
+    supply = p[SUPPLY] if effects is None else _supply_change(p[SUPPLY], None, p)
+    _, rate_1, _, _ = _air(FIRST, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, effects)
+    _, rate_2, _, _ = _air(SECOND, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, effects)
     if p[LOCKED] != 0.0:
         return 0.0, 0.0, rate_1, rate_2
-    if plain:
+    if effects is None:
         force_1, force_2 = _linear_force(FIRST, length_1, pressure_1, p), _linear_force(SECOND, length_2, pressure_2, p)
     else:
         force_1 = _force_with_effects(FIRST, length_1, speed_1, pressure_1, None, p)
         force_2 = _force_with_effects(SECOND, length_2, speed_2, pressure_2, None, p)
     acceleration, _ = _motion(
-        angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, None, p, plain
+        angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, None, p, effects
     )
     return velocity, acceleration, rate_1, rate_2
 
@@ -233,7 +236,7 @@ def _rows(x, u, wanted_1, wanted_2, p, dx):
             wanted = _open_rate(i, spool, p)
         alpha = _held_open_rate(wanted, i, x, p)
         polytropic, rate, passed, drawn = _air(
-            i, alpha, sensed, chamber, muscle_length, length_rate, supply, x, p, False
+            i, alpha, sensed, chamber, muscle_length, length_rate, supply, x, p, WITH_EFFECTS
         )
         consumption += drawn
         dx[PRESSURE_1 + i] = _valve_pressure_rate(rate, i, sensed, chamber, passed, x, p)
@@ -250,7 +253,7 @@ def _rows(x, u, wanted_1, wanted_2, p, dx):
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
         angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p),
-        _with_disturbance(_external_torque(u), x, p), x, p, False,
+        _with_disturbance(_external_torque(u), x, p), x, p, WITH_EFFECTS,
     )  # fmt: skip
 
 
@@ -298,17 +301,21 @@ def _extended_step(x, u, p, dt, result, scratch):
 
 
 @inlined
-def _scalar_step(x, u, p, dt, result, plain):
+def _scalar_step(x, u, p, dt, result, effects):
     """:func:`rk4_step_within` without added states."""
     alpha_1 = _open_rate(FIRST, u[0], p)
     alpha_2 = _open_rate(SECOND, u[1], p)
     e = _external_torque(u)
     half = 0.5 * dt
     a, b, c, d = x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2]
-    a1, b1, c1, d1 = _slopes(a, b, c, d, alpha_1, alpha_2, e, p, plain)
-    a2, b2, c2, d2 = _slopes(a + half * a1, b + half * b1, c + half * c1, d + half * d1, alpha_1, alpha_2, e, p, plain)
-    a3, b3, c3, d3 = _slopes(a + half * a2, b + half * b2, c + half * c2, d + half * d2, alpha_1, alpha_2, e, p, plain)
-    a4, b4, c4, d4 = _slopes(a + dt * a3, b + dt * b3, c + dt * c3, d + dt * d3, alpha_1, alpha_2, e, p, plain)
+    a1, b1, c1, d1 = _slopes(a, b, c, d, alpha_1, alpha_2, e, p, effects)
+    a2, b2, c2, d2 = _slopes(
+        a + half * a1, b + half * b1, c + half * c1, d + half * d1, alpha_1, alpha_2, e, p, effects
+    )
+    a3, b3, c3, d3 = _slopes(
+        a + half * a2, b + half * b2, c + half * c2, d + half * d2, alpha_1, alpha_2, e, p, effects
+    )
+    a4, b4, c4, d4 = _slopes(a + dt * a3, b + dt * b3, c + dt * c3, d + dt * d3, alpha_1, alpha_2, e, p, effects)
     sixth = dt / 6.0
     result[ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
     result[VELOCITY] = b + sixth * (b1 + 2.0 * (b2 + b3) + b4)
@@ -320,7 +327,22 @@ def _scalar_step(x, u, p, dt, result, plain):
 @in_place
 def _optional_step(x, u, p, dt, result):
     """:func:`rk4_step_within` with options or effects, but without added states."""
-    _scalar_step(x, u, p, dt, result, False)
+    _scalar_step(x, u, p, dt, result, WITH_EFFECTS)
+
+
+@in_place
+def plain_step(x, u, p, dt, result, scratch):
+    """:func:`rk4_step_within` of a rig that is known to be plain.
+
+    Args:
+        x: state (4,), not changed unless it is also ``result``.
+        u: input, as for :func:`rk4_step_within`.
+        p: parameter vector, plain.
+        dt: step [s].
+        result: state after the step (4,).
+        scratch: not used.
+    """
+    _scalar_step(x, u, p, dt, result, None)
 
 
 @in_place
@@ -336,7 +358,7 @@ def rk4_step_within(x, u, p, dt, result, scratch):
         scratch: (STAGES + 1, n), used where there are added states.
     """
     if p[PLAIN] != 0.0:
-        _scalar_step(x, u, p, dt, result, True)
+        _scalar_step(x, u, p, dt, result, None)
     elif x.shape[0] == BASE_STATES:
         _optional_step(x, u, p, dt, result)
     else:
@@ -373,8 +395,8 @@ def subsystem(x, p):
         force_1, force_2 = forces(x, p)
         sine, cosine, _ = _leverage(x[ANGLE], p)
         _, slides = _motion(
-            x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2,
-            chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p), _with_disturbance(0.0, x, p), x, p, False,
+            x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2, chamber_pressure(FIRST, x, p),
+            chamber_pressure(SECOND, x, p), _with_disturbance(0.0, x, p), x, p, WITH_EFFECTS,
         )  # fmt: skip
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)

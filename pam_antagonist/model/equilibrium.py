@@ -121,12 +121,12 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
         State (n,), n = p[parameters.STATES].
     """
     x = np.empty(int(p[STATES]))
-    make_steady(x, angle, pressure_1, pressure_2, u, p, velocity)
+    make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, dynamics.WITH_EFFECTS)
     return x
 
 
 @in_place
-def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity):
+def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, effects):
     """:func:`initial_state`, written into an array.
 
     Args:
@@ -137,9 +137,12 @@ def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity):
         u: input, as for :func:`dynamics.rk4_step`.
         p: parameter vector (m,).
         velocity: ψ̇ [rad/s] with which it has come.
+        effects: None where the rig is known to be plain.
     """
     x[:] = 0.0
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2
+    if effects is None:
+        return
     sine, cosine, _ = _leverage(angle, p)
     consumption = 0.0
     for i in range(2):

@@ -133,7 +133,7 @@ def friction_torque(velocity, applied, coulomb, p):
 
 
 @inlined
-def acceleration(angle, velocity, torque, coulomb, p, own=False):
+def acceleration(angle, velocity, torque, coulomb, p, effects=True):
     """ψ̈ [rad/s²], equation (8): (τ − T_f − k_s ψ)/J, and whether the joint slides (1.0) or sticks (0.0).
 
     Args:
@@ -142,10 +142,10 @@ def acceleration(angle, velocity, torque, coulomb, p, own=False):
         torque: τ of the muscles [N m].
         coulomb: T_s + T_p [N m].
         p: parameter vector (m,).
-        own: the law is known to be the paper's own, so that it need not be looked up.
+        effects: None where the law is known to be the paper's own, so that it need not be looked up.
     """
     applied = torque - p[STIFFNESS] * angle
-    if own:
+    if effects is None:
         friction, slides = kikuuwe_torque(velocity, applied, coulomb, p[VISCOUS], p)
     else:
         friction, slides = friction_torque(velocity, applied, coulomb, p)

@@ -12,7 +12,7 @@ from pam_antagonist.model.lane_values import CHUNK, LANES, item, put
 TEXT = lane_form.lane_module((dynamics.rk4_step_within, dynamics.torque))
 """Source of the module with the lane form of the equations."""
 _form = composition.imported(TEXT, "lanes")
-_rk4_step, _torque = _form.rk4_step_within, _form.torque
+rk4_step, _torque = _form.rk4_step_within, _form.torque
 
 
 @in_place
@@ -35,7 +35,7 @@ def course(x, voltage, p, dt, substeps, states, torques, scratch):
         for k in range(count):
             if begin + k > 0:
                 for _ in range(substeps):
-                    _rk4_step(x, voltage[begin + k], p, dt / substeps, x, stages)
+                    rk4_step(x, voltage[begin + k], p, dt / substeps, x, stages)
             for i in range(x.shape[0]):
                 put(recent, (k, i), item(x, i))
             put(recent_torques, k, _torque(x, p))

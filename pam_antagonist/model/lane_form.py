@@ -25,7 +25,7 @@ from typing import Any
 
 from pam_antagonist.model import parameters as par
 
-_SHARED_ARGUMENTS = ("i", "muscle", "valve", "plain", "own", "dt")
+_SHARED_ARGUMENTS = ("i", "muscle", "valve", "dt")
 """Arguments that are the same in all lanes, whatever function has them."""
 _BUILT_IN = ("abs", "min", "max", "range", "int", "float")
 _HEADER = '''"""The equations for lanes; written by pam_antagonist.model.lane_form, which explains it."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numba.core import codegen, config
 
-from pam_antagonist.model import dynamics, lane_form
+from pam_antagonist.model import composition, dynamics, lane_form
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.lane_values import CHUNK, LANES
 
@@ -49,13 +49,44 @@ def courses(
         # Lanes that are left over do what the first one does.
         filled = [*group, *group[:1] * (LANES - len(group))]
         x = np.stack([starts[k] for k in filled], axis=1)
-        p = np.stack([vectors[k] for k in filled], axis=1)
-        p[par.PLAIN], p[par.STATELESS_EFFECTS] = p[par.PLAIN].min(), p[par.STATELESS_EFFECTS].max()
+        p = beside([vectors[k] for k in filled])
         states, torques = np.empty((LANES, len(voltage), len(x))), np.empty((LANES, len(voltage)))
         run(x, voltage, p, dt, substeps, states, torques, _scratch(len(x)))
         for lane, k in enumerate(group):
             out[k] = states[lane], torques[lane]
     return out
+
+
+def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
+    """Parameters of eight models that run side by side (P, 8).
+
+    Args:
+        vectors: parameter vector (P,) of each; all go the ways that any of them needs.
+    """
+    p = np.stack(vectors, axis=1)
+    p[par.PLAIN], p[par.STATELESS_EFFECTS] = p[par.PLAIN].min(), p[par.STATELESS_EFFECTS].max()
+    return p
+
+
+def step(plain: bool) -> Any:
+    """The Runge-Kutta step of eight models, compiled; None where they had better run one by one.
+
+    Args:
+        plain: whether all of them are known to be plain: much less is compiled then.
+
+    Returns:
+        :func:`~pam_antagonist.model.dynamics.plain_step` or :func:`~pam_antagonist.model.dynamics.rk4_step_within`,
+        for states (n, 8), parameters (P, 8) and scratch (STAGES + 1, n, 8).
+    """
+    if _fewest() > LANES:
+        return None
+    if plain:
+        text = lane_form.lane_module((dynamics.plain_step,))
+        return composition.imported(text, "plain_lanes").plain_step
+    try:
+        return importlib.import_module("pam_antagonist.model.lane_course").rk4_step
+    except lane_form.NoLaneForm:
+        return None
 
 
 def groups(models: Sequence[Sequence[np.ndarray]]) -> list[list[int]]:

@@ -26,7 +26,8 @@ def test_it_names_the_steps_of_both_ways() -> None:
     assert names >= {
         "Estimator.step_in_place",
         "process",
-        "rk4_step",
+        "advance",
+        "rk4_step_within",
         "read_bag",
         "check_recording",
         "diagnose",

@@ -1,0 +1,81 @@
+"""Sigma points over a step of the model: eight at once, where the processor works on eight numbers at once.
+
+Each point gets the bits that it gets alone (:mod:`pam_antagonist.model.lanes`): which way is taken depends on the
+machine, the estimate does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba.core import types
+
+from pam_antagonist._jit import by_types
+from pam_antagonist.model import dynamics, lanes
+from pam_antagonist.model.lane_values import LANES
+
+
+def beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
+    """Parameters of the sigma points, eight side by side.
+
+    Args:
+        parameter_sets: those of the first points (1 + 2 m, SIZE); the others have the first set.
+        points: how many there are.
+
+    Returns:
+        (G, SIZE, 8), G groups of eight; the points that the last one lacks have the first set.
+    """
+    steps = range(0, points, LANES)
+    each = [parameter_sets[k if k < len(parameter_sets) else 0] for k in range(len(steps) * LANES)]
+    return np.stack([lanes.beside(each[first : first + LANES]) for first in steps])
+
+
+def advance(points, u, parameter_sets, dt, effects, work):
+    """Take each sigma point over a step, in place; in compiled code only.
+
+    Args:
+        points: (K, n).
+        u: input (2,) held over the step.
+        parameter_sets: those of the first points (1 + 2 m, SIZE); the others have the first set.
+        dt: step [s].
+        effects: None where the rig is known to be plain.
+        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
+    """
+    raise NotImplementedError("in compiled code only")
+
+
+@by_types(advance)
+def _advance(points, u, parameter_sets, dt, effects, work):
+    plain = isinstance(effects, types.NoneType)
+    together = lanes.step(plain)
+    if together is None:
+        return _one_by_one(dynamics.plain_step if plain else dynamics.rk4_step_within)
+    return _side_by_side(together)
+
+
+def _one_by_one(step: Any) -> Callable[..., None]:
+    def advance(points, u, parameter_sets, dt, effects, work):
+        sets = parameter_sets.shape[0]
+        for k in range(points.shape[0]):
+            step(points[k], u, parameter_sets[k if k < sets else 0], dt, points[k], work.stages)
+
+    return advance
+
+
+def _side_by_side(step: Any) -> Callable[..., None]:
+    def advance(points, u, parameter_sets, dt, effects, work):
+        states = work.lane_states
+        for group in range(work.lane_sets.shape[0]):
+            first = group * LANES
+            count = min(LANES, points.shape[0] - first)
+            for lane in range(count):
+                for i in range(points.shape[1]):
+                    states[i, lane] = points[first + lane, i]
+            step(states, u, work.lane_sets[group], dt, states, work.lane_stages)
+            for lane in range(count):
+                for i in range(points.shape[1]):
+                    points[first + lane, i] = states[i, lane]
+
+    return advance
