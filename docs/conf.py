@@ -87,6 +87,7 @@ exclude_patterns = [
     "layouts.py",
     "release.py",
     "demo_picture.py",
+    "growth_picture.py",
     "commission_pictures.py",
     "evidence/step_speed.py",
 ]
