@@ -80,10 +80,6 @@ def said(done: Replay) -> str:
     return " ".join(item.text for item in findings(done.report))
 
 
-def rows_of(done: Replay) -> bytes:
-    return done.run.rows.tobytes() + done.run.stamp_ns.tobytes()
-
-
 def test_it_replays_bit_for_bit_from_its_first_checkpoint(rig: Rig, begun_later: Recording) -> None:
     done = replay(begun_later, rig)
     equal = done.report.live_equal
