@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pam_antagonist.design.information import STEP, Information
 from pam_antagonist.design.limits import Limits
 from pam_antagonist.design.optimal import Plan, steady_voltage
+from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import ANGLE
 from pam_antagonist.rig import Rig
 
@@ -24,6 +25,8 @@ Floats = NDArray[np.float64]
 
 _LOW_SHARE, _HIGH_SHARE, _MOST_SHARE = 0.15, 0.32, 0.5
 """Pressures of the experiment, and the limit, as shares of what the supply has beyond the atmosphere."""
+_LEAST_RISE = 30e3
+"""[Pa] A pressure that rises less does not show well with which valve it rises."""
 _SETTLE_S, _HOLD_S, _VENT_S = 4.0, 2.5, 5.0
 _END_S = 0.4
 """[s] At the end of a phase, whose mean counts."""
@@ -57,14 +60,25 @@ class Fault:
     sentence: str
 
 
-def first_fill(rig: Rig) -> Plan:
+def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
     """The experiment.
 
     Args:
         rig: the joint.
+        highest: limit of the pressures [Pa], absolute, where that is lower than usual.
+
+    Raises:
+        BadInput: a limit so low that no pressure could rise visibly.
     """
     air, supply = rig.atmosphere.pressure, rig.supply.pressure
     low, high, most = (air + share * (supply - air) for share in (_LOW_SHARE, _HIGH_SHARE, _MOST_SHARE))
+    if highest < low + 2.0 * _LEAST_RISE:
+        raise BadInput(
+            f"pressures up to {highest / 1e3:.0f} kPa: too low for the first air; expected at least "
+            f"{(low + 2.0 * _LEAST_RISE) / 1e3:.0f} kPa"
+        )
+    most = min(most, highest)
+    high = min(high, 0.5 * (low + most))
     rest, fill = np.array(steady_voltage(rig, low)), np.array(steady_voltage(rig, high))
     vent = rig.valves.voltage_min
     pairs = [
@@ -79,20 +93,20 @@ def first_fill(rig: Rig) -> Plan:
     return Plan(np.concatenate(rows), rig.sample_period, "free", 0.0, limits, low, (first, second))
 
 
-def faults(rig: Rig, pressure: Floats, angle: Floats | None) -> list[Fault]:
+def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None = None) -> list[Fault]:
     """What a recording of the experiment says is wrong; empty where nothing is.
 
     Args:
         rig: the joint.
         pressure: measured ones (N, 2) [Pa], on the even grid of the rig's period from the experiment's begin on.
         angle: measured one (N,) [rad], None where there is none.
+        plan: the experiment; default: that of :func:`first_fill` without a limit.
     """
     if found := dead_sensors(pressure):
         return found
-    ends = np.cumsum([_SETTLE_S, _HOLD_S, _HOLD_S, _HOLD_S, _HOLD_S, _VENT_S])
+    ends = _ends()
     seen = _means(pressure, rig.sample_period, ends)
-    model = first_fill(rig)
-    course = _course(rig, model)
+    course = _course(rig, plan or first_fill(rig))
     expected = _means(course[:, 1:], STEP, ends)
     # Change of each sensor (columns) with each valve (rows), over what the model says of the valve's own muscle.
     rise = np.array([seen[1] - 0.5 * (seen[0] + seen[2]), seen[3] - 0.5 * (seen[2] + seen[4])])
@@ -115,6 +129,21 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None) -> list[Fault]:
     lost = [] if zeros else _lost(full)
     # A muscle that leaks may not move the joint at all.
     return [*zeros, *lost, *(fault for fault in _encoder(turned) if not (lost and fault.name == "still"))]
+
+
+def turns_visibly(rig: Rig, plan: Plan) -> bool:
+    """Whether the experiment turns the joint so far that the encoder's sign shows: not at the lowest pressures.
+
+    Args:
+        rig: the joint.
+        plan: the experiment.
+    """
+    return bool(np.all(np.abs(_turns(_course(rig, plan)[:, 0], STEP, _ends())) > 2.0 * _TURNS))
+
+
+def _ends() -> Floats:
+    """When each phase ends [s]."""
+    return np.cumsum([_SETTLE_S, _HOLD_S, _HOLD_S, _HOLD_S, _HOLD_S, _VENT_S])
 
 
 def _course(rig: Rig, plan: Plan) -> Floats:

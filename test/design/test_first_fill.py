@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pam_antagonist.design.first_fill import faults, first_fill
+from pam_antagonist.design import Plan
+from pam_antagonist.design.first_fill import faults, first_fill, turns_visibly
+from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.line_faults import FaultPlan, parse_fault
 from pam_antagonist.hardware.miswired import Miswired
 from pam_antagonist.rig import load_rig
@@ -17,14 +19,14 @@ RIG = load_rig("shin2022")
 PLAN = first_fill(RIG)
 
 
-def recorded(seed: int, *texts: str) -> tuple[Floats, Floats]:
+def recorded(seed: int, *texts: str, driven: Plan = PLAN) -> tuple[Floats, Floats]:
     """Pressures (N, 2) [Pa] and angle (N,) [rad] of the experiment on a joint with faults, 3 % off the rig file."""
     plan = FaultPlan([parse_fault(text) for text in texts], seed)
-    plant = Plant(RIG, substeps=1, seed=seed, mismatch=0.03, initial_pressure=(PLAN.pressure, PLAN.pressure))
+    plant = Plant(RIG, substeps=1, seed=seed, mismatch=0.03, initial_pressure=(driven.pressure, driven.pressure))
     joint = Miswired(plant, plan)
     samples = []
-    for k, (first, second) in enumerate(PLAN.voltage):
-        plan.at(k * PLAN.period)
+    for k, (first, second) in enumerate(driven.voltage):
+        plan.at(k * driven.period)
         samples.append(joint.step((float(first), float(second))))
     return np.array([sample.pressure for sample in samples]), np.array([sample.angle for sample in samples])
 
@@ -50,6 +52,29 @@ def test_the_fault_is_named_with_what_to_check(fault: str, name: str, words: str
         found = faults(RIG, pressure, angle)
         assert [one.name for one in found] == ([name] if name else [])
         assert not found or words in found[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("highest", "fault", "name"),
+    [
+        (330e3, "flip_encoder", "flipped_encoder"),
+        (280e3, "", ""),
+        (280e3, "swap_valves", "crossed"),
+        (280e3, "leak=2", "leak_2"),
+    ],
+)
+def test_a_limit_of_the_pressures_holds_for_the_first_air_as_well(highest: float, fault: str, name: str) -> None:
+    limited = first_fill(RIG, highest)
+    pressure, angle = recorded(4, *([fault] if fault else []), driven=limited)
+    assert PLAN.limits.pressure[1] > limited.limits.pressure[1] == highest > pressure.max()
+    assert [one.name for one in faults(RIG, pressure, angle, limited)] == ([name] if name else [])
+    # At the lowest pressures the joint hardly turns, and the encoder's sign does not show.
+    assert turns_visibly(RIG, limited) == (highest > 300e3) and turns_visibly(RIG, PLAN)
+
+
+def test_a_limit_at_which_no_pressure_could_rise_is_refused() -> None:
+    with pytest.raises(BadInput, match="expected at least 253 kPa"):
+        first_fill(RIG, 240e3)
 
 
 def test_sensors_that_are_dead_or_off_are_named() -> None:
