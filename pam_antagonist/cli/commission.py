@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
-import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +18,7 @@ import yaml
 from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.commission_record import Record
 from pam_antagonist.cli.driving import (
     SIMULATED,
     Driven,
@@ -155,20 +154,7 @@ class Commission:
         self._limits = limits_of(arguments, self._rig)
         self._say: Callable[[str, float | None], None] = lambda text, seconds: None
         self._owner = Owner.of(arguments, arguments.plant or arguments.rig)
-        state = self._out / "state.json"
-        if self._out.exists() and not state.exists():
-            raise BadInput(f"{self._out}: exists, and is no folder of commission; expected a new one")
-        self._state: dict[str, Any] = {"rig": self._rig.name, "steps": {}}
-        if state.exists():
-            try:
-                self._state = json.loads(state.read_text(encoding="utf-8"))
-                self._state["steps"].items()
-            except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-                raise BadInput(f"{state}: cannot be read: {error}; expected what commission wrote") from None
-            if self._state.get("rig") != self._rig.name:
-                raise BadInput(f"{self._out}: was begun for rig {self._state.get('rig')}, not {self._rig.name}")
-        self._out.mkdir(parents=True, exist_ok=True)
-        self._keep()
+        self._record = Record(self._out, self._rig.name)
 
     @contextmanager
     def announced(self) -> Iterator[None]:
@@ -185,17 +171,6 @@ class Commission:
             self._say = announcer.say
             yield
 
-    @property
-    def _steps(self) -> dict[str, dict[str, Any]]:
-        steps: dict[str, dict[str, Any]] = self._state["steps"]
-        return steps
-
-    def _keep(self) -> None:
-        # In one go: an interruption must not cost the steps that are done.
-        new = self._out / "state.json.new"
-        new.write_text(json.dumps(self._state, indent=1) + "\n", encoding="utf-8")
-        new.replace(self._out / "state.json")
-
     def step(self, name: str) -> None:
         """Do a step, unless it is done.
 
@@ -205,7 +180,7 @@ class Commission:
         Raises:
             StepFailed: it found a fault, or ended early.
         """
-        before = self._steps.get(name, {})
+        before = self._record.steps.get(name, {})
         if before.get("done"):
             print(f"{name}: done before. {before['said']}")
             return
@@ -215,11 +190,11 @@ class Commission:
         try:
             result = getattr(self, f"_{name}")()
         except StepFailed as fault:
-            self._steps[name] = {"done": False, "said": str(fault), "seconds": time.monotonic() - begin}
-            self._keep()
+            self._record.steps[name] = {"done": False, "said": str(fault), "seconds": time.monotonic() - begin}
+            self._record.keep()
             raise
-        self._steps[name] = {"done": True, "seconds": time.monotonic() - begin, **result}
-        self._keep()
+        self._record.steps[name] = {"done": True, "seconds": time.monotonic() - begin, **result}
+        self._record.keep()
         print(f"{name}: {result['said']}", flush=True)
 
     def _at(self, name: str, what: str, seconds: float | None = None) -> None:
@@ -233,23 +208,8 @@ class Commission:
             except EOFError:
                 raise BadInput("nobody is there to answer; expected a terminal, or --unattended") from None
 
-    def _folder(self, name: str) -> Path:
-        """A new folder for an attempt of a step."""
-        number = 1
-        while (folder := self._out / f"{name}_{number}").exists():
-            number += 1
-        folder.mkdir()
-        return folder
-
-    def _again(self, name: str) -> Path:
-        """A result's folder; what an attempt left there that was interrupted is removed."""
-        folder = self._out / name
-        if folder.exists():
-            shutil.rmtree(folder)
-        return folder
-
     def _drive(self, name: str, plan: Plan) -> Driven:
-        folder = self._folder(name)
+        folder = self._record.attempt(name)
         write_plan(folder, plan, self._rig)
         self._at(name, "driving the joint", plan.duration)
         return drive(self._owner, plan, folder)
@@ -314,20 +274,17 @@ class Commission:
         self._ask("locked", "Take the lock away:")
         return {"said": f"recorded {plan.duration:.0f} s", **result}
 
-    def _bags(self) -> list[Path]:
-        return [self._out / step["bag"] for step in self._steps.values() if "bag" in step]
-
     def _identify(self) -> dict[str, Any]:
         from pam_antagonist.api.episodes import EpisodesIdentifyResult
         from pam_antagonist.api.identify import identify
 
         try:
-            result = identify(self._bags(), self._rig, seed=self._arguments.seed)
+            result = identify(self._record.bags(), self._rig, seed=self._arguments.seed)
             assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
         except BadInput as error:
             # An effect that acts on the free joint only lets both recordings look like two joints.
             return {"said": f"left to close_loop, since the model does not fit: {error}"}
-        result.save(self._again("identified"), figures=False)
+        result.save(self._record.result("identified"), figures=False)
         return {
             "said": f"{len(result.rig.directions)} uncertain directions are left",
             "warnings": list(result.warnings),
@@ -337,9 +294,9 @@ class Commission:
         from pam_antagonist.api.diagnose import diagnose
         from pam_antagonist.api.episodes import EpisodesDiagnoseResult
 
-        result = diagnose(self._bags(), self._rig, seed=self._arguments.seed)
+        result = diagnose(self._record.bags(), self._rig, seed=self._arguments.seed)
         assert not isinstance(result, EpisodesDiagnoseResult), "recorded in one piece"
-        result.save(self._again(name), figures=False)
+        result.save(self._record.result(name), figures=False)
         return {
             "said": result.sentence,
             "verdict": result.verdict,
@@ -352,7 +309,7 @@ class Commission:
         return self._diagnosed("found")
 
     def _apart(self) -> dict[str, Any]:
-        before = self._steps["close_loop"]
+        before = self._record.steps["close_loop"]
         if not (before["effects"] and before["rivals"]):
             return {"said": "nothing is undecided"}
         rig = load_rig(str(self._out / "found" / "rig_extended.yaml"))
@@ -364,7 +321,7 @@ class Commission:
         print(f"it decides with a chance of {verdict.chance:.0%}, in {verdict.plan.duration:.0f} s", flush=True)
         self._ask("apart", "Joint free:")
         recorded = self._recorded("apart", verdict.plan)
-        self._steps["apart"] = {"done": False, "said": "", **recorded}
+        self._record.steps["apart"] = {"done": False, "said": "", **recorded}
         return {**self._diagnosed("found_again"), **recorded, "chance": verdict.chance}
 
     def found(self) -> Rig:
@@ -373,14 +330,15 @@ class Commission:
         Raises:
             StepFailed: neither fits.
         """
-        last = self._steps["apart"] if "folder" in self._steps["apart"] else self._steps["close_loop"]
+        steps = self._record.steps
+        last = steps["apart"] if "folder" in steps["apart"] else steps["close_loop"]
         extended = self._out / last["folder"] / "rig_extended.yaml"
         chosen = (
             extended if last["verdict"] == "effect" and extended.exists() else self._out / "identified" / "rig.yaml"
         )
         if not chosen.exists():
             raise StepFailed(
-                f"gains: no model fits the joint. {self._steps['identify']['said']}. {last['said']} "
+                f"gains: no model fits the joint. {steps['identify']['said']}. {last['said']} "
                 f"Read {self._out / last['folder'] / 'report.html'}, and repair what it names"
             )
         (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
@@ -409,7 +367,7 @@ class Commission:
         """Write ``report.html`` and ``report.json`` on what was done so far."""
         steps = [
             Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0))
-            for name, one in self._steps.items()
+            for name, one in self._record.steps.items()
         ]
         write_report(self._out, self._rig, steps, typed(f"commission --rig {self._arguments.rig} --out {self._out}"))
 
