@@ -303,10 +303,13 @@ def _steps(
                     watch.push(pushed.pop(0)[1])
                 bar.n = elapsed
                 bar.set_postfix_str(_seen(watch, mode, steps[index][1]), refresh=True)
-                if bar.disable and index != shown and index:
-                    print(f"  {elapsed:5.1f} s: {_seen(watch, mode, steps[index][1])}", flush=True)
+                if bar.disable and index != shown and shown >= 0:
+                    # What the last reference came to, not what the new one begins with.
+                    print(f"  {elapsed:5.1f} s: {_seen(watch, mode, steps[shown][1])}", flush=True)
                 shown = index
                 time.sleep(_LOOP)
+            if bar.disable:
+                print(f"  {duration:5.1f} s: {_seen(watch, mode, steps[shown][1])}", flush=True)
             bar.n = duration
             bar.refresh()
 

@@ -201,7 +201,7 @@ def _tiles(demo: Demo) -> tuple[Tile, ...]:
 
 def summary(demo: Demo) -> tuple[Block, ...]:
     """What the terminal shows."""
-    return errors_table(demo.replay.report), control_table(demo)
+    return Text(_verdict(demo)), errors_table(demo.replay.report), control_table(demo)
 
 
 def follow(recording: Recording, mode: Mode) -> Tracking:

@@ -47,6 +47,7 @@ def test_the_report_holds_replay_and_control(rig: Rig, recording: Recording, tmp
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<h1>Sensor-less control, live</h1>" in page and "Worst steady-state error" in page
     shown = terminal.render(summary(demo))
+    assert "steps settled within" in shown.splitlines()[0]
     assert "not judged: a stage of it is missing in the recording" in shown
     assert "in the 95 % interval" in shown
 
