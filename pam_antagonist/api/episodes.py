@@ -37,8 +37,7 @@ def are_given(recordings: Sequence[Recording], rig: Rig) -> bool:
         recordings: of one rig.
         rig: the rig.
     """
-    # Of a joint with regulators whose commands were not recorded, nothing but episodes can tell anything.
-    return rig.drive == "regulator" and any(one.episode_ns is not None or one.drive == "valve" for one in recordings)
+    return rig.drive == "regulator" and any(one.episode_ns is not None for one in recordings)
 
 
 @dataclass(frozen=True, eq=False)

@@ -106,7 +106,8 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
     recordings = given.read(arguments, rig, bags) if rig.drive == "regulator" else []
-    if episodes.are_given(recordings, rig):
+    # Without commands, nothing but episodes tells anything of a joint with regulators.
+    if episodes.are_given(recordings, rig) or any(recording.drive == "valve" for recording in recordings):
         return _of_episodes(arguments, rig, share, recordings)
     if arguments.also:
         raise BadInput(
@@ -150,9 +151,9 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
 def _of_episodes(arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording]) -> int:
     """Diagnose a joint with pressure regulators in many short episodes."""
     cluster.refuse_for_episodes(arguments.dask)
-    found = diagnose(
-        recordings[: len(arguments.bags)], rig, holdout=share, held_out=recordings[len(arguments.bags) :],
-        jobs=arguments.jobs, progress=said_by("close_loop"), also=arguments.also,
+    fitted, kept = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
+    found = episodes.diagnosed(
+        fitted, kept, rig, arguments.also, share, arguments.jobs, said_by("close_loop")
     )  # fmt: skip
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())

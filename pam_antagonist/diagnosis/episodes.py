@@ -8,54 +8,26 @@ come from a bootstrap of blocks of episodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.blas import one_blas_thread
-from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, course, forecast
 from pam_antagonist.diagnosis.episode_lines import StraightLines
+from pam_antagonist.diagnosis.episode_search import Tried, search, with_effect
 from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
 from pam_antagonist.inference.episode_values import intervals
-from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.held_episodes import Held, held_out, last, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-MOST = 6
-"""Effects at most; each signal that friction goes with counts as one."""
-LEAST_OF_ALL = 0.01
-"""Share of the squared error without effects that an effect removes at least. What is left at the end may be due to the
-form of the others: on a simulated joint, creep that was not there removed 5 % of what was nearly nothing."""
-_FITTED, _SCORED, _USED = 300, 400, 600
-"""Episodes in a fit of the search, in its judgement, and in a final fit: more tell hardly more and take longer."""
-_REFITTED = 3
-"""Candidates of a round that are fitted: those with the best scores."""
-
-
-@dataclass(frozen=True)
-class Tried:
-    """An effect in one round of the search.
-
-    Attributes:
-        name: the effect, with the signal by which it goes.
-        round: how many effects the model had before, plus one.
-        score: share of the squared error that it would remove of what was fitted, to first order.
-        removed: share that it removed of episodes that its fit has not seen, with an interval that is corrected for how
-            many effects were offered; None where the score was too low for a fit.
-        taken: whether it is in the model.
-    """
-
-    name: str
-    round: int
-    score: float
-    removed: Interval | None = None
-    taken: bool = False
+_USED = 600
+"""Episodes in a final fit: more tell hardly more and take longer."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +103,7 @@ def diagnose(
     progress("base parameters")
     searched = search(joint, held.pool, progress)
     base, model, tried, replaced = searched.base, searched.model, searched.tried, searched.replaced
-    coulomb = _with(base, joint.candidates({}).get("friction", ()), {})
+    coulomb = with_effect(base, joint.candidates({}).get("friction", ()), {})
     models = {"mechanics with viscous friction": base}
     if coulomb is not None:
         models["with Coulomb friction alone"] = coulomb
@@ -166,183 +138,6 @@ def diagnose(
         window, forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), drifting, tuple(others),
         compared, searched.left,
     )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """What a search for effects found.
-
-    Attributes:
-        base: the model without any.
-        model: the extended one.
-        tried: all that were tried, by rounds.
-        replaced: the extended one with an effect that may remove as much as one that was taken in its place, by both
-            their names.
-        left: squared error of the extended model over what the noise of the readings alone would leave.
-    """
-
-    base: PressureModel
-    model: PressureModel
-    tried: tuple[Tried, ...]
-    replaced: Mapping[tuple[str, str], PressureModel]
-    left: Interval
-
-
-def search(joint: PressureDriven, pool: Indices, progress: Callable[[str], None]) -> Searched:
-    """Add effects to the base model, one in each round, as long as something is left that is not noise.
-
-    Args:
-        joint: the episodes.
-        pool: that may be used.
-        progress: is called with what is being done.
-    """
-    fitted, judged = joint.take(thinned(pool[::2], _FITTED)), joint.take(thinned(pool[1::2], _SCORED))
-    base = model = fitted.fit(fitted.as_configured)
-    whole = float(judged.squares(judged.residual(base)).sums.sum())
-    tried: list[Tried] = []
-    rivals: dict[tuple[str, str], tuple[PressureModel, PressureModel]] = {}
-    for number in range(1, MOST + 1):
-        offered = fitted.candidates(model.effects)
-        progress(f"round {number}: {len(offered)} candidates")
-        scored = sorted(_scores(fitted, model, offered), key=lambda item: -item[1])
-        before = judged.squares(judged.residual(model)).sums
-        found: list[tuple[Tried, PressureModel | None]] = []
-        for place, (name, score, start) in enumerate(scored):
-            if place >= _REFITTED or start is None:
-                found.append((Tried(name, number, score), None))
-                continue
-            refitted = fitted.fit(start)
-            after = judged.squares(judged.residual(refitted)).sums
-            removed = ratio(before - after, before, len(offered))
-            found.append((Tried(name, number, score, removed), refitted))
-        left = ratio(before, _of_noise(fitted, judged, model))
-        near = []
-        if left.low > thresholds.EPISODES_ABOVE_NOISE:
-            near = _best(judged, joint.take(thinned(pool, _FITTED)), found, float(before.sum()), whole)
-        best = near[0][0] if near else None
-        tried += [replace(item, taken=item is best) for item, _ in found]
-        if best is None:
-            break
-        rivals |= {(item.name, best.name): (near[0][1], other) for item, other in near[1:]}
-        model = near[0][1]
-    also = [item.name for item in tried if item.taken]
-    replaced = {
-        names: _exchanged(model, taken, other) for names, (taken, other) in rivals.items() if names[0] not in also
-    }
-    return Searched(base, model, tuple(tried), replaced, left)
-
-
-def _exchanged(model: PressureModel, taken: PressureModel, other: PressureModel) -> PressureModel:
-    """A model with what another one has of its own in the place of what it shares with one of its round."""
-    out = model.without([path for path in taken.effects if path not in other.effects])
-    free = [item for item in other.free if item not in out.free]
-    return PressureModel(out.amounts, (*out.free, *free), {**other.effects, **out.effects})
-
-
-def _best(
-    judged: PressureDriven,
-    both: PressureDriven,
-    found: Sequence[tuple[Tried, PressureModel | None]],
-    left: float,
-    whole: float,
-) -> list[tuple[Tried, PressureModel]]:
-    """Effects that may remove as much as the best one, with the fewest numbers first; none that is worth it: none.
-
-    Args:
-        judged: episodes that decide.
-        both: these and those that were fitted.
-        found: effects, those that were fitted with their models.
-        left: squared error before them.
-        whole: squared error without any effect.
-    """
-    worth = [
-        (item, refitted, judged.squares(judged.residual(refitted)).sums)
-        for item, refitted in found
-        if item.removed is not None and refitted is not None
-        and item.removed.low > 0.0 and item.removed.value >= thresholds.FIRST_SHARE
-        and item.removed.value * left >= LEAST_OF_ALL * whole
-        and _has_a_size(both, refitted)
-    ]  # fmt: skip
-    if not worth:
-        return []
-    first = min(worth, key=lambda entry: entry[2].sum())
-    near = [entry for entry in worth if entry is first or ratio(entry[2], first[2], len(found)).low <= 1.0]
-    near.sort(key=lambda entry: (len(entry[1].free), entry[2].sum()))
-    return [(item, refitted) for item, refitted, _ in near]
-
-
-def _of_noise(fitted: PressureDriven, judged: PressureDriven, model: PressureModel) -> Floats:
-    """Squared errors by episode that the noise of the readings alone would leave, in start, input and fit (E,).
-
-    Args:
-        fitted: episodes that the model was fitted to.
-        judged: those that decide.
-        model: taken to be right.
-    """
-    refitted, seen = fitted.as_if(model).fit(model), judged.as_if(model)
-    return seen.squares(seen.residual(refitted)).sums
-
-
-def _has_a_size(joint: PressureDriven, model: PressureModel) -> bool:
-    """Whether the effect that was freed last differs from none, by its sizes' intervals by episode.
-
-    Args:
-        joint: episodes to fit it to.
-        model: with the effect.
-    """
-    effect = model.free[-1].paths[0].rsplit(".", 1)[0]
-    sizes = [item.paths[0] for item in model.free if item.item.is_size and item.paths[0].startswith(f"{effect}.")]
-    values = intervals(joint, joint.fit(model))
-    return any(not values[path].low <= 0.0 <= values[path].high for path in sizes)
-
-
-def _with(
-    model: PressureModel,
-    forms: Sequence[Candidate],
-    shape: Mapping[str, float],
-    sizes: Mapping[str, float] | None = None,
-) -> PressureModel | None:
-    """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes."""
-    if not forms:
-        return None
-    candidate = forms[0]
-    values = {path: (sizes or {}).get(free.path, free.item.scale) for free in candidate.sizes for path in free.paths}
-    values |= {path: shape.get(free.path, free.item.neutral) for free in candidate.shapes for path in free.paths}
-    return PressureModel(model.amounts, (*model.free, *candidate.free), {**model.effects, **values})
-
-
-def _scores(
-    joint: PressureDriven, model: PressureModel, offered: Mapping[str, Sequence[Candidate]]
-) -> list[tuple[str, float, PressureModel | None]]:
-    """Share of the squared error that each candidate would remove, to first order, and where its fit starts."""
-    left = joint.residual(model)
-    basis = np.linalg.qr(joint.jacobian(model, left))[0]
-    rest = left - basis @ (basis.T @ left)
-    total = float(left @ left)
-    out = []
-    for name, forms in offered.items():
-        best, start = 0.0, None
-        for candidate in forms:
-            for shape in candidate.grid():
-                columns = []
-                for size in candidate.sizes:
-                    only = {other.path: size.item.scale * (other == size) for other in candidate.sizes}
-                    point = _with(model, (candidate,), shape, only)
-                    assert point is not None
-                    column = joint.residual(point) - left
-                    columns.append(column - basis @ (basis.T @ column))
-                matrix = np.column_stack(columns)
-                step = np.linalg.lstsq(matrix, -rest, rcond=None)[0]
-                gain = float(rest @ rest - np.sum((rest + matrix @ step) ** 2)) / total
-                if gain > best * 1.05:
-                    # To first order a large size promises more than it holds.
-                    sizes = {
-                        size.path: size.bounded(size.item.scale * float(np.clip(part, -3.0, 3.0)))
-                        for size, part in zip(candidate.sizes, step, strict=True)
-                    }
-                    best, start = gain, _with(model, (candidate,), shape, sizes)
-        out.append((name, best, start))
-    return out
 
 
 def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Row:

@@ -129,6 +129,31 @@ class _Commanded:
         """Squared error by episode (E,)."""
         return np.asarray(np.add.reduceat(self.residual(values) ** 2, 2 * self.joint.first[:-1]))
 
+    def squares_of_all(self, values: Mapping[str, float]) -> float:
+        """Squared error of all episodes together."""
+        return float(self.squares(values).sum())
+
+    @cached_property
+    def quickest(self) -> float:
+        """A rate that the measured pressures go beyond now and then only [Pa/s]."""
+        one = self.joint
+        rate = np.abs(np.diff(one.pressure, axis=0)) / np.diff(one.time)[:, None]
+        rate[one.first[1:-1] - 1] = 0.0
+        return float(np.quantile(rate, _QUICK))
+
+    @cached_property
+    def reached(self) -> tuple[float, float]:
+        """Pressures that the measured ones hardly leave [Pa]."""
+        low, high = np.quantile(self.joint.pressure, [1.0 - _QUICK, _QUICK])
+        return float(low), float(high)
+
+    def tells(self, path: str, value: float) -> bool:
+        """Whether the commands tell a value: an end of the range only where some go beyond it."""
+        command = self.joint.command
+        if path == "effects.regulator_limits.lowest":
+            return bool((command < value).any())
+        return path != "effects.regulator_limits.highest" or bool((command > value).any())
+
     def fit(self, start: Mapping[str, float]) -> dict[str, float]:
         names = list(start)
         items = [_ITEMS[name] for name in names]
@@ -154,6 +179,17 @@ class _Commanded:
         }
 
 
+_QUICK = 0.99
+_HIDDEN: Mapping[str, Callable[[_Commanded], Mapping[str, float]]] = {
+    "dead zone": lambda fitted: {"regulator_lag.dead_zone": 3e3},
+    "largest rate": lambda fitted: {"regulator_lag.largest_rate": fitted.quickest},
+    "range": lambda fitted: dict(
+        zip(("regulator_limits.lowest", "regulator_limits.highest"), fitted.reached, strict=True)
+    ),
+}
+"""Where these are looked for as well: a search that begins at the rig's values may not see them."""
+
+
 def of_commands(joint: PressureDriven, held: Held, progress: Callable[[str], None]) -> RegulatorsFound:
     """Identify both regulators.
 
@@ -165,7 +201,8 @@ def of_commands(joint: PressureDriven, held: Held, progress: Callable[[str], Non
     fitted = _Commanded(joint.take(thinned(held.pool[::2], _USED)))
     judged = _Commanded(joint.take(thinned(held.pool[1::2], _USED)))
     rig = joint.rig
-    values = fitted.fit({f"effects.{name}": max(rig.value(f"effects.{name}"), 1e-2) for name in _LAG})
+    lag = {f"effects.{name}": max(rig.value(f"effects.{name}"), 1e-2) for name in _LAG}
+    values = fitted.fit(lag)
     tried: list[TriedMore] = []
     offered = {
         name: {f"effects.{path}": rig.value(f"effects.{path}") or start for path, start in more.items()}
@@ -174,14 +211,20 @@ def of_commands(joint: PressureDriven, held: Held, progress: Callable[[str], Non
     while offered:
         progress(f"regulators: {', '.join(offered)}")
         before = judged.squares(values)
-        found = {name: fitted.fit({**values, **more}) for name, more in offered.items()}
+        found = {}
+        for name, more in offered.items():
+            # A lag that was fitted alone may be so slow that a rate or a zone beside it changes nothing.
+            starts = [{**values, **more}]
+            if name in _HIDDEN and not any(item.taken for item in tried):
+                starts.append({**lag, **{f"effects.{path}": value for path, value in _HIDDEN[name](fitted).items()}})
+            found[name] = min((fitted.fit(start) for start in starts), key=fitted.squares_of_all)
         removed = {name: ratio(before - judged.squares(one), before, len(offered)) for name, one in found.items()}
         best = max(removed, key=lambda name: removed[name].value)
         enough = removed[best].low > 0.0 and removed[best].value >= _LEAST_REMOVED
         tried += [TriedMore(name, one, enough and name == best) for name, one in removed.items()]
         if not enough:
             break
-        values = found[best]
+        values = {path: value for path, value in found[best].items() if fitted.tells(path, value)}
         del offered[best]
     later = _Commanded(joint.take(held.later))
     model = fitted.simulated(moved(rig, values))

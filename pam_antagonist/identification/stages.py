@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.balance import Balance, fit_force_map, fit_friction
+from pam_antagonist.identification.stretches import beside_the_lag
 from pam_antagonist.identification.valve_curve import CurveFinding, identify_curves
 from pam_antagonist.inference.free_parameters import FreeParameter, moved
 from pam_antagonist.inference.joint_fit import JointFit, joint_fit
@@ -124,8 +125,12 @@ def run_stages(
     state = _Progress(whole, np.zeros(whole.size))
     progress("force map")
     _force_map(state, ways)
-    progress("valve curve")
-    _curves(state)
+    if rig.drive == "regulator":
+        progress("regulators")
+        _regulators(state)
+    else:
+        progress("valve curve")
+        _curves(state)
     progress("friction")
     _friction(state)
     progress("flow")
@@ -166,12 +171,21 @@ def _force_map(state: _Progress, ways: Sequence[Variation]) -> None:
     return state.end("force map", source, earlier, state.put(found[0]), note, balance=found[1])
 
 
+def _regulators(state: _Progress) -> None:
+    source = "measured pressures and commands, by stretches that begin where the commands had stood"
+    earlier = padded(state.whole, state.theta)
+    rig = state.whole.rig
+    told, note = beside_the_lag(rig, state.whole.trials, state.whole.jobs)
+    if not told:
+        return state.end("regulators", source, earlier, {}, note)
+    state.whole = JointProblem(moved(rig, told), state.whole.trials, state.whole.free, jobs=state.whole.jobs)
+    return state.end("regulators", source, earlier, {path: (rig.value(path), told[path]) for path in told}, note)
+
+
 def _curves(state: _Progress) -> None:
     source = "steady pressures: open rate → pressure, voltage → pressure, the two combined"
     earlier = padded(state.whole, state.theta)
     rig = state.whole.rig
-    if rig.drive == "regulator":
-        return state.end("valve curve", source, earlier, {}, "skipped: the rig has pressure regulators")
     changed, findings = identify_curves(rig, state.whole.trials)
     if any(finding.replaced for finding in findings):
         whole = JointProblem(changed, state.whole.trials, state.whole.free, jobs=state.whole.jobs)

@@ -131,7 +131,7 @@ def _by_default(rig: Rig) -> set[str]:
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
     present = {name for name, item in _EFFECTS.items() if item.is_size and rig.value(name)}
     if rig.drive == "regulator":
-        # No air passes a valve of the model. Range, dead zone and largest rate stand in data sheets.
+        # No air passes a valve of the model. Range, dead zone and largest rate have a step of their own.
         names -= {name for name in _FLOW if name != "gas.polytropic_volume"}
         names |= {"effects.regulator_lag.damping"}
         present -= {name for name in present if name.startswith("effects.regulator_") and name[-1] not in "12"}

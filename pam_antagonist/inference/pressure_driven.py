@@ -329,7 +329,8 @@ class PressureDriven:
         """
         count = len(self.directions)
         values = dict(model.effects)
-        for item, coordinate in zip(model.free, coordinates[count:], strict=True):
+        # A step along a direction that hardly shows may lead anywhere: the bounds hold it, and exp must not overflow.
+        for item, coordinate in zip(model.free, np.clip(coordinates[count:], -600.0, 600.0), strict=True):
             values.update(dict.fromkeys(item.paths, item.bounded(item.value(float(coordinate)))))
         return PressureModel(np.asarray(coordinates[:count]), model.free, values)
 

@@ -10,15 +10,18 @@ import pytest
 
 from pam_antagonist import check, identify, load_rig, simulate
 from pam_antagonist.cli.check import main
+from pam_antagonist.identification.stretches import beside_the_lag
+from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.simulation.excitation import for_rig
 
 RIG = load_rig("shin2022_regulators", regulators=True)
 
 
 def recorded(**lag: float) -> Recording:
-    """12 s of a joint whose regulators answer otherwise than the rig file says."""
+    """30 s of a joint whose regulators answer otherwise than the rig file says."""
     effects = {**RIG.effects, "regulator_lag": {**RIG.effects["regulator_lag"], **lag}}
-    return simulate(RIG.replaced(effects=effects), duration=12.0, seed=3)
+    return simulate(RIG.replaced(effects=effects), duration=30.0, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +40,30 @@ def test_frequency_and_damping_are_found_with_error_bars() -> None:
         assert row["value"] == pytest.approx(value, rel=0.01)
         assert abs(row["value"] - value) < 4.0 * row["std"]
     assert not [name for name in table.index if name.startswith(("valve_", "supply")) or "limits" in name]
+
+
+def overdriven(**limits: float) -> Recording:
+    """30 s of a joint whose regulators hold back commands that the rig file lets through."""
+    rig = RIG.replaced(effects={**RIG.effects, "regulator_limits": limits})
+    return simulate(rig, for_rig(RIG, "steps", 30.0, 3), seed=3, mismatch=0.01)
+
+
+@pytest.mark.parametrize(
+    ("made", "expected"),
+    [
+        (
+            lambda: recorded(largest_rate=1.2e6, dead_zone=4e3),
+            {"regulator_lag.largest_rate": 1.2e6, "regulator_lag.dead_zone": 4e3},
+        ),
+        (lambda: overdriven(lowest=110e3, highest=450e3), {"regulator_limits.highest": 450e3}),
+    ],
+)
+def test_rate_zone_and_range_are_found_in_one_long_recording_and_nothing_else(made, expected: dict[str, float]) -> None:
+    values, note = beside_the_lag(RIG, [make_trial(made(), RIG, "free", 0.0, "steps")], 1)
+    assert set(values) == {f"effects.{path}" for path in expected}
+    for path, value in expected.items():
+        assert values[f"effects.{path}"] == pytest.approx(value, rel=0.1)
+    assert "stretches tell" in note
 
 
 def statuses(recording: Recording) -> dict[str, str]:

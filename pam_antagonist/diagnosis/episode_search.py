@@ -1,0 +1,275 @@
+"""The search for effects in many short episodes: which of them remove what of episodes that their fit has not seen.
+
+One half of the episodes is fitted, the other half decides. Of few episodes each part is judged by fits to the rest. An
+effect is taken as long as more is left than the noise of the readings leaves. It has to remove a share of what is left,
+by the lower end of its interval by episode, and its size has to differ from none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.inference.bootstrap import Interval, ratio
+from pam_antagonist.inference.episode_values import intervals
+from pam_antagonist.inference.free_parameters import Candidate
+from pam_antagonist.inference.held_episodes import thinned
+from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Models = tuple[PressureModel, ...]
+"""One for each fold."""
+
+MOST = 6
+"""Effects at most; each signal that friction goes with counts as one."""
+LEAST_OF_ALL = 0.01
+"""Share of the squared error without effects that an effect removes at least. What is left at the end may be due to the
+form of the others: on a simulated joint, creep that was not there removed 5 % of what was nearly nothing."""
+_FITTED, _SCORED = 300, 400
+"""Episodes in a fit, and in its judgement: more tell hardly more and take longer."""
+_FEW, _FOLDS = 60, 4
+"""Of fewer episodes each quarter is judged by fits to the other three: a half would tell too little of a fit."""
+_REFITTED = 3
+"""Candidates of a round that are fitted: those with the best scores."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """An effect in one round of the search.
+
+    Attributes:
+        name: the effect, with the signal by which it goes.
+        round: how many effects the model had before, plus one.
+        score: share of the squared error that it would remove of what was fitted, to first order.
+        removed: share that it removed of episodes that its fit has not seen, with an interval that is corrected for how
+            many effects were offered; None where the score was too low for a fit.
+        taken: whether it is in the model.
+    """
+
+    name: str
+    round: int
+    score: float
+    removed: Interval | None = None
+    taken: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Folds:
+    """Episodes that are fitted, and for each part of them those that judge the fit.
+
+    Attributes:
+        fitted: of each fold.
+        judged: of each fold; every episode is judged once at most.
+        order: puts what is judged into the order of the recording.
+    """
+
+    fitted: tuple[PressureDriven, ...]
+    judged: tuple[PressureDriven, ...]
+    order: Indices
+
+    @classmethod
+    def of(cls, joint: PressureDriven, pool: Indices) -> _Folds:
+        """Halves of many episodes, quarters of few.
+
+        Args:
+            joint: the episodes.
+            pool: that may be used.
+        """
+        pairs = [(thinned(pool[::2], _FITTED), thinned(pool[1::2], _SCORED))]
+        if len(pool) < _FEW:
+            pairs = [(np.delete(pool, np.s_[k::_FOLDS]), pool[k::_FOLDS]) for k in range(_FOLDS)]
+        order = np.argsort(np.concatenate([judged for _, judged in pairs]))
+        return cls(tuple(joint.take(one) for one, _ in pairs), tuple(joint.take(one) for _, one in pairs), order)
+
+    def fit(self, before: Models, start: PressureModel) -> Models:
+        """A fit of each fold with the effects of a start, from where the fold was before."""
+        return tuple(
+            one.fit(PressureModel(model.amounts, start.free, {**start.effects, **model.effects}))
+            for one, model in zip(self.fitted, before, strict=True)
+        )
+
+    def squares(self, models: Models) -> Floats:
+        """Squared errors of the judged episodes (E,)."""
+        sums = [one.squares(one.residual(model)).sums for one, model in zip(self.judged, models, strict=True)]
+        return np.asarray(np.concatenate(sums)[self.order])
+
+    def squares_of_noise(self, models: Models) -> Floats:
+        """What the noise of the readings alone would leave there: of start, input and fit of right models (E,)."""
+        sums = []
+        for fitted, judged, model in zip(self.fitted, self.judged, models, strict=True):
+            refitted, seen = fitted.as_if(model).fit(model), judged.as_if(model)
+            sums.append(seen.squares(seen.residual(refitted)).sums)
+        return np.asarray(np.concatenate(sums)[self.order])
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """What a search for effects found.
+
+    Attributes:
+        base: the model without any.
+        model: the extended one.
+        tried: all that were tried, by rounds.
+        replaced: the extended one with an effect that may remove as much as one that was taken in its place, by both
+            their names.
+        left: squared error of the extended model over what the noise of the readings alone would leave.
+    """
+
+    base: PressureModel
+    model: PressureModel
+    tried: tuple[Tried, ...]
+    replaced: Mapping[tuple[str, str], PressureModel]
+    left: Interval
+
+
+def search(joint: PressureDriven, pool: Indices, progress: Callable[[str], None]) -> Searched:
+    """Add effects to the base model, one in each round, as long as something is left that is not noise.
+
+    Args:
+        joint: the episodes.
+        pool: that may be used.
+        progress: is called with what is being done.
+    """
+    folds = _Folds.of(joint, pool)
+    models = folds.fit((joint.as_configured,) * len(folds.fitted), joint.as_configured)
+    base, whole = models[0], float(folds.squares(models).sum())
+    tried: list[Tried] = []
+    rivals: dict[tuple[str, str], tuple[PressureModel, PressureModel]] = {}
+    for number in range(1, MOST + 1):
+        offered = joint.candidates(models[0].effects)
+        progress(f"round {number}: {len(offered)} candidates")
+        scored = sorted(_scores(folds.fitted[0], models[0], offered), key=lambda item: -item[1])
+        before = folds.squares(models)
+        found: list[tuple[Tried, Models | None]] = []
+        for place, (name, score, start) in enumerate(scored):
+            if place >= _REFITTED or start is None:
+                found.append((Tried(name, number, score), None))
+                continue
+            refitted = folds.fit(models, start)
+            removed = ratio(before - folds.squares(refitted), before, len(offered))
+            found.append((Tried(name, number, score, removed), refitted))
+        left = ratio(before, folds.squares_of_noise(models))
+        near = []
+        if left.low > thresholds.EPISODES_ABOVE_NOISE:
+            near = _best(folds, joint.take(thinned(pool, _FITTED)), found, float(before.sum()), whole)
+        best = near[0][0] if near else None
+        tried += [replace(item, taken=item is best) for item, _ in found]
+        if best is None:
+            break
+        models = near[0][1]
+        rivals |= {(item.name, best.name): (models[0], other[0]) for item, other in near[1:]}
+    also = [item.name for item in tried if item.taken]
+    replaced = {
+        names: _exchanged(models[0], taken, other) for names, (taken, other) in rivals.items() if names[0] not in also
+    }
+    return Searched(base, models[0], tuple(tried), replaced, left)
+
+
+def _exchanged(model: PressureModel, taken: PressureModel, other: PressureModel) -> PressureModel:
+    """A model with what another one has of its own in the place of what it shares with one of its round."""
+    out = model.without([path for path in taken.effects if path not in other.effects])
+    free = [item for item in other.free if item not in out.free]
+    return PressureModel(out.amounts, (*out.free, *free), {**other.effects, **out.effects})
+
+
+def _best(
+    folds: _Folds,
+    both: PressureDriven,
+    found: Sequence[tuple[Tried, Models | None]],
+    left: float,
+    whole: float,
+) -> list[tuple[Tried, Models]]:
+    """Effects that may remove as much as the best one, with the fewest numbers first; none that is worth it: none.
+
+    Args:
+        folds: with the episodes that decide.
+        both: these and those that were fitted.
+        found: effects, those that were fitted with their models.
+        left: squared error before them.
+        whole: squared error without any effect.
+    """
+    worth = [
+        (item, refitted, folds.squares(refitted))
+        for item, refitted in found
+        if item.removed is not None and refitted is not None
+        and item.removed.low > 0.0 and item.removed.value >= thresholds.FIRST_SHARE
+        and item.removed.value * left >= LEAST_OF_ALL * whole
+        and _has_a_size(both, refitted[0])
+    ]  # fmt: skip
+    if not worth:
+        return []
+    first = min(worth, key=lambda entry: entry[2].sum())
+    near = [entry for entry in worth if entry is first or ratio(entry[2], first[2], len(found)).low <= 1.0]
+    near.sort(key=lambda entry: (len(entry[1][0].free), entry[2].sum()))
+    return [(item, refitted) for item, refitted, _ in near]
+
+
+def _has_a_size(joint: PressureDriven, model: PressureModel) -> bool:
+    """Whether the effect that was freed last differs from none, by the interval of its size by episode.
+
+    Sizes that stand for each other, such as both parts of a friction, tell nothing one by one: then it is not asked.
+
+    Args:
+        joint: episodes to fit it to.
+        model: with the effect.
+    """
+    effect = model.free[-1].paths[0].rsplit(".", 1)[0]
+    sizes = [item.paths[0] for item in model.free if item.item.is_size and item.paths[0].startswith(f"{effect}.")]
+    if len(sizes) > 1:
+        return True
+    size = intervals(joint, joint.fit(model))[sizes[0]]
+    return size.low > 0.0 or size.high < 0.0
+
+
+def with_effect(
+    model: PressureModel,
+    forms: Sequence[Candidate],
+    shape: Mapping[str, float],
+    sizes: Mapping[str, float] | None = None,
+) -> PressureModel | None:
+    """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes."""
+    if not forms:
+        return None
+    candidate = forms[0]
+    values = {path: (sizes or {}).get(free.path, free.item.scale) for free in candidate.sizes for path in free.paths}
+    values |= {path: shape.get(free.path, free.item.neutral) for free in candidate.shapes for path in free.paths}
+    return PressureModel(model.amounts, (*model.free, *candidate.free), {**model.effects, **values})
+
+
+def _scores(
+    joint: PressureDriven, model: PressureModel, offered: Mapping[str, Sequence[Candidate]]
+) -> list[tuple[str, float, PressureModel | None]]:
+    """Share of the squared error that each candidate would remove, to first order, and where its fit starts."""
+    left = joint.residual(model)
+    basis = np.linalg.qr(joint.jacobian(model, left))[0]
+    rest = left - basis @ (basis.T @ left)
+    total = float(left @ left)
+    out = []
+    for name, forms in offered.items():
+        best, start = 0.0, None
+        for candidate in forms:
+            for shape in candidate.grid():
+                columns = []
+                for size in candidate.sizes:
+                    only = {other.path: size.item.scale * (other == size) for other in candidate.sizes}
+                    point = with_effect(model, (candidate,), shape, only)
+                    assert point is not None
+                    column = joint.residual(point) - left
+                    columns.append(column - basis @ (basis.T @ column))
+                matrix = np.column_stack(columns)
+                step = np.linalg.lstsq(matrix, -rest, rcond=None)[0]
+                gain = float(rest @ rest - np.sum((rest + matrix @ step) ** 2)) / total
+                if gain > best * 1.05:
+                    # To first order a large size promises more than it holds.
+                    sizes = {
+                        size.path: size.bounded(size.item.scale * float(np.clip(part, -3.0, 3.0)))
+                        for size, part in zip(candidate.sizes, step, strict=True)
+                    }
+                    best, start = gain, with_effect(model, (candidate,), shape, sizes)
+        out.append((name, best, start))
+    return out

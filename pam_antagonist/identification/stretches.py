@@ -1,0 +1,97 @@
+"""Range, dead zone and largest rate of pressure regulators from long recordings, by stretches between rests.
+
+Wherever both commands have stood for a while, the pressures are known to be what they were asked for: a stretch begins
+there, as an episode does. What the commands make of the pressures is then found as for episodes
+(:mod:`pam_antagonist.identification.regulators`): each number is freed where that explains enough of stretches that no
+fit has seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.identification.regulators import of_commands
+from pam_antagonist.inference.held_episodes import held_out
+from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
+from pam_antagonist.rig import Rig
+
+Indices = NDArray[np.intp]
+
+_REST_S = 0.25
+"""[s] So long a command has stood where a stretch begins: over ten time constants of a regulator."""
+_LEAST_S, _LONGEST_S = 0.2, 1.0
+"""[s] Length of a stretch; later, a regulator shows nothing new."""
+_LEAST = 12
+"""Stretches with which something can be fitted, judged and told from chance."""
+_PATHS = (
+    "regulator_lag.dead_zone",
+    "regulator_lag.largest_rate",
+    "regulator_limits.lowest",
+    "regulator_limits.highest",
+)
+_SHARE = 1.0 / 3.0
+
+
+def beside_the_lag(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[dict[str, float], str]:
+    """What recordings tell of range, dead zone and largest rate of both regulators.
+
+    Args:
+        rig: whose pressures regulators hold.
+        trials: recordings with commands and measured pressures.
+        jobs: threads.
+
+    Returns:
+        Values that differ from the rig's, by dotted path [Pa, Pa/s], and a sentence.
+    """
+    joint = _stretches(rig, trials, jobs)
+    if len(joint) < _LEAST:
+        return {}, f"skipped: both commands stand for {_REST_S:g} s before {len(joint)} stretches, expected {_LEAST}"
+    found = of_commands(joint, held_out(len(joint), _SHARE), lambda text: None)
+    told = {path: interval.value for path, interval in found.values.items()}
+    values = {path: told[path] for path in (f"effects.{name}" for name in _PATHS) if path in told}
+    taken = [item.name for item in found.tried if item.taken]
+    others = [name for name in taken if name in ("dead time", "threshold")]
+    note = f"{len(joint)} stretches tell {', '.join(taken) if taken else 'nothing beside the lag'}"
+    if others:
+        shown = {path: value for path, value in told.items() if path not in values and "regulator_lag" not in path}
+        listed = ", ".join(f"{path.removeprefix('effects.')}: {value:.3g}" for path, value in shown.items())
+        note += f"; give the rig file {listed}"
+    return values, note
+
+
+def _stretches(rig: Rig, trials: Sequence[Trial], jobs: int) -> PressureDriven:
+    """All stretches of all recordings, one behind the other."""
+    parts: list[Mapping[str, NDArray[np.float64]]] = []
+    for trial in trials:
+        angle = np.where(np.isfinite(trial.measured[:, ANGLE]), trial.measured[:, ANGLE], trial.lock_angle)
+        pressure = trial.measured[:, PRESSURE_1 : PRESSURE_1 + 2]
+        begins = _begins(trial)
+        ends = [*begins[1:].tolist(), len(trial)]
+        for begin, end in zip(begins.tolist(), ends, strict=True):
+            rows = slice(begin, min(end, begin + trial.samples(_LONGEST_S)))
+            if rows.stop - begin >= trial.samples(_LEAST_S) and np.isfinite(pressure[rows]).all():
+                parts.append({
+                    "time": trial.time[rows], "angle": angle[rows], "pressure": pressure[rows],
+                    "command": trial.voltage[rows],
+                })  # fmt: skip
+    lengths = [len(part["time"]) for part in parts]
+    joined = {
+        name: np.concatenate([part[name] for part in parts]) if parts else np.empty((0, 2))
+        for name in ("time", "angle", "pressure", "command")
+    }
+    first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
+    return PressureDriven(
+        rig, "stretches", first, joined["time"], joined["angle"], joined["pressure"],
+        np.empty((int(first[-1]), 0)), joined["command"], jobs,
+    )  # fmt: skip
+
+
+def _begins(trial: Trial) -> Indices:
+    """Samples at which a stretch begins: the last ones before a command changes that had stood."""
+    changes = np.flatnonzero(np.any(np.diff(trial.voltage, axis=0) != 0.0, axis=1))  # the next sample has another one
+    stood = np.diff(changes, prepend=-1)
+    return np.asarray(changes[stood >= trial.samples(_REST_S)])
