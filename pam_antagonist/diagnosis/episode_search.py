@@ -232,7 +232,14 @@ def with_effect(
     shape: Mapping[str, float],
     sizes: Mapping[str, float] | None = None,
 ) -> PressureModel | None:
-    """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes."""
+    """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes.
+
+    Args:
+        model: without it.
+        forms: of the candidate, the simplest first; none: there is no such model.
+        shape: values of its shapes, by dotted path; others are neutral.
+        sizes: values of its sizes, by dotted path.
+    """
     if not forms:
         return None
     candidate = forms[0]
