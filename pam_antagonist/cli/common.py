@@ -79,18 +79,25 @@ def run(command: Callable[[Sequence[str] | None], int], argv: Sequence[str] | No
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("interrupted: nothing was written", file=sys.stderr)
-        return INTERRUPTED
+        return _interrupted()
     except BrokenPipeError:
         # The reader of our output has gone (`| head`), which is its right: the interpreter need not complain at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else (DONE if end.code is None else FAILED)
-    except Exception:
+    except Exception as error:
+        # A compiled function during which the signal came fails, with it as the cause.
+        if isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt):
+            return _interrupted()
         traceback.print_exc(limit=-6)
         print("error: this is a defect of pam_antagonist, not of your input", file=sys.stderr)
         return FAILED
+
+
+def _interrupted() -> int:
+    print("interrupted: nothing was written", file=sys.stderr)
+    return INTERRUPTED
 
 
 @contextmanager

@@ -31,6 +31,14 @@ def test_an_interrupt_is_status_130(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Traceback" not in capsys.readouterr().err
 
 
+def test_an_interrupt_during_a_compiled_function_is_one(capsys: pytest.CaptureFixture[str]) -> None:
+    caused = SystemError("CPUDispatcher(<function course>) returned a result with an exception set")
+    caused.__cause__ = KeyboardInterrupt()
+    assert common.run(_raising(caused)) == 130
+    assert capsys.readouterr().err == "interrupted: nothing was written\n"
+    assert common.run(_raising(SystemError("oops"))) == 1
+
+
 def test_a_defect_is_status_1_and_says_where(capsys: pytest.CaptureFixture[str]) -> None:
     assert common.run(_raising(ZeroDivisionError("oops"))) == 1
     error = capsys.readouterr().err
