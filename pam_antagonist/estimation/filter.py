@@ -127,12 +127,12 @@ def _finite(x, covariance):
 
 
 @in_place
-def _write(row, memory, settings, nis, flags, work):
+def _write(row, effects, memory, settings, nis, flags, work):
     """Put the estimate into its row; False where the covariance is lost."""
     x, covariance, moments = memory.x, memory.covariance, memory.torque_moments
     sets = settings.parameter_sets
     p = sets[0]
-    if _torque_moments(x, covariance, memory.cross, sets, settings.kappa, work, moments) < 0:
+    if _torque_moments(x, covariance, memory.cross, sets, settings.kappa, effects, work, moments) < 0:
         return False
     row.angle = x[ANGLE]
     row.velocity = x[VELOCITY]
@@ -146,10 +146,10 @@ def _write(row, memory, settings, nis, flags, work):
         row.pressure[i] = x[PRESSURE_1 + i]
         row.innovation[i] = memory.innovation[i]
     row.covariance[2, 2] = moments[1]
-    row.force[0], row.force[1] = _forces(x, p)
-    row.stiffness = _torque_slope(x, p)
+    row.force[0], row.force[1] = _forces(x, p, effects)
+    row.stiffness = _torque_slope(x, p, effects)
     row.nis = nis
-    row.subsystem = _subsystem(x, p)
+    row.subsystem = _subsystem(x, p, effects)
     row.flags = flags
     at = int(p[_EXTERNAL_TORQUE])
     row.external_torque = x[at] if at > 0 else np.nan
@@ -188,7 +188,7 @@ def _begin(stamp, y, u, angles, k, effects, memory, settings, work, row):
         # Both are finite here. numba would compile all of this once more for a True that stands in the code.
         flags = _angle(angles[k], 0.0, y, math.isfinite(y[0]), effects, memory, settings, work)
     memory.counts[_PROCESSED] += 1
-    return _write(row, memory, settings, np.nan, flags, work)
+    return _write(row, effects, memory, settings, np.nan, flags, work)
 
 
 @in_place
@@ -374,7 +374,7 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
     if angles is not None:
         flags |= _angle(angles[k], elapsed * 1e-9, y, finite_1 and finite_2, effects, memory, settings, work)
     counts[_PROCESSED] += 1
-    return _write(row, memory, settings, nis, flags, work)
+    return _write(row, effects, memory, settings, nis, flags, work)
 
 
 @in_place

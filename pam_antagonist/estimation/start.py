@@ -62,7 +62,7 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
     """
     pressure_1, pressure_2 = _pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p)
-    angle = lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p)
+    angle = lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p, effects)
     _make_steady(x, angle, pressure_1, pressure_2, u, p, 0.0, effects)
     covariance[:] = 0.0
     cross[:] = 0.0

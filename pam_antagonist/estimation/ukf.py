@@ -334,7 +334,7 @@ def update_angle(x, covariance, cross, innovation, noise, work):
 
 
 @in_place
-def torque_moments(x, covariance, cross, parameter_sets, kappa, work, moments):
+def torque_moments(x, covariance, cross, parameter_sets, kappa, effects, work, moments):
     """Torque and its covariances by the unscented transform of equation (9).
 
     Args:
@@ -343,6 +343,7 @@ def torque_moments(x, covariance, cross, parameter_sets, kappa, work, moments):
         cross: C (n, m).
         parameter_sets: (1 + 2 m, SIZE), as for :func:`predict`.
         kappa: κ.
+        effects: None where the rig is known to be plain.
         work: :class:`Work`, scratch.
         moments: result (1 + 1 + n,): mean of τ [N m], its variance, its covariance with each state.
 
@@ -360,7 +361,7 @@ def torque_moments(x, covariance, cross, parameter_sets, kappa, work, moments):
     mean = 0.0
     for k in range(1 + 2 * m + 2 * n):
         weight = kappa / spread if k == 0 else 0.5 / spread
-        torques[k] = _torque(points[k], parameter_sets[k if k <= 2 * m else 0])
+        torques[k] = _torque(points[k], parameter_sets[k if k <= 2 * m else 0], effects)
         mean += weight * torques[k]
     moments[:] = 0.0
     moments[0] = mean

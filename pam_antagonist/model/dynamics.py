@@ -73,32 +73,34 @@ def _force_with_effects(i, muscle_length, length_rate, chamber, x, p):
 
 
 @inlined
-def _muscle_force(i, sine, cosine, x, p):
-    """Contraction force of muscle i of a state, effects included."""
+def _muscle_force(i, sine, cosine, x, p, effects):
+    """Contraction force of muscle i of a state, effects included where they are not None."""
+    if effects is None:
+        return _linear_force(i, _length(i, sine, p), x[PRESSURE_1 + i], p)
     muscle_length, chamber = _length(i, sine, p), chamber_pressure(i, x, p)
     length_rate = _length_rate(i, cosine, x[VELOCITY], p)
     return _force_with_effects(i, muscle_length, length_rate, chamber, x, p)
 
 
 @inlined
-def forces(x, p):
-    """Contraction forces F_1, F_2 [N] of a state."""
+def forces(x, p, effects=True):
+    """Contraction forces F_1, F_2 [N] of a state; ``effects`` is None where the rig is known to be plain."""
     sine, cosine, _ = _leverage(x[ANGLE], p)
-    return _muscle_force(FIRST, sine, cosine, x, p), _muscle_force(SECOND, sine, cosine, x, p)
+    return _muscle_force(FIRST, sine, cosine, x, p, effects), _muscle_force(SECOND, sine, cosine, x, p, effects)
 
 
 @inlined
-def torque(x, p):
-    """τ [N m] of a state, the last row of equation (11b)."""
-    force_1, force_2 = forces(x, p)
+def torque(x, p, effects=True):
+    """τ [N m] of a state, the last row of equation (11b); ``effects`` as for :func:`forces`."""
+    force_1, force_2 = forces(x, p, effects)
     _, cosine, _ = _leverage(x[ANGLE], p)
     return _muscle_torque(cosine, force_1, force_2, p)
 
 
 @inlined
-def torque_slope(x, p):
-    """Joint stiffness ∂τ/∂ψ [N m/rad] at constant pressures, from (2), (6), (7) and (9)."""
-    force_1, force_2 = forces(x, p)
+def torque_slope(x, p, effects=True):
+    """Joint stiffness ∂τ/∂ψ [N m/rad] at constant pressures, from (2), (6), (7) and (9); ``effects`` likewise."""
+    force_1, force_2 = forces(x, p, effects)
     sine, cosine, bend = _leverage(x[ANGLE], p)
     # ∂l_1/∂ψ = −r cos ψ and ∂l_2/∂ψ = +r cos ψ, through the same functions as everywhere.
     slope_1 = _force_length_slope(FIRST, _length(FIRST, sine, p), chamber_pressure(FIRST, x, p), p)
@@ -249,7 +251,8 @@ def _rows(x, u, wanted_1, wanted_2, p, dx):
         dx[ANGLE] = 0.0
         dx[VELOCITY] = 0.0
         return
-    force_1, force_2 = _muscle_force(FIRST, sine, cosine, x, p), _muscle_force(SECOND, sine, cosine, x, p)
+    force_1 = _muscle_force(FIRST, sine, cosine, x, p, WITH_EFFECTS)
+    force_2 = _muscle_force(SECOND, sine, cosine, x, p, WITH_EFFECTS)
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
         angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p),
@@ -380,7 +383,7 @@ def rk4_step(x, u, p, dt, result):
 
 
 @inlined
-def subsystem(x, p):
+def subsystem(x, p, effects=True):
     """Index σ of the subsystem that is active, 1 to 18.
 
     σ = 1 + 6 a + 2 b + c with the flow regimes a, b of muscles 1 and 2 (0: only the inflow choked,
@@ -389,15 +392,18 @@ def subsystem(x, p):
     Args:
         x: state (n,).
         p: parameter vector.
+        effects: as for :func:`forces`.
     """
     slides = 0.0
     if p[LOCKED] == 0.0:
-        force_1, force_2 = forces(x, p)
+        force_1, force_2 = forces(x, p, effects)
         sine, cosine, _ = _leverage(x[ANGLE], p)
+        chamber_1 = x[PRESSURE_1] if effects is None else chamber_pressure(FIRST, x, p)
+        chamber_2 = x[PRESSURE_2] if effects is None else chamber_pressure(SECOND, x, p)
+        external = 0.0 if effects is None else _with_disturbance(0.0, x, p)
         _, slides = _motion(
-            x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2, chamber_pressure(FIRST, x, p),
-            chamber_pressure(SECOND, x, p), _with_disturbance(0.0, x, p), x, p, WITH_EFFECTS,
-        )  # fmt: skip
+            x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2, chamber_1, chamber_2, external, x, p, effects
+        )
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)
 

@@ -20,20 +20,21 @@ _joint_steady = composition.joint_steady
 
 
 @inlined
-def pull(x, p):
+def pull(x, p, effects=True):
     """Torque [N m] that moves a joint which stands and does not stick, without a torque from outside.
 
     Args:
         x: state (n,), of which angle and pressures count.
         p: parameter vector.
+        effects: None where the rig is known to be plain.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
-    load = _joint_torque(0.0, x[ANGLE], 0.0, sine, x, p)
-    return _torque(x, p) + load - p[STIFFNESS] * x[ANGLE]
+    load = 0.0 if effects is None else _joint_torque(0.0, x[ANGLE], 0.0, sine, x, p)
+    return _torque(x, p, effects) + load - p[STIFFNESS] * x[ANGLE]
 
 
 @kernel
-def rest_angle(pressure_1, pressure_2, p):
+def rest_angle(pressure_1, pressure_2, p, effects=True):
     """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within the stop.
 
     Where the balance lies beyond the stop (or beyond ±60° without one), that bound.
@@ -42,18 +43,19 @@ def rest_angle(pressure_1, pressure_2, p):
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
         p: parameter vector (m,).
+        effects: None where the rig is known to be plain.
     """
     high = min(p[STOP], math.pi / 3.0)
     low = -high
     x = np.array([low, 0.0, pressure_1, pressure_2])
-    if pull(x, p) <= 0.0:
+    if pull(x, p, effects) <= 0.0:
         return low
     x[ANGLE] = high
-    if pull(x, p) >= 0.0:
+    if pull(x, p, effects) >= 0.0:
         return high
     for _ in range(60):
         x[ANGLE] = 0.5 * (low + high)
-        if pull(x, p) > 0.0:
+        if pull(x, p, effects) > 0.0:
             low = x[ANGLE]
         else:
             high = x[ANGLE]
@@ -76,7 +78,7 @@ def closed_pressure(i, angle, p):
 
 
 @kernel
-def start_angle(pressure_1, pressure_2, p):
+def start_angle(pressure_1, pressure_2, p, effects=True):
     """Angle [rad] at which a filter starts.
 
     Of sealed muscles whose charge is known, the angle at which the ratio of the pressures is that of the
@@ -86,9 +88,10 @@ def start_angle(pressure_1, pressure_2, p):
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
         p: parameter vector (m,).
+        effects: None where the rig is known to be plain.
     """
     if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
-        return rest_angle(pressure_1, pressure_2, p)
+        return rest_angle(pressure_1, pressure_2, p, effects)
     ratio = pressure_1 / pressure_2
     high = min(p[STOP], math.pi / 3.0)
     low = -high
