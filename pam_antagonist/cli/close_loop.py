@@ -99,8 +99,8 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
-    compile_first(FITS)
     rig = load_rig(arguments.rig, regulators=True)
+    compile_first(FITS, rig)
     common.lock_angle(arguments)
     share, bags = _split(arguments.holdout)
     if arguments.also and rig.drive == "valve":

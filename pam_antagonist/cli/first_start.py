@@ -17,14 +17,19 @@ import numpy as np
 from pam_antagonist.estimation import Estimator, simulate_model
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.model import dynamics, lanes
-from pam_antagonist.rig import load_rig
+from pam_antagonist.model import parameters as par
+from pam_antagonist.rig import Rig, load_rig
 
-_RIG = "shin2022"
-"""Any rig: its numbers change no machine code."""
+_RIG, _WITH_EFFECTS = "shin2022", "shin2022_external_torque"
+"""Any plain rig, and any other: their numbers change no machine code."""
 
 
 def _filter() -> None:
     Estimator(load_rig(_RIG))
+
+
+def _filter_with_effects() -> None:
+    Estimator(load_rig(_WITH_EFFECTS))
 
 
 def _model() -> None:
@@ -41,19 +46,30 @@ REPLAY = "filter", "model"
 """Parts that a replay needs."""
 FITS = "filter", "model", "lanes"
 """Parts that fits need."""
-_PARTS: dict[str, Callable[[], None]] = {"filter": _filter, "model": _model, "lanes": _lanes}
+_PARTS: dict[str, Callable[[], None]] = {
+    "filter": _filter,
+    "filter with effects": _filter_with_effects,
+    "model": _model,
+    "lanes": _lanes,
+}
 """What takes seconds to compile, and what compiles it."""
 
 
-def compile_first(parts: Sequence[str]) -> None:
-    """Compile kernels of a plain rig, where neither the filter nor the model was compiled on this machine before.
+def compile_first(parts: Sequence[str], rig: Rig) -> None:
+    """Compile kernels where neither the filter nor the model was compiled on this machine before.
+
+    Those of a plain rig are fewer. What others need is compiled when a rig has effects.
 
     Args:
         parts: ``REPLAY`` or ``FITS``.
+        rig: for which.
     """
     if not (_missing(kernels.process_all) and _missing(dynamics.simulate)):
         return
-    print("compiling, once: about half a minute", file=sys.stderr, flush=True)
+    plain = bool(rig.parameters()[par.PLAIN])
+    what = "for a rig without effects" if plain else "for a rig with effects"
+    print(f"compiling {what}, once: about {20 if plain else 30} s", file=sys.stderr, flush=True)
+    parts = parts if plain else [{"filter": "filter with effects"}.get(part, part) for part in parts]
     with ExitStack() as running:
         processes = [running.enter_context(_compiling(part)) for part in parts]
         for process in processes:

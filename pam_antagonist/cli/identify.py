@@ -77,8 +77,8 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
-    compile_first(FITS)
     rig = load_rig(arguments.rig, regulators=True)
+    compile_first(FITS, rig)
     common.lock_angle(arguments)
     for name in ("free", "freeze") if rig.valves.sealed else ():
         if getattr(arguments, name):

@@ -133,7 +133,7 @@ def _excess(x, with_motion, of_angle, push, of_pressures, of_velocity, of_force,
 
 
 @in_place
-def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z, push, held, x, u, p, coarse):
+def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z, push, held, x, u, p, coarse, effects):
     """Excess over limits at the end of a reference, and on the way to it, and which limit is violated most.
 
     The excesses of all steps on the way are added up: the largest one alone may be that of the present state, which no
@@ -155,6 +155,7 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
         u: input (3,), written over.
         p: parameter vector.
         coarse: the same with the prediction's step as its friction's, and locked where the value is a torque.
+        effects: None where the rig is known to be plain.
     """
     bandwidth, _, approach = gains
     wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box, held, x, p)
@@ -166,13 +167,13 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
     x[VELOCITY] = 0.0
     excess, which = _excess(x, not of_torque, of_angle, push, of_pressures, of_velocity, of_force, limits, p)
     at_end, total = max(excess, 0.0), 0.0
-    _make_steady(x, seen.angle, seen.pressure_1, seen.pressure_2, held, p, 0.0, WITH_EFFECTS)
+    _make_steady(x, seen.angle, seen.pressure_1, seen.pressure_2, held, p, 0.0, effects)
     x[VELOCITY] = 0.0 if of_torque else seen.velocity
     u[2] = known_torque(seen.external_torque, seen.external_variance)
     for _ in range(_STEPS):
         u[0] = voltage_towards(0, x[PRESSURE_1], first, x[ANGLE], x[VELOCITY], bandwidth, p)
         u[1] = voltage_towards(1, x[PRESSURE_2], second, x[ANGLE], x[VELOCITY], bandwidth, p)
-        _rk4_step(x, u, coarse, _STEP, x)
+        _rk4_step(x, u, coarse, _STEP, x, effects)
         new, number = _excess(x, not of_torque, of_angle, push, of_pressures, of_velocity, of_force, limits, p)
         total += max(new, 0.0)
         excess, which = _worse(excess, which, new, number)
@@ -210,6 +211,7 @@ class Governor:
         free[par.FRICTION_STEP] = locked[par.FRICTION_STEP] = _STEP
         locked[par.LOCKED] = 1.0
         self._coarse = {Mode.ANGLE: free, Mode.TORQUE: locked}
+        self._effects = None if p[par.PLAIN] != 0.0 else WITH_EFFECTS
         self._x, self._u, self._held = np.zeros(int(p[par.STATES])), np.zeros(3), np.zeros(2)
         self._quantity: Mode | None = None
         self._applied = self._wanted = (math.nan, math.nan)
@@ -228,6 +230,7 @@ class Governor:
         at_end, on_the_way, which = _predict(
             quantity is Mode.TORQUE, value, stiffness, seen, integral, gains, self._box, self._limits, self._z,
             self._push, self._held, self._x, self._u, self._p, self._coarse[quantity],
+            self._effects,
         )  # fmt: skip
         return at_end, on_the_way, which
 

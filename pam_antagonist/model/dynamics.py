@@ -369,7 +369,7 @@ def rk4_step_within(x, u, p, dt, result, scratch):
 
 
 @kernel
-def rk4_step(x, u, p, dt, result):
+def rk4_step(x, u, p, dt, result, effects=True):
     """:func:`rk4_step_within` with scratch of its own; in a loop, to ask for memory takes as long as the step.
 
     Args:
@@ -378,8 +378,12 @@ def rk4_step(x, u, p, dt, result):
         p: parameter vector.
         dt: step [s].
         result: state after the step (n,).
+        effects: None where the rig is known to be plain: less is compiled then.
     """
-    rk4_step_within(x, u, p, dt, result, np.empty((STAGES + 1, x.shape[0])))
+    if effects is None:
+        _scalar_step(x, u, p, dt, result, None)
+    else:
+        rk4_step_within(x, u, p, dt, result, np.empty((STAGES + 1, x.shape[0])))
 
 
 @inlined
