@@ -84,14 +84,26 @@ def _muscle_force(i, sine, cosine, x, p, effects):
 
 @inlined
 def forces(x, p, effects=True):
-    """Contraction forces F_1, F_2 [N] of a state; ``effects`` is None where the rig is known to be plain."""
+    """Contraction forces F_1, F_2 [N] of a state.
+
+    Args:
+        x: state (n,).
+        p: parameter vector (m,).
+        effects: None where the rig is known to be plain.
+    """
     sine, cosine, _ = _leverage(x[ANGLE], p)
     return _muscle_force(FIRST, sine, cosine, x, p, effects), _muscle_force(SECOND, sine, cosine, x, p, effects)
 
 
 @inlined
 def torque(x, p, effects=True):
-    """τ [N m] of a state, the last row of equation (11b); ``effects`` as for :func:`forces`."""
+    """τ [N m] of a state, the last row of equation (11b).
+
+    Args:
+        x: state (n,).
+        p: parameter vector (m,).
+        effects: None where the rig is known to be plain.
+    """
     force_1, force_2 = forces(x, p, effects)
     _, cosine, _ = _leverage(x[ANGLE], p)
     return _muscle_torque(cosine, force_1, force_2, p)
@@ -99,7 +111,13 @@ def torque(x, p, effects=True):
 
 @inlined
 def torque_slope(x, p, effects=True):
-    """Joint stiffness ∂τ/∂ψ [N m/rad] at constant pressures, from (2), (6), (7) and (9); ``effects`` likewise."""
+    """Joint stiffness ∂τ/∂ψ [N m/rad] at constant pressures, from (2), (6), (7) and (9).
+
+    Args:
+        x: state (n,).
+        p: parameter vector (m,).
+        effects: None where the rig is known to be plain.
+    """
     force_1, force_2 = forces(x, p, effects)
     sine, cosine, bend = _leverage(x[ANGLE], p)
     # ∂l_1/∂ψ = −r cos ψ and ∂l_2/∂ψ = +r cos ψ, through the same functions as everywhere.
