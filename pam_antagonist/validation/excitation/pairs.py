@@ -29,7 +29,8 @@ from pam_antagonist.validation.excitation.sizes import Sizes
 _DESCRIPTION = """\
 For each pair of effects that the catalogue lists as hard to tell apart: a simulated joint has the first effect at its
 usual size, or the second one at the size at which it imitates the first. A usual size below four noises of a sample is
-enlarged to these, since close_loop finds no smaller effects. The joint's parameters differ from the rig file by 1 %. An
+enlarged to these, since close_loop finds no smaller effects. Where the imitation is smaller, since the second effect
+hardly imitates the first, the joint has the second one at its own usual size. The joint's parameters differ from the rig file by 1 %. An
 experiment is designed under which both differ most, and close_loop gets its recording beside one of steps
 (20 s). Right is a verdict that names the true effect first.
 """
@@ -157,12 +158,15 @@ def tried(rig: Rig, pair: tuple[str, str], seeds: int) -> Iterator[dict[str, Any
     """
     first, second = pair
     supposed = usual(rig, first)
+    rival = imitation(supposed, first, second)
+    if Sizes(rig, np.random.default_rng(0)).of(rival) < LARGE:
+        rival = usual(rig, second)
     verdict = told_apart(supposed, first, [second], Limits.of(rig))
     plan = verdict.plan
     promise = {"pair": [first, second], "chance": verdict.chance, "seconds": plan.duration}
     for seed in range(1, seeds + 1):
         truth = first if seed % 2 else second
-        joint = supposed if truth == first else imitation(supposed, first, second)
+        joint = supposed if truth == first else rival
         steps = excitation.profile("steps", _FIRST_S, rig.sample_period, seed)
         recordings = [
             simulate(joint, voltage, seed=seed, mismatch=_MISMATCH, path=name)
