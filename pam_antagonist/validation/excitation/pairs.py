@@ -30,9 +30,9 @@ _DESCRIPTION = """\
 For each pair of effects that the catalogue lists as hard to tell apart: a simulated joint has the first effect at its
 usual size, or the second one at the size at which it imitates the first. A usual size below four noises of a sample is
 enlarged to these, since close_loop finds no smaller effects. Where the imitation is smaller, since the second effect
-hardly imitates the first, the joint has the second one at its own usual size. The joint's parameters differ from the rig file by 1 %. An
-experiment is designed under which both differ most, and close_loop gets its recording beside one of steps
-(20 s). Right is a verdict that names the true effect first.
+hardly imitates the first, the joint has the second one at its own usual size. The joint's parameters differ from the
+rig file by 1 %. An experiment is designed under which both differ most, and close_loop gets its recording beside one of
+steps (20 s). Right is a verdict that names the true effect first.
 """
 _EXAMPLES = """\
 examples:
