@@ -12,7 +12,7 @@ it stands still or creeps, friction is anything up to that level: only what is b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -222,9 +222,9 @@ class MeasuredMotion(ValveDriven):
         states, torque, lacking = self._course(trial, point)
         return np.column_stack([lacking, torque, sensor.readings(states[:, 2:4], self.parameters(point))])
 
-    def _shown_each(self, trial: Trial, points: Sequence[Point]) -> list[Floats]:
-        """:meth:`_shown` of several models."""
-        return self.side_by_side(lambda point: self._shown(trial, point), points)
+    def _made_of_each(self, trial: Trial, points: Sequence[Point], made: Callable[[Floats], Floats]) -> list[Floats]:
+        """What is made of :meth:`_shown` of several models."""
+        return self.side_by_side(lambda point: made(self._shown(trial, point)), points)
 
     def _course(self, trial: Trial, point: Point) -> tuple[Floats, Floats, Floats]:
         p = self.parameters(point)
