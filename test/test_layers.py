@@ -67,7 +67,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
 
 LIBRARIES: dict[str, tuple[str, ...]] = {
     BASE: ("numba", "threadpoolctl"),
-    "model": ("numpy", "numba"),
+    "model": ("numpy", "numba", "typing_extensions"),
     "control": ("numpy",),
     "safety": (),
     "estimation": ("numpy", "numba", "scipy"),

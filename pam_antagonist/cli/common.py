@@ -21,6 +21,8 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+from typing_extensions import override
+
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import available, install
 from pam_antagonist.output import check_output, output_folder
@@ -50,6 +52,7 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
         )
 
+    @override
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments.
 

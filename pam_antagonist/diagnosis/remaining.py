@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model
@@ -125,6 +126,7 @@ class Form:
     share: float
     held_out: float
 
+    @override
     def __str__(self) -> str:
         return " ".join(f"{value:+.2g}·{name}" for name, value in self.terms)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_force import COEFFICIENTS as FORCE_COEFFICIENTS
@@ -49,6 +50,7 @@ class Reach:
         """Lengths (count,) [m] over the range."""
         return np.linspace(self.shortest, self.longest, count)
 
+    @override
     def __str__(self) -> str:
         return f"{self.shortest * 1e3:.1f} to {self.longest * 1e3:.1f} mm"
 

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.inference.experiment import Experiment
@@ -159,6 +160,7 @@ class AngleDriven(Experiment):
     resolved: bool = False
 
     @cached_property
+    @override
     def directions(self) -> tuple[FreeDirection, ...]:
         """Free base directions: what an identification of a sealed joint finds, but for friction."""
         rig = self.rig
@@ -172,10 +174,12 @@ class AngleDriven(Experiment):
         return tuple(direction for number in (1, 2) for direction in chamber_directions(rig, number))
 
     @cached_property
+    @override
     def channels(self) -> tuple[int, ...]:
         """The torque from outside, or the pressures' mean and half their difference in the place of the pressures."""
         return (TORQUE,) if self.part == BALANCE else (PRESSURE_1, PRESSURE_2)
 
+    @override
     def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
         """What of one residual's excess over noise is gone in another one, and what was there, in mean squares.
 
@@ -188,6 +192,7 @@ class AngleDriven(Experiment):
         return in_mean_squares(before, after, self.noise)
 
     @property
+    @override
     def titles(self) -> tuple[Channel, ...]:
         """The channels' names and units."""
         if self.part == BALANCE:
@@ -195,6 +200,7 @@ class AngleDriven(Experiment):
         return Channel("Mean pressure", "kPa", 1e-3), Channel("Half difference", "kPa", 1e-3)
 
     @cached_property
+    @override
     def measured(self) -> Floats:
         """Block means of the measurements (B, C)."""
         values = _parted(self.trial.measured)[:, list(self.channels)]
@@ -208,6 +214,7 @@ class AngleDriven(Experiment):
         return motion_of(self.trial.measured[:, ANGLE], self.trial.dt)
 
     @cached_property
+    @override
     def noise(self) -> Floats:
         """Standard deviation of a block mean by the sensors (C,), the encoder's by what its error moves included.
 
@@ -231,20 +238,24 @@ class AngleDriven(Experiment):
         )
 
     @cached_property
+    @override
     def vector(self) -> Floats:
         """Parameter vector as configured: the joint is moved by its angle, not by its torques."""
         return self.rig.parameters("locked", 0.0)
 
     @property
+    @override
     def runs_by_itself(self) -> bool:
         """It does not: the angle is given at every step."""
         return False
 
+    @override
     def signals(self, point: Point) -> dict[str, Floats]:
         """Pressures and motion."""
         course = self.trial.blocks(self.states(point)[0][:, :4])
         return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
 
+    @override
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """Effects that this part can show, beside those that a model has already; the simpler form of each first."""
         present = {path.split(".")[1] for path in taken}
@@ -275,11 +286,13 @@ class AngleDriven(Experiment):
         columns = [np.interp(every, at, column) for column in (*pressure.T, needed)]
         return np.column_stack(columns[:2]), np.asarray(columns[2])
 
+    @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """States (N, 4), the measured motion and the model's pressures, and the torque from outside (N,) [N m]."""
         pressure, needed = self.driven(point, whole=True)
         return np.column_stack([self.motion.angle, self.motion.velocity, pressure]), needed
 
+    @override
     def shown(self, point: Point, rig: Rig) -> Floats:
         """What every sensor would show (N, 4).
 
@@ -298,20 +311,24 @@ class AngleDriven(Experiment):
         return np.column_stack([alone, needed, pressure])
 
     @property
+    @override
     def noise_memory(self) -> float:
         """Blocks per independent value of the noise: an encoder's error stays while the joint does."""
         return self.blocks_per_error
 
     @property
+    @override
     def judged_channels(self) -> tuple[int, ...]:
         """All, or the pressures alone where no torque from outside was recorded."""
         return (ANGLE, TORQUE, PRESSURE_1, PRESSURE_2) if self.trial.has(TORQUE) else (PRESSURE_1, PRESSURE_2)
 
     @property
+    @override
     def slides(self) -> NDArray[np.bool_]:
         """Where the joint slides (N,)."""
         return np.asarray(np.abs(self.motion.velocity) > SLIDING)
 
+    @override
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """What the measured motion asks for (N, 4), the pressures by their mean and half their difference."""
         pressure, needed = self.driven(point, whole)

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
@@ -79,10 +80,12 @@ class CalibrationCandidate(Candidate):
     """A calibration as an explanation, beside the effects; its name stands in the place of an effect's."""
 
     @property
+    @override
     def free(self) -> tuple[FreeEffectParameter, ...]:
         """Its one number."""
         return (FreeEffectParameter((path(self.effect),), CALIBRATIONS[self.effect]),)
 
+    @override
     def grid(self) -> list[dict[str, float]]:
         """It has no shapes."""
         return [{}]

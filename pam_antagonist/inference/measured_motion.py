@@ -21,6 +21,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.special import chdtri
+from typing_extensions import override
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.inference.angle_driven import Motion, filled_in
@@ -144,6 +145,7 @@ class MeasuredMotion(ValveDriven):
         return motion_of(self.trial)
 
     @cached_property
+    @override
     def measured(self) -> Floats:
         """Block means of the measurements (B, C); of the balance 0, NaN where the motion is not clear."""
         values = self.trial.measured[:, list(self.channels)].copy()
@@ -157,6 +159,7 @@ class MeasuredMotion(ValveDriven):
         return np.where(clear, 0.0, np.nan)
 
     @cached_property
+    @override
     def noise(self) -> Floats:
         """Standard deviation of a block mean by the sensors alone (C,); of the balance by the encoder's.
 
@@ -169,12 +172,14 @@ class MeasuredMotion(ValveDriven):
         return np.asarray(noise)
 
     @property
+    @override
     def titles(self) -> tuple[Channel, ...]:
         """The channels' names and units."""
         named = zip(self.channels, super().titles, strict=True)
         return tuple(Channel("Balance of torques", "N m", 1.0) if c == ANGLE else title for c, title in named)
 
     @property
+    @override
     def free_run(self) -> Experiment:
         """The recording with a model that runs by itself from the first sample on."""
         judged = tuple(other.free_run for other in self.judged)
@@ -194,6 +199,7 @@ class MeasuredMotion(ValveDriven):
         near = np.where(near > 0.0, np.maximum(near, there / _FEWEST), there)
         return np.asarray(np.sqrt(there / near))
 
+    @override
     def residual_of(self, simulated: Floats) -> Floats:
         """Measured minus simulated block means (B, C), 0 where nothing was measured.
 
@@ -212,16 +218,19 @@ class MeasuredMotion(ValveDriven):
         left = left[np.isfinite(self.held(self.measured)[:, column])]
         return float(np.mean(np.abs(left) <= _RIGHT * self.noise[column])) if len(left) else float("nan")
 
+    @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """States (N, n) and torques (N,) [N m] of the model along the motion of all of the recording."""
         states, torque, _ = self._course(self.trial, point)
         return states, torque
 
+    @override
     def _shown(self, trial: Trial, point: Point) -> Floats:
         """What the sensors would show (N, 4), in the steps of a trial; the balance in the angle's place."""
         states, torque, lacking = self._course(trial, point)
         return np.column_stack([lacking, torque, sensor.readings(states[:, 2:4], self.parameters(point))])
 
+    @override
     def _made_of_each(self, trial: Trial, points: Sequence[Point], made: Callable[[Floats], Floats]) -> list[Floats]:
         """What is made of :meth:`_shown` of several models."""
         return self.side_by_side(lambda point: made(self._shown(trial, point)), points)

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment
@@ -52,26 +53,31 @@ class ValveDriven(Experiment):
     """A recording of a joint that its valves drive."""
 
     @cached_property
+    @override
     def directions(self) -> tuple[FreeDirection, ...]:
         """Free base directions."""
         return base_directions(self.rig)
 
     @cached_property
+    @override
     def channels(self) -> tuple[int, ...]:
         """What was measured and can show something, indices of ``CHANNELS``."""
         return tuple(c for c in range(len(CHANNELS)) if self.trial.has(c))
 
     @property
+    @override
     def titles(self) -> tuple[Channel, ...]:
         """The channels' names and units."""
         return tuple(_TITLES[c] for c in self.channels)
 
     @cached_property
+    @override
     def measured(self) -> Floats:
         """Block means of the measurements (B, C) of these channels."""
         return self.trial.blocks(self.trial.measured[:, list(self.channels)])
 
     @cached_property
+    @override
     def noise(self) -> Floats:
         """Standard deviation of a block mean by the sensor alone (C,)."""
         return np.array([self.trial.noise(c) for c in self.channels])
@@ -82,6 +88,7 @@ class ValveDriven(Experiment):
         return start_of(self.trial)
 
     @cached_property
+    @override
     def start_std(self) -> Floats:
         """How well the start is known (3,) [rad, Pa, Pa]."""
         sensors = self.rig.sensors
@@ -90,10 +97,12 @@ class ValveDriven(Experiment):
         return known * np.array([0.0 if self.trial.joint == "locked" else 1.0, 1.0, 1.0])
 
     @property
+    @override
     def runs_by_itself(self) -> bool:
         """It does: from the voltages."""
         return True
 
+    @override
     def signals(self, point: Point) -> dict[str, Floats]:
         """Voltages, pressures and, of a free joint, its motion."""
         model, voltage = (self.trial.blocks(v) for v in (self.simulated(point, whole=True), self.trial.voltage))
@@ -103,6 +112,7 @@ class ValveDriven(Experiment):
             out |= {"angle": model[:, ANGLE], "velocity": np.gradient(model[:, ANGLE], self.trial.block_s)}
         return {name: np.asarray(values, dtype=np.float64) for name, values in out.items()}
 
+    @override
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """What could be wrong beside the effects that a model has already.
 
@@ -114,6 +124,7 @@ class ValveDriven(Experiment):
         known = {**taken, **declared} if self.rig.drive == "regulator" else taken
         return candidates(known, {"valve": "valve", "regulator": "command"}[self.rig.drive])
 
+    @override
     def calibrations(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """Zeros, scales and late stamps that could be wrong, beside those that a model has already.
 
@@ -122,6 +133,7 @@ class ValveDriven(Experiment):
         """
         return calibration.candidates(self.trial, self.channels, taken)
 
+    @override
     def start_shift(self, point: Point) -> Floats:
         """Deviations of the start from what the sensors showed first (3,) [rad, Pa, Pa], with the encoder's zero."""
         shift = super().start_shift(point)
@@ -132,6 +144,7 @@ class ValveDriven(Experiment):
     def _lock_measured(self) -> bool:
         return calibration.is_lock_measured(self.trial)
 
+    @override
     def depends_on(self, k: int) -> bool:
         """Whether anything that is compared depends on a base coordinate."""
         if self.trial.joint != "locked":
@@ -140,11 +153,13 @@ class ValveDriven(Experiment):
             return not (self.directions[k].free_only and self.trial.lock_angle == 0.0)
         return k != len(self.directions) + ANGLE
 
+    @override
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """What the sensors would show (N, 4): in the part that is fitted, or in all of the recording."""
         trial = self.trial if whole else self._part
         return self._shown(trial, point)
 
+    @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """States (N, n) and torques (N,) [N m] of the model over all of the recording."""
         return courses(self.trial, [self._run(point)], self.first)[0]
@@ -195,6 +210,7 @@ class ValveDriven(Experiment):
     def _part(self) -> Trial:
         return self.trial.part(0.0, self.fitted * self.trial.dt)
 
+    @override
     def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
         """How the residual (B, C) changes from a point to others nearby.
 
@@ -224,6 +240,7 @@ class ValveDriven(Experiment):
         approximate = iter(self._made_of_each(coarse, others, lambda shown: self._coarse_means(shown, coarse)))
         return [next(exact) - residual if as_it_is else next(approximate) - here for as_it_is in in_fine]
 
+    @override
     def residuals(self, points: Iterable[Point]) -> list[Floats]:
         """Measured minus simulated block means (B, C) of several models, which run side by side.
 

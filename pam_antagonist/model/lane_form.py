@@ -23,6 +23,8 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from typing_extensions import override
+
 from pam_antagonist.model import parameters as par
 
 _SHARED_ARGUMENTS = ("i", "muscle", "valve", "dt")
@@ -366,16 +368,19 @@ class _Expression(ast.NodeTransformer):
     def __init__(self, function: _Function, before: list[ast.stmt]) -> None:
         self.of, self.before = function, before
 
+    @override
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id in self.of.locals:
             return node
         return _name(self.of.module.named(node.id, self.of.function))
 
+    @override
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
         if isinstance(node.value, ast.Name) and node.value.id in ("math", "np"):
             return node
         return ast.Attribute(self.visit(node.value), node.attr, node.ctx)
 
+    @override
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
         if isinstance(node.slice, ast.Slice) or (isinstance(node.value, ast.Attribute) and node.value.attr == "shape"):
             return ast.Subscript(self.visit(node.value), self.visit(node.slice), node.ctx)
@@ -385,6 +390,7 @@ class _Expression(ast.NodeTransformer):
         way = "shared" if of_parameters and self.of.is_structural(node.slice) else "item"
         return _call(way, self.visit(node.value), self.visit(node.slice))
 
+    @override
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         if self.of.is_shared(node):
             return ast.BoolOp(node.op, [self.visit(value) for value in node.values])
@@ -394,16 +400,19 @@ class _Expression(ast.NodeTransformer):
             result = _call(name, result, other)
         return result
 
+    @override
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
         if isinstance(node.op, ast.Not) and not self.of.is_shared(node.operand):
             return _call("no", self.visit(node.operand))
         return ast.UnaryOp(node.op, self.visit(node.operand))
 
+    @override
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
         if len(node.ops) == 1 or self.of.is_shared(node):
             return ast.Compare(self.visit(node.left), node.ops, [self.visit(part) for part in node.comparators])
         raise self.of.refusal(node, "a comparison of more than two values")
 
+    @override
     def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
         out = self.of.fresh("choice")
         shared = self.of.is_shared(node.test)

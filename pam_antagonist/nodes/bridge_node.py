@@ -9,6 +9,7 @@ from typing import Any
 
 from sensor_msgs.msg import FluidPressure, JointState
 from std_srvs.srv import Trigger
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter, load_calibration
@@ -53,10 +54,12 @@ class _SharedPort(ValvePort):
         self._lock = lock
         super().__init__(*others)
 
+    @override
     def _on_clear(self, request: Any, response: Any) -> Any:
         with self._lock:
             return super()._on_clear(request, response)
 
+    @override
     def stop(self, reason: str) -> None:
         """As :class:`ValvePort`, from any thread."""
         with self._lock:
@@ -84,6 +87,7 @@ class BridgeNode(PamNode):
         port, baud = self.values["port"], self.values["baud"]
         return SerialDevice(lambda: SerialTransport(port, baud), self.values["device_timeout"])
 
+    @override
     def configure(self) -> None:
         """Everything but the device.
 
@@ -130,17 +134,20 @@ class BridgeNode(PamNode):
         announce(self, rig)
         self.start_diagnostics(values["joint_name"])
 
+    @override
     def activate(self) -> None:
         """Open the device, and take commands."""
         self.port.listen()
         self._link.start()
 
+    @override
     def deactivate(self) -> None:
         """Let go of the device, which has its safe voltages from then on."""
         with self._lock:
             self.port.rest()
         self._link.stop()
 
+    @override
     def close(self) -> None:
         """The end, whatever the state."""
         link = getattr(self, "_link", None)
@@ -195,6 +202,7 @@ class BridgeNode(PamNode):
         self.get_logger().warning(f"sensors at rest: {response.message}")
         return response
 
+    @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the device and of its clock."""
         self._link.check()

@@ -9,6 +9,7 @@ from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
+from typing_extensions import override
 
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.control import Command, Seen, Status
@@ -52,6 +53,7 @@ class ControllerNode(PamNode):
         self._linked = linked
         super().__init__("controller", PARAMETERS, **options)
 
+    @override
     def configure(self) -> None:
         """A controller at rest."""
         values = self.values
@@ -95,10 +97,12 @@ class ControllerNode(PamNode):
         self._rigs = RigWatch(self, announce(self, rig), self.stop)
         self.start_diagnostics(values["joint_name"])
 
+    @override
     def cleanup(self) -> None:
         """Nothing may be retuned any more."""
         self.remove_on_set_parameters_callback(self._on_parameters)
 
+    @override
     def activate(self) -> None:
         """Listen, and watch over those who are listened to; a reference from before does not count any more."""
         self._heard_ns = None
@@ -111,11 +115,13 @@ class ControllerNode(PamNode):
         self._valve_state = self.collect(self._drive.topics.message, self._drive.topics.state, qos.GLANCE)
         self.steady_timer(self.values["max_age"] / _CHECKS, self._watch)
 
+    @override
     def deactivate(self) -> None:
         """Leave the valves at the safe voltages, and be silent."""
         if self._enabled:
             self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
 
+    @override
     def close(self) -> None:
         """The same at the end."""
         if self.active:
@@ -283,6 +289,7 @@ class ControllerNode(PamNode):
         self.values = values
         return SetParametersResult(successful=True)
 
+    @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the control loop: rate, losses and states since the last report."""
         rate = self._rate.take(self._commands, steady_ns)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import FluidPressure, JointState
+from typing_extensions import override
 
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.client import PipelineClient
@@ -41,6 +42,7 @@ class DriveClient(PipelineClient):
         """Time by the clock that stamps samples [ns]."""
         return int(self._node.get_clock().now().nanoseconds)
 
+    @override
     def missing(self) -> str:
         """What does not deliver or listen yet; a joint without an encoder is complete."""
         return ", ".join(part for part in super().missing().split(", ") if "joint_states" not in part)

@@ -10,6 +10,7 @@ from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
 from sensor_msgs.msg import FluidPressure, JointState
 from std_srvs.srv import Trigger
+from typing_extensions import override
 
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
@@ -51,6 +52,7 @@ class EstimatorNode(PamNode):
         self._linked = linked
         super().__init__("estimator", PARAMETERS, **options)
 
+    @override
     def configure(self) -> None:
         """A filter that waits for its first sample."""
         values = self.values
@@ -87,10 +89,12 @@ class EstimatorNode(PamNode):
         announce(self, rig)
         self.start_diagnostics(values["joint_name"])
 
+    @override
     def cleanup(self) -> None:
         """Nothing may be retuned any more."""
         self.remove_on_set_parameters_callback(self._on_parameters)
 
+    @override
     def activate(self) -> None:
         """Listen. What was before is too long ago to go on from."""
         self._estimator.reset()
@@ -238,6 +242,7 @@ class EstimatorNode(PamNode):
         values = {"used": now.angles_used, "refused": now.angles_refused}
         return {"encoder": Health(state.level, state.message, values)}
 
+    @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the estimate: rate, losses and pairing since the last report."""
         rate = self._rate.take(self._published, steady_ns)

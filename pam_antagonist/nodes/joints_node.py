@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import bridge, controller, estimator, joints, plant
@@ -104,6 +105,7 @@ class JointsNode(PamNode):
         self.members = [node for joint in self.joints for node in joint.nodes]
         self.create_service(Trigger, "~/stop_all", self._on_stop_all)
 
+    @override
     def configure(self) -> None:
         """Tell how the joints are."""
         self.start_diagnostics("robot")
@@ -147,6 +149,7 @@ class JointsNode(PamNode):
         self.get_logger().error(response.message)
         return response
 
+    @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Part ``joints``: which of them are stopped."""
         states = {joint.namespace: _state(joint) for joint in self.joints}

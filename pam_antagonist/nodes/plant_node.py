@@ -9,6 +9,7 @@ from typing import Any
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
 from sensor_msgs.msg import FluidPressure, JointState
+from typing_extensions import override
 
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
@@ -52,6 +53,7 @@ class PlantNode(PamNode):
         self._linked = linked
         super().__init__("plant", PARAMETERS, **options)
 
+    @override
     def configure(self) -> None:
         """A joint at rest.
 
@@ -108,6 +110,7 @@ class PlantNode(PamNode):
         announce(self, rig)
         self.start_diagnostics(values["joint_name"])
 
+    @override
     def cleanup(self) -> None:
         """Nobody can push it any more."""
         self.remove_on_set_parameters_callback(self._on_parameters)
@@ -123,10 +126,12 @@ class PlantNode(PamNode):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
+    @override
     def activate(self) -> None:
         """Take commands, let time pass, and tell of it."""
         self.port.listen()
 
+    @override
     def deactivate(self) -> None:
         """Safe voltages, and silence; a joint cannot be stopped, so its time goes on."""
         self.port.rest()
@@ -199,6 +204,7 @@ class PlantNode(PamNode):
         """
         self.port.command(stamp_ns, voltage, self.now_ns() if self._now is None else self._now)
 
+    @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the simulation: rate and lateness since the last report."""
         lateness = self._lateness.take()

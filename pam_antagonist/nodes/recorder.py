@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from typing_extensions import override
+
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
@@ -62,6 +64,7 @@ class Options:
 
 
 class _Parser(argparse.ArgumentParser):
+    @override
     def error(self, message: str) -> NoReturn:
         raise BadInput(f"{message} (see {typed('record --help')})")
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from rclpy.subscription import Subscription
 from tqdm import tqdm
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
@@ -65,6 +66,7 @@ class RecorderNode(PamNode):
         self._line = tqdm(bar_format="{desc}", leave=False, disable=None)
         super().__init__("recorder", PARAMETERS, **node_options)
 
+    @override
     def configure(self) -> None:
         """Make the bag."""
         self._bag = BagWriter(self._path, limits=self._options.limits, durable=True, backlog=_BACKLOG)
@@ -85,6 +87,7 @@ class RecorderNode(PamNode):
                     names.add(name)
                     yield name, topic
 
+    @override
     def activate(self) -> None:
         """Listen."""
         for name, topic in self._wanted():
@@ -97,12 +100,14 @@ class RecorderNode(PamNode):
         self.steady_timer(_PROGRESS, self._show)
         self.get_logger().info(f"recording into {self._path}")
 
+    @override
     def deactivate(self) -> None:
         """Take what is left; what comes from now on is not missed."""
         if self._reason is None:
             self._collect()
         self._topics = {}
 
+    @override
     def cleanup(self) -> None:
         """Finish the bag; the next one needs another folder, thus another recorder."""
         self._finish()
@@ -142,6 +147,7 @@ class RecorderNode(PamNode):
         written = f"{self._bag.size / 1e6:.1f} MB in {self._bag.files} file{'s' if self._bag.files > 1 else ''}"
         self._line.set_description_str(f"{taken}  {written}  (Ctrl-C ends)")
 
+    @override
     def close(self) -> None:
         """Write what is left, finish the bag, and say what is in it."""
         self._line.close()
@@ -151,6 +157,7 @@ class RecorderNode(PamNode):
             self._collect()
         self._finish()
 
+    @override
     def _finish(self) -> None:
         if self._finished or not self._counts:
             return
@@ -177,6 +184,7 @@ class RecorderNode(PamNode):
         except OSError:
             return math.nan
 
+    @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of the recording: rate, size and losses since the last report."""
         total, size, lost = sum(self._counts.values()), self._bag.size, self.lost

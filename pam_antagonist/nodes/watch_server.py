@@ -22,6 +22,7 @@ import tornado.httpserver
 import tornado.ioloop
 import tornado.web
 import tornado.websocket
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 
@@ -129,24 +130,29 @@ class Server:
 class _Handler(tornado.web.RequestHandler):
     """Refuses requests that do not name this machine."""
 
+    @override
     def prepare(self) -> None:
         if not names_this_machine(self.request.host_name):
             raise tornado.web.HTTPError(403, "another host")
 
+    @override
     def write_error(self, status_code: int, **_: Any) -> None:
         self.set_header("Content-Type", "text/plain")
         self.finish(f"{status_code}: {self._reason}\n")
 
 
 class _Page(_Handler):
+    @override
     def initialize(self, page: str) -> None:
         self._page = page
 
+    @override
     def set_default_headers(self) -> None:
         self.set_header("Cache-Control", "no-store")
         self.set_header("X-Content-Type-Options", "nosniff")
         self.set_header("Referrer-Policy", "no-referrer")
 
+    @override
     def get(self) -> None:
         (script,) = _SCRIPT.findall(self._page)
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -159,10 +165,12 @@ class _Page(_Handler):
 
 
 class _Live(_Handler, tornado.websocket.WebSocketHandler):
+    @override
     def initialize(self, server: Server) -> None:
         self._server = server
         self._sending: Any = None
 
+    @override
     def prepare(self) -> None:
         super().prepare()
         # Here as well: what Tornado asks check_origin about differs between its versions.
@@ -171,14 +179,17 @@ class _Live(_Handler, tornado.websocket.WebSocketHandler):
         if len(self._server.pages) >= _PAGES:
             raise tornado.web.HTTPError(503, "too many pages")
 
+    @override
     def check_origin(self, origin: str) -> bool:
         # Programs without a browser send none.
         return origin.lower() == f"{self.request.protocol}://{self.request.host}".lower()
 
+    @override
     def open(self, *_: str, **__: str) -> None:
         self.set_nodelay(True)
         self._server.joined(self)
 
+    @override
     def on_close(self) -> None:
         self._server.left(self)
 
@@ -191,6 +202,7 @@ class _Live(_Handler, tornado.websocket.WebSocketHandler):
         except tornado.websocket.WebSocketClosedError:
             self._server.left(self)
 
+    @override
     def on_message(self, message: str | bytes) -> None:
         try:
             self._server.source.command(self._order(message))

@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from typing_extensions import override
 
 from . import metadata
 from .messages import typestore
@@ -65,6 +66,7 @@ class _File(Writer):
         self._safe_counts: dict[int, int] = {}
         self._chunks = 0
 
+    @override
     def open(self) -> None:
         """Make the file; rosbags names it after the folder."""
         self.storage = self.STORAGE_PLUGINS[self.storage_plugin](self._folder, self.compression_mode)

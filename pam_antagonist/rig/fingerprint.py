@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import muscle
@@ -173,6 +174,7 @@ class RigIdentity:
     facts: Mapping[str, Value]
     node: str = ""
 
+    @override
     def __str__(self) -> str:
         return f"{self.name} ({self.fingerprint})"
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.diagnosis.candidates import as_configured, score_all
 from pam_antagonist.errors import BadInput
@@ -74,11 +75,13 @@ class _Quiet(ValveDriven):
     effect: str = ""
 
     @cached_property
+    @override
     def noise(self) -> Floats:
         sensors = load_rig(RIG).sensors
         every = (sensors.angle_std, sensors.torque_std, sensors.pressure_std, sensors.pressure_std)
         return np.array([every[channel] for channel in self.channels]) / np.sqrt(self.trial.block)
 
+    @override
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         return (Candidate(self.effect),)
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sensor_msgs.msg import FluidPressure, JointState
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
@@ -58,6 +59,7 @@ class _Relay(PamNode):
     def _drop(self, message: Any) -> None:
         pass
 
+    @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         return {"messages": Health(Level.OK, "passed through", {"samples": self._sent})}
 
