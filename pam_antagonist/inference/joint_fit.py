@@ -192,6 +192,8 @@ class _Slopes:
             np.max(np.abs(old - new)) <= near for old, new in zip(self._seen, seen, strict=True)
         )
         if not stands:
+            # The old ones go first: they take as much memory as the new ones.
+            self._parts = []
             self._seen, self._parts = seen, problem.local_jacobians(theta, self._exact)
         return self._parts
 
@@ -200,13 +202,11 @@ def _minimise(
     problem: JointProblem, theta: Floats, weights: Sequence[Floats], loss: str, slopes: _Slopes
 ) -> tuple[Floats, float]:
     def jacobian(t: Floats) -> Floats:
-        parts = [part @ problem.map(index) for index, part in enumerate(slopes.at(problem, t))]
-        return np.vstack([stacked(parts, weights), prior])
+        return stacked(slopes.at(problem, t), weights, np.eye(problem.size), problem.maps)
 
     low, high = problem.bounds()
-    prior = np.eye(problem.size)
     solution = least_squares(
-        lambda t: np.concatenate([stacked(problem.residuals(t), weights), t]),
+        lambda t: stacked(problem.residuals(t), weights, t),
         np.clip(theta, low, high),
         jac=jacobian,
         bounds=(low, high),

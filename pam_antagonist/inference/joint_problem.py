@@ -97,6 +97,11 @@ class JointProblem:
         out[count:, last - STARTS : last] = np.eye(STARTS)
         return out
 
+    @property
+    def maps(self) -> list[Floats]:
+        """What each trial sees of the fitted vector, see :meth:`map`."""
+        return [self.map(index) for index in range(len(self.trials))]
+
     def values(self, theta: Floats) -> dict[str, float]:
         """Parameter values at a fitted vector, or at what a trial sees of it."""
         return {item.name: item.start + item.prior_std * float(t) for item, t in zip(self.free, theta, strict=False)}
@@ -193,26 +198,34 @@ class JointProblem:
                     return steps
         return experiment.trial
 
-    def jacobian(self, theta: Floats) -> list[Floats]:
-        """Derivatives of :meth:`residuals`, one array (B, counted channels, size) a trial."""
-        return [part @ self.map(index) for index, part in enumerate(self.local_jacobians(theta))]
 
+def stacked(
+    parts: Sequence[Floats], weights: Sequence[Floats], prior: Floats, maps: Sequence[Floats] | None = None
+) -> Floats:
+    """Residuals (B, C) or Jacobians (B, C, K) of all trials, and the prior's, as one array (R,) or (R, S).
 
-def stacked(parts: Sequence[Floats], weights: Sequence[Floats]) -> Floats:
-    """Residuals (B, C) or Jacobians (B, C, K) of all trials as one array (R,) or (R, K).
+    It is written in its place: of half an hour of recordings, each copy takes hundreds of megabytes.
 
     Args:
         parts: one array a trial, (B, C) or (B, C, K).
         weights: for each trial the standard deviation of its channels (C,), by which they are divided.
+        prior: last rows (S,) or (S, S).
+        maps: what each trial sees of the fitted vector (K, S), where Jacobians are by what it sees.
 
     Returns:
         All rows, one after the other; what is missing (NaN) counts as 0.
     """
-    rows = []
-    for part, weight in zip(parts, weights, strict=True):
-        scaled = np.nan_to_num(part / weight.reshape(-1, *[1] * (part.ndim - 2)))
-        rows.append(scaled.reshape(-1, *part.shape[2:]))
-    return np.concatenate(rows)
+    out = np.empty((sum(part.shape[0] * part.shape[1] for part in parts) + len(prior), *prior.shape[1:]))
+    begin = 0
+    for index, (part, weight) in enumerate(zip(parts, weights, strict=True)):
+        values = part if maps is None else part @ maps[index]
+        rows = values.shape[0] * values.shape[1]
+        place = out[begin : begin + rows].reshape(values.shape)
+        np.divide(values, weight.reshape(-1, *[1] * (values.ndim - 2)), out=place)
+        np.nan_to_num(place, copy=False)
+        begin += rows
+    out[begin:] = prior
+    return out
 
 
 def step_directions(rig: Rig, free: Sequence[FreeParameter]) -> Floats:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
@@ -93,23 +94,26 @@ def shared_profiles(
     """
     problem = found.problem
     weights = [w * np.sqrt(m) for w, m in zip(found.weights, found.memory, strict=True)]
-    jacobian = np.vstack([stacked(problem.jacobian(found.theta), weights), np.eye(problem.size)])
+    prior = np.eye(problem.size)
+    jacobian = stacked(problem.local_jacobians(found.theta), weights, prior, problem.maps)
+    information = jacobian.T @ jacobian
     place = {item.name: k for k, item in enumerate(problem.free)}
 
     def cost(theta: Floats) -> tuple[Floats, float]:
-        residual = np.concatenate([stacked(problem.residuals(theta), weights), theta])
+        residual = stacked(problem.residuals(theta), weights, theta)
         return residual, 0.5 * float(residual @ residual)
 
-    def held(k: int, normal: Floats, position: float) -> float:
+    def held(k: int, position: float) -> float:
         std = float(np.sqrt(found.full[k, k]))
         # Along the ridge: where the others go while this one is moved.
         theta = found.theta + found.full[:, k] / found.full[k, k] * position * std
         others = np.arange(problem.size) != k
+        factor = cho_factor(information[np.ix_(others, others)])
         best = np.inf
         for _ in range(_STEPS):
             residual, now = cost(theta)
             best = min(best, now)
-            theta[others] -= normal @ residual
+            theta[others] -= cho_solve(factor, (residual @ jacobian)[others])
         return min(best, cost(theta)[1])
 
     base = cost(found.theta)[1]
@@ -117,8 +121,7 @@ def shared_profiles(
     for name in names:
         k = place[name]
         item, std = problem.free[k], float(np.sqrt(found.full[k, k]))
-        normal = np.linalg.pinv(np.delete(jacobian, k, axis=1))
-        costs = np.array(Parallel(n_jobs=jobs, prefer="threads")(delayed(held)(k, normal, x) for x in _POSITIONS))
+        costs = np.array(Parallel(n_jobs=jobs, prefer="threads")(delayed(held)(k, x) for x in _POSITIONS))
         value = item.start + item.prior_std * (found.theta[k] + _POSITIONS * std)
         best = float(item.start + item.prior_std * found.theta[k])
         out.append(Profile(name, best, item.prior_std * std, value, costs - min(base, costs.min())))

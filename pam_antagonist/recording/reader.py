@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from . import checkpoints, plausible, signals, stamps
+from . import checkpoints, freed, plausible, signals, stamps
 from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
@@ -100,10 +100,12 @@ def read_bag(
         recording = _read(
             Path(path), topics, namespace, joint_name, restarts, recover, corrections or Corrections(), judge, also
         )
-        return recording if corrections is None else corrections.arranged(recording)
+        recording = recording if corrections is None else corrections.arranged(recording)
     except MemoryError:
         what = "needs more memory than there is; split the recording, or use a larger machine"
         raise BadInput(f"{path}: {what}") from None
+    freed.give_back()
+    return recording
 
 
 def _read(
