@@ -129,10 +129,14 @@ def test_what_never_came_is_counted(recording: tuple[Any, Process], tmp_path: Pa
     probe.wait(0.5)
     publish(probe, 20_000, 100)
 
-    def lost() -> int:
-        return max(int(value.value) for status in statuses() for value in status.values if value.key == "never came")
+    def last() -> dict[str, str]:
+        return {value.key: value.value for value in statuses()[-1].values}
 
-    probe.until(lambda: lost() > 0, 10.0, "a count of what was lost")
+    try:
+        probe.until(lambda: int(last()["never came"]) > 0, 10.0, "a count of what was lost")
+    except AssertionError as error:
+        log = process.log.read_text()
+        raise AssertionError(f"{error}: {len(statuses())} reports, the last {last()}, log {log}") from None
     process.popen.send_signal(signal.SIGINT)
     assert process.popen.wait(10.0) == 0
     line = next(line for line in process.log.read_text().splitlines() if "/pam/pressure_1" in line)
