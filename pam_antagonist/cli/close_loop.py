@@ -87,16 +87,11 @@ def _held_out(text: str) -> float | Path:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    words = sys.argv[1:] if argv is None else argv
+    return common.run(parser, lambda arguments: _run(arguments, words), words)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
-    with common.json_beside(arguments):
-        return _run(arguments, argv)
-
-
-def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
+def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
     rig = load_rig(arguments.rig, regulators=True)
@@ -126,7 +121,7 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
         with cluster.connected(arguments.dask):
             found = _diagnosed(arguments, rig, fitted, held_out, share, store)
     except KeyboardInterrupt:
-        _print_resume_command(store, sys.argv[1:] if argv is None else argv)
+        _print_resume_command(store, words)
         return common.INTERRUPTED
     except BadInput:
         if not store.finished():
@@ -184,8 +179,8 @@ def _settings(
     }
 
 
-def _print_resume_command(store: Checkpoint, argv: Sequence[str]) -> None:
-    again = [*argv, *([] if "--resume" in argv else ["--resume"])]
+def _print_resume_command(store: Checkpoint, words: Sequence[str]) -> None:
+    again = [*words, *([] if "--resume" in words else ["--resume"])]
     print(
         f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"
         f"  {typed('close_loop')} {shlex.join(again)}",

@@ -62,19 +62,40 @@ class Parser(argparse.ArgumentParser):
         raise BadInput(f"{message} (see {self.prog} --help)")
 
 
-def run(command: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> int:
-    """Run a command and turn what goes wrong into an exit status.
+def run(
+    parser: Callable[[], Parser], command: Callable[[argparse.Namespace], int], argv: Sequence[str] | None = None
+) -> int:
+    """Read a command's arguments, do its work, and give what ``--json`` of :func:`add_json` asks for.
 
     Args:
-        command: takes the arguments, returns a status.
+        parser: makes what reads the arguments.
+        command: takes what was read, returns a status.
         argv: arguments without the program's name; default: those of the process.
+
+    Returns:
+        The status to exit with.
+    """
+
+    def work() -> int:
+        arguments = parser().parse_args(argv)
+        with _json_beside(arguments) if "writes_report_json" in arguments else contextlib.nullcontext():
+            return command(arguments)
+
+    return ended(work)
+
+
+def ended(work: Callable[[], int]) -> int:
+    """Turn what goes wrong in some work into an exit status.
+
+    Args:
+        work: returns a status.
 
     Returns:
         The status to exit with.
     """
     try:
         with _terminable():
-            status = command(argv)
+            status = work()
             sys.stdout.flush()
         return status
     except BadInput as error:
@@ -241,6 +262,7 @@ def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """``--json``, of a command that writes ``report.json``."""
+    parser.set_defaults(writes_report_json=True)
     parser.add_argument(
         "--json", metavar="FILE",
         help="write the content of report.json there as well; - for standard output, and the tables on standard error",
@@ -248,7 +270,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def json_beside(arguments: argparse.Namespace) -> Iterator[None]:
+def _json_beside(arguments: argparse.Namespace) -> Iterator[None]:
     """Around the work of a command: what ``--json`` asks for is given at its end.
 
     Args:

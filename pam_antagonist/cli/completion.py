@@ -25,17 +25,17 @@ def main(argv: Sequence[str] | None, commands: Mapping[str, NamedTuple]) -> int:
         commands: name of each executable -> its ``target`` and ``summary``.
     """
 
-    def run(given: Sequence[str] | None) -> int:
+    def work() -> int:
         with needs("completion", "--completion"):
             import shtab
 
         shells = list(shtab.SUPPORTED_SHELLS)
-        if given is None or len(given) != 1 or given[0] not in shells:
+        if argv is None or len(argv) != 1 or argv[0] not in shells:
             raise BadInput(f"{typed('--completion')}: expected one of {', '.join(shells)}")
-        print(shtab.complete(whole(commands), given[0]))
+        print(shtab.complete(whole(commands), argv[0]))
         return common.DONE
 
-    return common.run(run, argv)
+    return common.ended(work)
 
 
 def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:

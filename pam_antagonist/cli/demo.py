@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -115,7 +115,7 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; returns its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
 def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> list[tuple[float, float, float]]:
@@ -158,8 +158,7 @@ def pushes(mode: Mode, duration: float) -> list[tuple[float, float]]:
     return [(0.0, 0.0), *((_REST + k * _PUSH, _PUSHES[k % len(_PUSHES)]) for k in range(count))]
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     needs_ros("demo")
     common.only_available_figures(arguments)
     mode = _MODES[arguments.mode]

@@ -7,7 +7,6 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -76,11 +75,10 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.hardware.calibration import Converter, load_calibration
     from pam_antagonist.hardware.emulator import DeviceClock, Emulator, Port, VoltageLog
     from pam_antagonist.hardware.firmware import Firmware, Settings

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 import textwrap
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -53,11 +52,10 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     if arguments.example:
         print(example_text(), end="")
         return common.DONE

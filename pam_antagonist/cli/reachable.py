@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.cli import common
@@ -55,11 +54,10 @@ def _number(text: str) -> float:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         common.check_output(arguments.out)
         common.only_available_figures(arguments)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from pam_antagonist.api.replay import ReplayResult, replay
@@ -81,13 +81,7 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
-
-
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
-    with common.json_beside(arguments):
-        return _run(arguments)
+    return common.run(parser, _run, argv)
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -60,11 +59,10 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig, regulators=True)
     angle = common.lock_angle(arguments) or 0.0

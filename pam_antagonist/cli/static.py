@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.cli import common
@@ -102,13 +101,7 @@ def _newton(text: str) -> float:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
-
-
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
-    with common.json_beside(arguments):
-        return _run(arguments)
+    return common.run(parser, _run, argv)
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -8,7 +8,6 @@ import ipaddress
 import signal
 import sys
 import webbrowser
-from collections.abc import Sequence
 
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import whole
@@ -57,11 +56,10 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     needs_ros("watch")
     with needs("watch", "the live page"):
         import tornado  # noqa: F401

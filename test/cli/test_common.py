@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,53 +15,68 @@ from pam_antagonist.errors import BadInput
 
 
 def _raising(error: BaseException) -> Any:
-    def command(argv: Sequence[str] | None) -> int:
+    def work() -> int:
         raise error
 
-    return command
+    return work
 
 
 def test_bad_input_is_one_line_and_status_2(capsys: pytest.CaptureFixture[str]) -> None:
-    assert common.run(_raising(BadInput("this\nfile: is\n\n  bad"))) == 2
+    assert common.ended(_raising(BadInput("this\nfile: is\n\n  bad"))) == 2
     assert capsys.readouterr().err == "error: this file: is bad\n"
 
 
 def test_an_interrupt_is_status_130(capsys: pytest.CaptureFixture[str]) -> None:
-    assert common.run(_raising(KeyboardInterrupt())) == 130
+    assert common.ended(_raising(KeyboardInterrupt())) == 130
     assert "Traceback" not in capsys.readouterr().err
 
 
 def test_an_interrupt_during_a_compiled_function_is_one(capsys: pytest.CaptureFixture[str]) -> None:
     caused = SystemError("CPUDispatcher(<function course>) returned a result with an exception set")
     caused.__cause__ = KeyboardInterrupt()
-    assert common.run(_raising(caused)) == 130
+    assert common.ended(_raising(caused)) == 130
     assert capsys.readouterr().err == "interrupted: nothing was written\n"
-    assert common.run(_raising(SystemError("oops"))) == 1
+    assert common.ended(_raising(SystemError("oops"))) == 1
 
 
 def test_a_defect_is_status_1_and_says_where(capsys: pytest.CaptureFixture[str]) -> None:
-    assert common.run(_raising(ZeroDivisionError("oops"))) == 1
+    assert common.ended(_raising(ZeroDivisionError("oops"))) == 1
     error = capsys.readouterr().err
     assert "ZeroDivisionError: oops" in error
     assert "defect" in error
 
 
+def _parser() -> common.Parser:
+    parser = common.Parser("thing", "Do a thing.")
+    common.add_rig(parser)
+    common.add_json(parser)
+    parser.add_argument("--out", type=Path)
+    return parser
+
+
 def test_arguments_are_handed_on_and_the_status_comes_back() -> None:
-    assert common.run(lambda argv: len(argv or ()), ["a", "b", "c"]) == 3
+    assert common.run(_parser, lambda arguments: len(arguments.rig), ["--rig", "abc", "--out", "none"]) == 3
 
 
 def test_usage_errors_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    def command(argv: Sequence[str] | None) -> int:
-        parser = common.Parser("thing", "Do a thing.")
-        common.add_rig(parser)
-        parser.parse_args(argv)
+    def refuse(arguments: argparse.Namespace) -> int:
+        raise AssertionError("not reached")
+
+    assert common.run(_parser, refuse, []) == 2
+    assert capsys.readouterr().err == "error: the following arguments are required: --rig (see pam thing --help)\n"
+    assert common.run(_parser, refuse, ["--help"]) == 0
+    assert "Do a thing." in capsys.readouterr().out
+    assert common.run(_parser, refuse, ["--ri", "x"]) == 2, "abbreviations would break when an argument is added"
+
+
+def test_json_of_the_report_is_given_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def command(arguments: argparse.Namespace) -> int:
+        (arguments.out / "report.json").write_text("{}\n")
+        print("a table")
         return 0
 
-    assert common.run(command, []) == 2
-    assert capsys.readouterr().err == "error: the following arguments are required: --rig (see pam thing --help)\n"
-    assert common.run(command, ["--help"]) == 0
-    assert "Do a thing." in capsys.readouterr().out
-    assert common.run(command, ["--ri", "x"]) == 2, "abbreviations would break when an argument is added"
+    assert common.run(_parser, command, ["--rig", "x", "--out", str(tmp_path), "--json", "-"]) == 0
+    assert capsys.readouterr() == ("{}\n", "a table\n")
 
 
 def test_an_output_folder_appears_when_it_is_whole(tmp_path: Path) -> None:
@@ -96,14 +111,14 @@ def test_a_failure_leaves_nothing(tmp_path: Path, error: BaseException) -> None:
 
 
 def test_a_termination_cleans_up_as_well(tmp_path: Path) -> None:
-    def command(argv: Sequence[str] | None) -> int:
+    def work() -> int:
         with common.output_folder(tmp_path / "out") as folder:
             (folder / "half").touch()
             os.kill(os.getpid(), signal.SIGTERM)
             raise AssertionError("not reached")
 
     before = signal.getsignal(signal.SIGTERM)
-    assert common.run(command, []) == 130
+    assert common.ended(work) == 130
     assert list(tmp_path.iterdir()) == []
     assert signal.getsignal(signal.SIGTERM) is before
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -100,11 +99,10 @@ def _shard(text: str) -> tuple[int, int]:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     if not 10.0 <= arguments.duration <= 3600.0:
         raise BadInput(f"--duration {arguments.duration:g}: expected 10 to 3600 s")
     if arguments.json is not None and (arguments.remainders or arguments.bags is not None):
@@ -238,7 +236,3 @@ def _remainders(folder: Path) -> int:
             advance(1)
     print(terminal.table(page.remainders_table(found), indent=""))
     return common.DONE
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -86,11 +86,10 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     names = tried()
     if unknown := [name for name in arguments.effect or () if name not in names]:
         raise BadInput(f"--effect {unknown[0]}: expected one of {', '.join(names)}")

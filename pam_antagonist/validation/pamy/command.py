@@ -6,7 +6,6 @@ import argparse
 import hashlib
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,13 +55,7 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
-
-
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
-    with common.json_beside(arguments):
-        return _run(arguments)
+    return common.run(parser, _run, argv)
 
 
 def _run(arguments: argparse.Namespace) -> int:

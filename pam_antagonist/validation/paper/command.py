@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist import strict_json
@@ -73,13 +72,7 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
-
-
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
-    with common.json_beside(arguments):
-        return _run(arguments)
+    return common.run(parser, _run, argv)
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from pam_antagonist.cli import common
@@ -55,11 +55,10 @@ def parser() -> common.Parser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command; the result is its exit status."""
-    return common.run(_main, argv)
+    return common.run(parser, _main, argv)
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    arguments = parser().parse_args(argv)
+def _main(arguments: argparse.Namespace) -> int:
     hours = arguments.quiet_hours
     if hours is not None and not 0.001 <= hours <= 1000.0:
         raise BadInput(f"--quiet-hours {hours:g}: expected 0.001 to 1000")
