@@ -16,7 +16,7 @@ import numpy as np
 
 from pam_antagonist.estimation import Estimator, simulate_model
 from pam_antagonist.estimation import filter as kernels
-from pam_antagonist.model import dynamics, lanes
+from pam_antagonist.model import integration, lanes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig, load_rig
 
@@ -64,7 +64,7 @@ def compile_first(parts: Sequence[str], rig: Rig) -> None:
         parts: ``REPLAY`` or ``FITS``.
         rig: for which.
     """
-    if not (_missing(kernels.process_all) and _missing(dynamics.simulate)):
+    if not (_missing(kernels.process_all) and _missing(integration.simulate)):
         return
     plain = bool(rig.parameters()[par.PLAIN])
     what = "for a rig without effects" if plain else "for a rig with effects"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.free_parameters import Direction, free_parameters
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, TORQUE
-from pam_antagonist.model import dynamics, equilibrium, sensor
+from pam_antagonist.model import equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -145,7 +145,7 @@ class Information:
             voltage: (N, 2) [V], a row a step.
         """
         given = np.concatenate([voltage[:1], voltage])
-        runs = [dynamics.course(x, given, p, self.dt, 1) for x, p in zip(starts, self.vectors, strict=True)]
+        runs = [integration.course(x, given, p, self.dt, 1) for x, p in zip(starts, self.vectors, strict=True)]
         shown = [
             np.column_stack(
                 [states[1:, 0], torque[1:], sensor.readings(states[1:, 2:4], p), *self._gauges(states[1:], p)]

@@ -20,7 +20,7 @@ from pam_antagonist.inference.gauss_newton import Fitted, refit
 from pam_antagonist.inference.likelihood import in_mean_squares
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import equilibrium, integration
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ _LEAST_TORQUE = 1e-4
 """[N m]"""
 _ABOUT_NONE = 0.3
 """Torques of less than this share of the median count as squares: absolute values have no weight at 0."""
-_rk4_step = dynamics.rk4_step
+_rk4_step = integration.rk4_step
 
 
 @kernel

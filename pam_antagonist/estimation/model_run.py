@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, equilibrium, sensor
+from pam_antagonist.model import equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -62,7 +62,7 @@ def simulate_model(
     p = rig.parameters(joint, lock_angle)
     every = rig.sample_period if period is None else period
     if substeps is None:
-        substeps = dynamics.substeps_of(every)
+        substeps = integration.substeps_of(every)
         p[par.FRICTION_STEP] = every / substeps
     held = _hold_last(np.array(voltage, dtype=np.float64, order="C"))
     shown = np.asarray(pressure0, dtype=np.float64)
@@ -76,7 +76,7 @@ def simulate_model(
     else:
         angle = equilibrium.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
     start = equilibrium.initial_state(angle, pressures[0], pressures[1], held[0], p)
-    states, torques, sigma = dynamics.simulate(start, held, p, every, substeps)
+    states, torques, sigma = integration.simulate(start, held, p, every, substeps)
     readings = sensor.readings(states[:, 2:4], p)
     return ModelRun(states[:, 0], states[:, 1], readings, torques, sigma)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba.core import types
 
 from pam_antagonist._jit import by_types
-from pam_antagonist.model import dynamics, lanes
+from pam_antagonist.model import integration, lanes
 from pam_antagonist.model.lane_values import LANES
 
 
@@ -51,7 +51,7 @@ def _advance(points, u, parameter_sets, dt, effects, work):
     plain = isinstance(effects, types.NoneType)
     together = lanes.step(plain)
     if together is None:
-        return _one_by_one(dynamics.plain_step if plain else dynamics.rk4_step_within)
+        return _one_by_one(integration.plain_step if plain else integration.rk4_step_within)
     return _side_by_side(together)
 
 

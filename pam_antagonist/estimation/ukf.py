@@ -25,7 +25,7 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.estimation import sigma_steps
 from pam_antagonist.estimation.factor import factorise
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, integration
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1
 from pam_antagonist.model.lane_values import LANES
 
@@ -73,10 +73,10 @@ def make_work(states: int, parameter_sets: np.ndarray) -> Work:
         scratch=np.zeros((n, n)),
         gain=np.zeros((n, 2)),
         torques=np.zeros(points),
-        stages=np.zeros((dynamics.STAGES + 1, n)),
+        stages=np.zeros((integration.STAGES + 1, n)),
         lane_sets=sigma_steps.beside(parameter_sets, points),
         lane_states=np.zeros((n, LANES)),
-        lane_stages=np.zeros((dynamics.STAGES + 1, n, LANES)),
+        lane_stages=np.zeros((integration.STAGES + 1, n, LANES)),
     )
 
 

@@ -25,7 +25,7 @@ from pam_antagonist.inference.free_run import Run, predict, start_of
 from pam_antagonist.inference.likelihood import in_mean_squares
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, block_noise
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
@@ -48,8 +48,8 @@ _FORCE = 10.0
 """[N] By so much the forces of two muscles of one make may differ."""
 _VISCOUS = 0.02
 """[N m s/rad] So much more viscous friction than configured is no surprise; ten times as much looks like Coulomb's."""
-_STAGES = dynamics.STAGES
-_rk4_step, _torque_needed = dynamics.rk4_step_within, dynamics.torque_needed
+_STAGES = integration.STAGES
+_rk4_step, _torque_needed = integration.rk4_step_within, dynamics.torque_needed
 
 
 @kernel
@@ -281,7 +281,7 @@ class AngleDriven(Experiment):
         # A joint that trembles while it sticks shows no direction.
         direction = np.add.reduceat(motion.direction[:end], at) / np.diff(np.append(at, end))
         period = stride * self.trial.dt
-        pressure, needed = _driven(x0, *course, direction, p, period, dynamics.substeps_of(period, _STEP_S))
+        pressure, needed = _driven(x0, *course, direction, p, period, integration.substeps_of(period, _STEP_S))
         every = np.arange(end)
         columns = [np.interp(every, at, column) for column in (*pressure.T, needed)]
         return np.column_stack(columns[:2]), np.asarray(columns[2])

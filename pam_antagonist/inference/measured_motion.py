@@ -30,7 +30,7 @@ from pam_antagonist.inference.free_run import initial_state
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven
-from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model import dynamics, integration, sensor
 from pam_antagonist.model import parameters as par
 
 Floats = NDArray[np.float64]
@@ -56,8 +56,8 @@ _STICKS = 0.02
 paper's friction have 0.04 to 0.25."""
 _PROBE = 1e3
 """[Pa] Of the differences by which the pressures' noise becomes one of the torque."""
-_STAGES = dynamics.STAGES
-_step, _needed, _torque = dynamics.rk4_step_within, dynamics.torque_needed, dynamics.torque
+_STAGES = integration.STAGES
+_step, _needed, _torque = integration.rk4_step_within, dynamics.torque_needed, dynamics.torque
 
 
 @kernel

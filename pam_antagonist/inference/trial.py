@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model.dynamics import substeps_of
+from pam_antagonist.model.integration import substeps_of
 from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig

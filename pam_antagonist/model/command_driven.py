@@ -11,11 +11,12 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.model import dynamics, equilibrium
-from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, STAGES, VELOCITY
+from pam_antagonist.model import equilibrium, integration
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
+from pam_antagonist.model.integration import STAGES
 from pam_antagonist.model.parameters import FRICTION_STEP
 
-_rk4_step, _initial_state = dynamics.rk4_step_within, equilibrium.initial_state
+_rk4_step, _initial_state = integration.rk4_step_within, equilibrium.initial_state
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""The state-space model, equations (1) and (11): derivative, Runge-Kutta step, output, subsystem.
+"""The state-space model, equations (1) and (11): derivative, output, subsystem.
 
 State ``x = [ψ, ψ̇, P_1, P_2]`` [rad, rad/s, Pa, Pa], input ``u = [u_1, u_2]`` [V], parameters ``p``
 (:mod:`pam_antagonist.model.parameters`). Arguments come in the order state, input, parameters, step.
@@ -6,18 +6,13 @@ State ``x = [ψ, ψ̇, P_1, P_2]`` [rad, rad/s, Pa, Pa], input ``u = [u_1, u_2]`
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from pam_antagonist._jit import in_place, inlined, kernel
+from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model import composition, flow, joint, muscle
 from pam_antagonist.model.parameters import (
-    BASE_STATES,
     INERTIA,
     LOCKED,
-    LONGEST_STEP,
-    PLAIN,
     STIFFNESS,
     STOP,
     SUPPLY,
@@ -25,8 +20,6 @@ from pam_antagonist.model.parameters import (
 )
 
 ANGLE, VELOCITY, PRESSURE_1, PRESSURE_2 = 0, 1, 2, 3
-STAGES = 4
-"""Stages of a Runge-Kutta step; a step with added states needs a row of scratch for each, and one more."""
 FIRST, SECOND = np.int64(0), np.int64(1)
 """The muscles. numba would compile whatever is given a bare 0 or 1 once for each."""
 WITH_EFFECTS = np.int64(1)
@@ -197,10 +190,19 @@ def torque_needed(x, acceleration, direction, p):
 
 
 @inlined
-def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, effects):
+def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, effects):
     """The rows of equation (11a) without added states, in scalars: a sigma point passes through registers, not memory.
 
-    Where ``effects`` is None, a rig without options and effects is spared their branches.
+    Args:
+        angle: ψ [rad].
+        velocity: dψ/dt [rad/s].
+        pressure_1: P_1 [Pa].
+        pressure_2: P_2 [Pa].
+        alpha_1: open rate [-] of valve 1.
+        alpha_2: likewise of valve 2.
+        external: torque from outside [N m].
+        p: parameter vector (m,).
+        effects: None where the rig is known to be plain, which is spared the branches of options and effects.
     """
     velocity = _stopped(angle, velocity, p)
     sine, cosine, _ = _leverage(angle, p)
@@ -225,14 +227,18 @@ def _slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external,
 
 
 @inlined
-def _external_torque(u):
-    """External torque [N m] of an input that has one."""
+def external_torque(u):
+    """External torque [N m] of an input that has one.
+
+    Args:
+        u: as for :func:`derivative`.
+    """
     return u[2] if u.shape[0] > 2 else 0.0
 
 
 @in_place
-def _rows(x, u, wanted_1, wanted_2, p, dx):
-    """All rows with any added states; the same functions as in :func:`_slopes`, put together for every case.
+def rows(x, u, wanted_1, wanted_2, p, dx):
+    """All rows with any added states; the same functions as in :func:`slopes`, put together for every case.
 
     Args:
         x: state (n,).
@@ -274,7 +280,7 @@ def _rows(x, u, wanted_1, wanted_2, p, dx):
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
         angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p),
-        _with_disturbance(_external_torque(u), x, p), x, p, WITH_EFFECTS,
+        _with_disturbance(external_torque(u), x, p), x, p, WITH_EFFECTS,
     )  # fmt: skip
 
 
@@ -288,120 +294,7 @@ def derivative(x, u, p, dx):
         p: parameter vector.
         dx: result (n,), written in place.
     """
-    _rows(x, u, _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p), p, dx)
-
-
-@inlined
-def _stop(x, p):
-    """The mechanical stop, an inelastic impact: the angle is held at ±``joint.stop``, the velocity into it is lost."""
-    stop = p[STOP]
-    if x[ANGLE] >= stop:
-        x[ANGLE] = stop
-        x[VELOCITY] = min(x[VELOCITY], 0.0)
-    elif x[ANGLE] <= -stop:
-        x[ANGLE] = -stop
-        x[VELOCITY] = max(x[VELOCITY], 0.0)
-
-
-@in_place
-def _extended_step(x, u, p, dt, result, scratch):
-    """:func:`rk4_step_within` with any number of states."""
-    n = x.shape[0]
-    slopes, point = scratch[:STAGES], scratch[STAGES]
-    wanted_1, wanted_2 = _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p)
-    _rows(x, u, wanted_1, wanted_2, p, slopes[0])
-    for stage in range(1, STAGES):
-        reach = dt if stage == STAGES - 1 else 0.5 * dt
-        for i in range(n):
-            point[i] = x[i] + reach * slopes[stage - 1, i]
-        _rows(point, u, wanted_1, wanted_2, p, slopes[stage])
-    sixth = dt / 6.0
-    for i in range(n):
-        result[i] = x[i] + sixth * (slopes[0, i] + 2.0 * (slopes[1, i] + slopes[2, i]) + slopes[3, i])
-    _stop(result, p)
-
-
-@inlined
-def _scalar_step(x, u, p, dt, result, effects):
-    """:func:`rk4_step_within` without added states."""
-    alpha_1 = _open_rate(FIRST, u[0], p)
-    alpha_2 = _open_rate(SECOND, u[1], p)
-    e = _external_torque(u)
-    half = 0.5 * dt
-    a, b, c, d = x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2]
-    a1, b1, c1, d1 = _slopes(a, b, c, d, alpha_1, alpha_2, e, p, effects)
-    a2, b2, c2, d2 = _slopes(
-        a + half * a1, b + half * b1, c + half * c1, d + half * d1, alpha_1, alpha_2, e, p, effects
-    )
-    a3, b3, c3, d3 = _slopes(
-        a + half * a2, b + half * b2, c + half * c2, d + half * d2, alpha_1, alpha_2, e, p, effects
-    )
-    a4, b4, c4, d4 = _slopes(a + dt * a3, b + dt * b3, c + dt * c3, d + dt * d3, alpha_1, alpha_2, e, p, effects)
-    sixth = dt / 6.0
-    result[ANGLE] = a + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-    result[VELOCITY] = b + sixth * (b1 + 2.0 * (b2 + b3) + b4)
-    result[PRESSURE_1] = c + sixth * (c1 + 2.0 * (c2 + c3) + c4)
-    result[PRESSURE_2] = d + sixth * (d1 + 2.0 * (d2 + d3) + d4)
-    _stop(result, p)
-
-
-@in_place
-def _optional_step(x, u, p, dt, result):
-    """:func:`rk4_step_within` with options or effects, but without added states."""
-    _scalar_step(x, u, p, dt, result, WITH_EFFECTS)
-
-
-@in_place
-def plain_step(x, u, p, dt, result, scratch):
-    """:func:`rk4_step_within` of a rig that is known to be plain.
-
-    Args:
-        x: state (4,), not changed unless it is also ``result``.
-        u: input, as for :func:`rk4_step_within`.
-        p: parameter vector, plain.
-        dt: step [s].
-        result: state after the step (4,).
-        scratch: not used.
-    """
-    _scalar_step(x, u, p, dt, result, None)
-
-
-@in_place
-def rk4_step_within(x, u, p, dt, result, scratch):
-    """One step of the fourth-order Runge-Kutta method with the input held, then the mechanical stop.
-
-    Args:
-        x: state (n,), not changed unless it is also ``result``.
-        u: valve voltages [V] over the step, and where it is known the torque from outside [N m]; (2,) or (3,).
-        p: parameter vector.
-        dt: step [s].
-        result: state after the step (n,).
-        scratch: (STAGES + 1, n), used where there are added states.
-    """
-    if p[PLAIN] != 0.0:
-        _scalar_step(x, u, p, dt, result, None)
-    elif x.shape[0] == BASE_STATES:
-        _optional_step(x, u, p, dt, result)
-    else:
-        _extended_step(x, u, p, dt, result, scratch)
-
-
-@kernel
-def rk4_step(x, u, p, dt, result, effects=True):
-    """:func:`rk4_step_within` with scratch of its own; in a loop, to ask for memory takes as long as the step.
-
-    Args:
-        x: state (n,), not changed unless it is also ``result``.
-        u: valve voltages [V] over the step, and where it is known the torque from outside [N m]; (2,) or (3,).
-        p: parameter vector.
-        dt: step [s].
-        result: state after the step (n,).
-        effects: None where the rig is known to be plain: less is compiled then.
-    """
-    if effects is None:
-        _scalar_step(x, u, p, dt, result, None)
-    else:
-        rk4_step_within(x, u, p, dt, result, np.empty((STAGES + 1, x.shape[0])))
+    rows(x, u, _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p), p, dx)
 
 
 @inlined
@@ -428,63 +321,3 @@ def subsystem(x, p, effects=True):
         )
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)
-
-
-def substeps_of(period: float, longest: float = LONGEST_STEP) -> int:
-    """Runge-Kutta steps a sample, so that none is longer than wanted.
-
-    Args:
-        period: sample period [s].
-        longest: step [s]; a tenth more is no reason for another step.
-    """
-    return max(1, math.ceil(period / longest - 0.1))
-
-
-@in_place
-def _course(x, voltage, p, dt, substeps, states, torques, scratch):
-    for k in range(states.shape[0]):
-        if k > 0:
-            for _ in range(substeps):
-                rk4_step_within(x, voltage[k], p, dt / substeps, x, scratch)
-        for i in range(x.shape[0]):
-            states[k, i] = x[i]
-        torques[k] = torque(x, p)
-
-
-@kernel
-def course(x0, voltage, p, dt, substeps):
-    """The model alone, driven by recorded voltages: states and torques, which is all that a fit compares.
-
-    Args:
-        x0: state (n,) at the first sample.
-        voltage: (N, 2) [V], or (N, 3) with the torque from outside [N m]; row k holds over the step that ends at
-            sample k, row 0 is not used.
-        p: parameter vector.
-        dt: sample period [s].
-        substeps: Runge-Kutta steps a sample.
-
-    Returns:
-        States (N, n) and torques (N,) [N m].
-    """
-    samples, n = voltage.shape[0], x0.shape[0]
-    states, torques = np.empty((samples, n)), np.empty(samples)
-    _course(x0.copy(), voltage, p, dt, substeps, states, torques, np.empty((STAGES + 1, n)))
-    return states, torques
-
-
-@kernel
-def simulate(x0, voltage, p, dt, substeps):
-    """:func:`course`, and the subsystems σ (N,) that it passed through.
-
-    Args:
-        x0: first state (n,).
-        voltage: as for :func:`course`, (N, 2) or (N, 3) [V, N m].
-        p: parameter vector (m,).
-        dt: time between the rows [s].
-        substeps: steps of the integration in it.
-    """
-    states, torques = course(x0, voltage, p, dt, substeps)
-    sigma = np.empty(states.shape[0], dtype=np.int64)
-    for k in range(states.shape[0]):
-        sigma[k] = subsystem(states[k], p)
-    return states, torques, sigma

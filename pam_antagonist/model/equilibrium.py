@@ -116,7 +116,7 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
         angle: ψ [rad].
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
-        u: input, as for :func:`dynamics.rk4_step`.
+        u: input, as for :func:`integration.rk4_step`.
         p: parameter vector.
         velocity: ψ̇ [rad/s] with which it has come; the state's own is 0.
 
@@ -137,7 +137,7 @@ def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, effects):
         angle: ψ [rad].
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
-        u: input, as for :func:`dynamics.rk4_step`.
+        u: input, as for :func:`integration.rk4_step`.
         p: parameter vector (m,).
         velocity: ψ̇ [rad/s] with which it has come.
         effects: None where the rig is known to be plain.

@@ -6,10 +6,10 @@ To read what is written: ``python -m pam_antagonist.model.lane_course``.
 from __future__ import annotations
 
 from pam_antagonist._jit import in_place
-from pam_antagonist.model import composition, dynamics, lane_form
+from pam_antagonist.model import composition, dynamics, integration, lane_form
 from pam_antagonist.model.lane_values import CHUNK, LANES, item, put
 
-TEXT = lane_form.lane_module((dynamics.rk4_step_within, dynamics.torque))
+TEXT = lane_form.lane_module((integration.rk4_step_within, dynamics.torque))
 """Source of the module with the lane form of the equations."""
 _form = composition.imported(TEXT, "lanes")
 rk4_step, _torque = _form.rk4_step_within, _form.torque
@@ -17,7 +17,7 @@ rk4_step, _torque = _form.rk4_step_within, _form.torque
 
 @in_place
 def course(x, voltage, p, dt, substeps, states, torques, scratch):
-    """:func:`~pam_antagonist.model.dynamics.course` of eight models.
+    """:func:`~pam_antagonist.model.integration.course` of eight models.
 
     Args:
         x: states (n, 8) at the first sample; those at the last one after it.

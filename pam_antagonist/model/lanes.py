@@ -2,7 +2,7 @@
 
 A fit asks for the same recording simulated with many parameter vectors. Eight of them run side by side
 (:mod:`pam_antagonist.model.lane_values`), by the same equations (:mod:`pam_antagonist.model.lane_form`), and each gives
-the bits that :func:`pam_antagonist.model.dynamics.course` gives for it alone.
+the bits that :func:`pam_antagonist.model.integration.course` gives for it alone.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numba.core import codegen, config
 
-from pam_antagonist.model import composition, dynamics, lane_form
+from pam_antagonist.model import composition, integration, lane_form
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.lane_values import CHUNK, LANES
 
@@ -26,7 +26,7 @@ _FEWEST = {"+avx512f": 3, "+avx2": 4}
 def courses(
     starts: Sequence[np.ndarray], voltage: np.ndarray, vectors: Sequence[np.ndarray], dt: float, substeps: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """:func:`~pam_antagonist.model.dynamics.course` of many models on the same inputs, with the same bits.
+    """:func:`~pam_antagonist.model.integration.course` of many models on the same inputs, with the same bits.
 
     Args:
         starts: state (n,) of each model at the first sample; n may differ.
@@ -44,7 +44,7 @@ def courses(
         run = _side_by_side() if len(group) >= fewest else None
         if run is None:
             for k in group:
-                out[k] = dynamics.course(starts[k], voltage, vectors[k], dt, substeps)
+                out[k] = integration.course(starts[k], voltage, vectors[k], dt, substeps)
             continue
         # Lanes that are left over do what the first one does.
         filled = [*group, *group[:1] * (LANES - len(group))]
@@ -75,13 +75,14 @@ def step(plain: bool) -> Any:
         plain: whether all of them are known to be plain: much less is compiled then.
 
     Returns:
-        :func:`~pam_antagonist.model.dynamics.plain_step` or :func:`~pam_antagonist.model.dynamics.rk4_step_within`,
-        for states (n, 8), parameters (P, 8) and scratch (STAGES + 1, n, 8).
+        :func:`~pam_antagonist.model.integration.plain_step` or
+        :func:`~pam_antagonist.model.integration.rk4_step_within`, for states (n, 8), parameters (P, 8) and scratch
+        (STAGES + 1, n, 8).
     """
     if _fewest() > LANES:
         return None
     if plain:
-        text = lane_form.lane_module((dynamics.plain_step,))
+        text = lane_form.lane_module((integration.plain_step,))
         return composition.imported(text, "plain_lanes").plain_step
     try:
         return importlib.import_module("pam_antagonist.model.lane_course").rk4_step
@@ -126,4 +127,4 @@ def _side_by_side() -> Any:
 
 def _scratch(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For a step, and for states and torques of some samples."""
-    return np.empty((dynamics.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES)), np.empty((CHUNK, LANES))
+    return np.empty((integration.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES)), np.empty((CHUNK, LANES))

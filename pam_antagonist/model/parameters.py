@@ -97,7 +97,7 @@ FRICTION_VELOCITY = INDEX["friction.velocity"]
 FRICTION_STEP = INDEX["friction.time_step"]
 LONGEST_STEP = 1e-3
 """[s] Step of the integration in longer samples. A step may be a tenth longer where a sample is
-(:func:`~pam_antagonist.model.dynamics.substeps_of`), and up to a half between uneven stamps in the filter."""
+(:func:`~pam_antagonist.model.integration.substeps_of`), and up to a half between uneven stamps in the filter."""
 
 # Behind the named values: the joint's condition, what is derived, the two valve curves.
 LOCKED = len(_NAMES)

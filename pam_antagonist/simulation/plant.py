@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, equilibrium, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -203,7 +203,7 @@ class Plant:
             self._x = equilibrium.initial_state(self._x[0], self._x[2], self._x[3], self._u, self._p)
             self._begun = True
         for _ in range(self._substeps):
-            dynamics.rk4_step(self._x, self._u, self._p, self._dt, self._x)
+            integration.rk4_step(self._x, self._u, self._p, self._dt, self._x)
         sensors = self._sensors
         readings = [sensor.reading(i, self._x[2 + i], self._p) for i in (0, 1)]
         return PlantSample(

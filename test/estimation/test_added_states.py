@@ -13,7 +13,7 @@ from recordings import trial
 from pam_antagonist._jit import kernel
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.estimator import considered, parameter_sets
-from pam_antagonist.model import dynamics, equilibrium, sensor
+from pam_antagonist.model import equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig, load_rig
@@ -64,7 +64,7 @@ def _oracle(rig: Rig, recording, effects_of_states: list[tuple[str, str]]) -> np
 
     def advance(x: np.ndarray, _dt: float, u: np.ndarray) -> np.ndarray:
         result = np.empty(n)
-        dynamics.rk4_step(x, u, p, rig.sample_period, result)
+        integration.rk4_step(x, u, p, rig.sample_period, result)
         return result
 
     ukf = UnscentedKalmanFilter(
@@ -160,7 +160,7 @@ def _bare_steps(start, voltages, sets, count, dt):
     return x[0]
 
 
-dynamics_rk4 = dynamics.rk4_step
+dynamics_rk4 = integration.rk4_step
 
 
 def _best(call, rounds: int = 5) -> float:

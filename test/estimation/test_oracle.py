@@ -8,7 +8,7 @@ from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter, unscented_
 from recordings import trial
 
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.rig import Rig, load_rig
 
 SCALE = np.array([0.1, 1.0, 1e5, 1e5])
@@ -17,7 +17,7 @@ SCALE = np.array([0.1, 1.0, 1e5, 1e5])
 def _step(p: np.ndarray, dt: float):
     def step(x: np.ndarray, _dt: float, u: np.ndarray) -> np.ndarray:
         result = np.empty(4)
-        dynamics.rk4_step(x, u, p, dt, result)
+        integration.rk4_step(x, u, p, dt, result)
         return result
 
     return step
@@ -86,7 +86,7 @@ def test_consider_parameters_equal_an_augmented_filter() -> None:
             changes={k: rig.value(k) + t * rig.uncertainty[k] for k, t in zip(names, z[:m], strict=True)}
         )
         x = np.empty(n)
-        dynamics.rk4_step(z[m:], u, p, rig.sample_period, x)
+        integration.rk4_step(z[m:], u, p, rig.sample_period, x)
         return np.concatenate([z[:m], x])
 
     first = recording.pressure[0]

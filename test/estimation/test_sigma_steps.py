@@ -8,7 +8,7 @@ import pytest
 
 from pam_antagonist.estimation import Estimator, sigma_steps, ukf
 from pam_antagonist.estimation.estimator import parameter_sets
-from pam_antagonist.model import dynamics, equilibrium, lanes
+from pam_antagonist.model import dynamics, equilibrium, integration, lanes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig, load_rig
@@ -32,7 +32,7 @@ def both_ways(_on_any_machine):
     """For plain rigs and others: one by one, side by side. All of it is in compiled code that other tests need too."""
     return {
         plain: [numba.njit(error_model="numpy")(way(step)) for way, step in (
-            (sigma_steps._one_by_one, dynamics.plain_step if plain else dynamics.rk4_step_within),
+            (sigma_steps._one_by_one, integration.plain_step if plain else integration.rk4_step_within),
             (sigma_steps._side_by_side, lanes.step(plain)),
         )]
         for plain in (True, False)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import integration
 from pam_antagonist.rig import Rig
 
 ATMOSPHERE, TANK = 101.3e3, 710e3
@@ -58,5 +58,5 @@ def steps(x: list[float], p: np.ndarray, number: int, dt: float = 1e-3, u=(5.5, 
     out = np.empty((number + 1, 4))
     out[0] = x
     for k in range(number):
-        dynamics.rk4_step(out[k], np.array(u), p, dt, out[k + 1])
+        integration.rk4_step(out[k], np.array(u), p, dt, out[k + 1])
     return out

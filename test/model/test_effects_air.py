@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from states import ATMOSPHERE, TANK
 
 from pam_antagonist.estimation import simulate_model
-from pam_antagonist.model import dynamics, equilibrium, flow, sensor
+from pam_antagonist.model import equilibrium, flow, integration, sensor
 from pam_antagonist.model import parameters as par
 
 T = paper.CORRECTED
@@ -31,7 +31,7 @@ def held(p, u, seconds, pressures=(450e3, 450e3), before=None, dt=DT):
     """States (N, n) of a joint held at 0°, voltages ``u`` from the first step on, ``before`` until then."""
     voltage = np.tile(np.asarray(u, dtype=np.float64), (round(seconds / dt) + 1, 1))
     start = equilibrium.initial_state(0.0, *pressures, np.array(u if before is None else before, dtype=np.float64), p)
-    return dynamics.simulate(start, voltage, p, dt, 1)[0]
+    return integration.simulate(start, voltage, p, dt, 1)[0]
 
 
 def balance(alpha, supply=TANK, leak=0.0, area=T["A_12"]):
@@ -90,7 +90,7 @@ def test_supply_falls_by_what_is_drawn_and_recovers(rig):
     assert short == pytest.approx(expected, rel=1e-6)
     # Valves open to the atmosphere only draw nothing: the supply comes back with its time constant.
     x = np.array([0.0, 0.0, 450e3, 450e3, -30e3])
-    states, _, _ = dynamics.simulate(x, np.zeros((1001, 2)), p, DT, 1)
+    states, _, _ = integration.simulate(x, np.zeros((1001, 2)), p, DT, 1)
     assert states[:, 4] == pytest.approx(-30e3 * np.exp(-DT * np.arange(1001) / time), rel=1e-8)
 
 
@@ -122,7 +122,7 @@ def test_the_loop_between_command_and_spool_has_the_area_of_the_play_operator(ri
     voltage = to_and_fro(swing)
     start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
     assert start[4:] == pytest.approx([5.5]), "in the middle of its play"
-    spool = dynamics.simulate(start, voltage, p, DT, 4)[0][:, 4]
+    spool = integration.simulate(start, voltage, p, DT, 4)[0][:, 4]
     cycle = slice(len(voltage) // 2, None)
     assert abs(trapezoid(spool[cycle], voltage[cycle, 0])) == pytest.approx(play * (2.0 * swing - play), rel=0.02)
     assert np.ptp(spool[cycle]) == pytest.approx(2.0 * swing - play, abs=0.004)
@@ -133,8 +133,8 @@ def test_a_command_within_the_play_moves_nothing(rig):
     p = locked(rig, valve_play={"play_1": 0.3})
     voltage = to_and_fro(0.14)
     start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
-    moved = dynamics.simulate(start, voltage, p, DT, 1)[0]
-    still = dynamics.simulate(start, np.full_like(voltage, 5.5), p, DT, 1)[0]
+    moved = integration.simulate(start, voltage, p, DT, 1)[0]
+    still = integration.simulate(start, np.full_like(voltage, 5.5), p, DT, 1)[0]
     assert np.array_equal(moved, still)
 
 
@@ -151,7 +151,9 @@ def test_play_that_shrinks_ends_at_the_model_without(rig):
     end = []
     for play in (0.04, 0.02, 0.0):
         p = locked(rig, valve_play={"play_1": play})
-        end.append(dynamics.simulate(equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 1)[0])
+        end.append(
+            integration.simulate(equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 1)[0]
+        )
     far, near = (np.abs(states[:, 2] - end[2][:, 2]).max() for states in end[:2])
     assert near < 0.75 * far
     assert far > 300.0
@@ -332,7 +334,7 @@ def test_warm_gas_cools_with_its_time_constant(rig):
     """A closed muscle whose gas is warmer by q loses just q of its pressure."""
     p = locked(rig, SHUT, thermal={"share_1": 0.2, "share_2": 0.2, "time": 0.8})
     x = np.array([0.0, 0.0, 450e3, 450e3, 12e3, -5e3])
-    states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5], (8001, 1)), p, DT, 1)
+    states, _, _ = integration.simulate(x, np.tile([5.5, 5.5], (8001, 1)), p, DT, 1)
     fade = np.exp(-DT * np.arange(8001) / 0.8)
     for muscle, warmth in ((0, 12e3), (1, -5e3)):
         assert states[:, 4 + muscle] == pytest.approx(warmth * fade, abs=1e-3)
@@ -349,7 +351,7 @@ def test_a_filling_leaves_its_share_as_warmth(rig):
     assert states[-1, 4] == pytest.approx(share * risen, rel=0.01)
     # Then the valve is shut (areas of zero), and all of it goes.
     shut = par.changed(p, SHUT)
-    after, _, _ = dynamics.simulate(states[-1], np.tile([5.5, 5.5], (200_001, 1)), shut, DT, 1)
+    after, _, _ = integration.simulate(states[-1], np.tile([5.5, 5.5], (200_001, 1)), shut, DT, 1)
     assert states[-1, 2] - after[-1, 2] == pytest.approx(states[-1, 4], rel=1e-3)
 
 

@@ -11,7 +11,7 @@ import transcription_effects as laws
 from scipy.integrate import solve_ivp
 from states import random_states
 
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 
@@ -207,7 +207,7 @@ def test_trajectory(rig, case, locked, base, u, duration):
     steps = 8 * round(duration * 1e3)
     start = x.copy()
     for _ in range(steps):
-        dynamics.rk4_step(x, inputs, p, duration / steps, x)
+        integration.rk4_step(x, inputs, p, duration / steps, x)
     expected = integrated(effects, start, u, duration, locked, 0.05)
     # A rate that has died out: 1 Pa/s is nothing of what it was.
     least = [1.0 if name.startswith("late_command_rate") else 1e-9 for name in (*("",) * 4, *laws.states(effects))]

@@ -10,7 +10,7 @@ import transcription as paper
 from scipy.integrate import trapezoid
 from states import held, sealed
 
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import parameter_path
 from pam_antagonist.model.effects.hysteresis import loop_rate
@@ -87,7 +87,7 @@ def pushed(p, peak, period=4.0):
     time = np.arange(round(2 * period / DT)) * DT
     push = peak * np.sin(2.0 * math.pi * time / period)
     voltage = np.column_stack([np.full((len(time), 2), 5.5), push])
-    states, _, _ = dynamics.simulate(equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 2)
+    states, _, _ = integration.simulate(equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 2)
     half = len(time) // 2
     return states[half:, 0], push[half:]
 
@@ -114,7 +114,7 @@ def test_creep_is_a_share_of_a_step_that_comes_late(rig):
     x = equilibrium.initial_state(0.0, 450e3, 450e3, np.array([5.5, 5.5]), p)
     before = dynamics.forces(x, p)[0]
     x[2] = 600e3  # the pressure jumps
-    states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5], (10_001, 1)), p, DT, 1)
+    states, _, _ = integration.simulate(x, np.tile([5.5, 5.5], (10_001, 1)), p, DT, 1)
     force = np.array([dynamics.forces(state, p)[0] for state in states])
     full = paper.force(T, 1, T["L_0"], 600e3)
     assert before == pytest.approx(paper.force(T, 1, T["L_0"], 450e3), rel=1e-9)
@@ -136,7 +136,7 @@ def test_creep_of_the_tube_is_of_its_length_and_not_of_the_pressure(rig):
     # The same joint held elsewhere: muscle 1 is shorter and pulls less by κ Δl, until the tube has given way.
     x = equilibrium.initial_state(0.0, 450e3, 450e3, u, p)
     x[0] = 0.2
-    states, _, _ = dynamics.simulate(x, np.tile(u, (6001, 1)), p, DT, 1)
+    states, _, _ = integration.simulate(x, np.tile(u, (6001, 1)), p, DT, 1)
     for i in (1, 2):
         l_i = paper.length(T, i, 0.2)
         full = paper.force(T, i, l_i, 450e3)
@@ -172,7 +172,7 @@ def test_a_torque_meter_on_the_muscles_does_not_see_the_load(rig):
 def stands(p, push):
     """Whether a joint at its angle of rest stays there under a push."""
     x = np.array([equilibrium.rest_angle(450e3, 450e3, p), 0.0, 450e3, 450e3])
-    states, _, _ = dynamics.simulate(x, np.tile([5.5, 5.5, push], (20, 1)), p, DT, 1)
+    states, _, _ = integration.simulate(x, np.tile([5.5, 5.5, push], (20, 1)), p, DT, 1)
     return abs(states[-1, 0] - states[0, 0]) < 1e-6
 
 
@@ -216,13 +216,15 @@ def test_a_known_push_and_an_estimated_one_move_alike(rig):
     time = np.arange(2000)
     pushes = np.where((time > 300) & (time < 900), 0.4, 0.0)
     voltage = np.tile([5.8, 5.2], (2000, 1))
-    known, _, _ = dynamics.simulate(np.array([0.0, 0.0, 450e3, 450e3]), np.column_stack([voltage, pushes]), base, DT, 1)
+    known, _, _ = integration.simulate(
+        np.array([0.0, 0.0, 450e3, 450e3]), np.column_stack([voltage, pushes]), base, DT, 1
+    )
     x = np.array([0.0, 0.0, 450e3, 450e3, 0.0])
     for k in range(1, 2000):
         x[4] = pushes[k]
-        dynamics.rk4_step(x, voltage[k], p, DT, x)
+        integration.rk4_step(x, voltage[k], p, DT, x)
         assert np.array_equal(x[:4], known[k])
-    quiet, torque, _ = dynamics.simulate(np.array([0.0, 0.0, 450e3, 450e3]), voltage, base, DT, 1)
+    quiet, torque, _ = integration.simulate(np.array([0.0, 0.0, 450e3, 450e3]), voltage, base, DT, 1)
     assert known[800, 0] > quiet[800, 0] + math.radians(1.0), "a push about +z turns the joint that way"
     # The muscles' torque is what pulls back: the meter reads less.
     assert dynamics.torque(known[800], base) < torque[800] - 0.2
@@ -230,7 +232,9 @@ def test_a_known_push_and_an_estimated_one_move_alike(rig):
 
 def test_the_state_stays_what_it_is_without_a_measurement(rig):
     p = with_effects(rig.parameters(), external_torque={"noise": 0.1})
-    states, _, _ = dynamics.simulate(np.array([0.0, 0.0, 450e3, 450e3, 0.2]), np.tile([5.5, 5.5], (500, 1)), p, DT, 1)
+    states, _, _ = integration.simulate(
+        np.array([0.0, 0.0, 450e3, 450e3, 0.2]), np.tile([5.5, 5.5], (500, 1)), p, DT, 1
+    )
     assert np.all(states[:, 4] == 0.2)
 
 
@@ -240,7 +244,7 @@ def test_a_locked_joint_does_not_feel_a_push(rig):
     pushed_on = np.column_stack([voltage, np.full(500, 0.7)])
     x = np.array([0.0, 0.0, 450e3, 450e3])
     for one, other in zip(
-        dynamics.simulate(x, voltage, p, DT, 1), dynamics.simulate(x, pushed_on, p, DT, 1), strict=True
+        integration.simulate(x, voltage, p, DT, 1), integration.simulate(x, pushed_on, p, DT, 1), strict=True
     ):
         assert np.array_equal(one, other)
 
@@ -268,9 +272,9 @@ def test_it_warms_from_the_start_on_with_its_time_constant(rig):
     voltage = np.full((30_001, 2), 5.5)
     start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
     assert start[4] == 0.0
-    states, torque, _ = dynamics.simulate(start, voltage, p, DT, 1)
+    states, torque, _ = integration.simulate(start, voltage, p, DT, 1)
     assert states[:, 4] == pytest.approx(1.0 - np.exp(-DT * np.arange(len(states)) / time), abs=1e-9)
-    base, steady, _ = dynamics.simulate(start[:4], voltage, rig.parameters("locked"), DT, 1)
+    base, steady, _ = integration.simulate(start[:4], voltage, rig.parameters("locked"), DT, 1)
     assert np.array_equal(states[:, :4], base), "the pressures of a locked joint do not feel it"
     v_1, v_2 = ((paper.force(T, i, T["L_0"], 500e3) - paper.force(T, i, T["L_0"], 400e3)) / 100e3 for i in (1, 2))
     lost = 0.1 * v_1 * (states[-1, 2] - 101.3e3) + 0.05 * v_2 * (states[-1, 3] - 101.3e3)

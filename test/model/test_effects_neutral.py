@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from states import random_states
 
-from pam_antagonist.model import dynamics, equilibrium, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import load_rig
@@ -27,7 +27,7 @@ NAMES = (
 def run(p: np.ndarray, substeps: int = 1, start: np.ndarray | None = None):
     if start is None:
         start = equilibrium.initial_state(0.05, 430e3, 470e3, VOLTAGE[0], p)
-    return dynamics.simulate(start, VOLTAGE, p, 1e-3, substeps)
+    return integration.simulate(start, VOLTAGE, p, 1e-3, substeps)
 
 
 def same(one, other) -> None:
@@ -81,7 +81,7 @@ def test_the_derivative_is_what_the_step_integrates(rig, joint):
         dynamics.derivative(x + 0.5 * h * k[0], u, p, k[1])
         dynamics.derivative(x + 0.5 * h * k[1], u, p, k[2])
         dynamics.derivative(x + h * k[2], u, p, k[3])
-        dynamics.rk4_step(x, u, p, h, result)
+        integration.rk4_step(x, u, p, h, result)
         assert np.array_equal(result, x + h / 6.0 * (k[0] + 2.0 * (k[1] + k[2]) + k[3]))
 
 

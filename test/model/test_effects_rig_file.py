@@ -9,7 +9,7 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import load_rig
@@ -65,7 +65,7 @@ def test_the_quickest_time_that_is_allowed_does_not_diverge(tmp_path, period):
     p = rig.parameters()
     voltage = excitation.profile("steps", 5.0, period, seed=1)
     start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
-    states, torques, _ = dynamics.simulate(start, voltage, p, period, dynamics.substeps_of(period))
+    states, torques, _ = integration.simulate(start, voltage, p, period, integration.substeps_of(period))
     assert np.all(np.isfinite(states)) and np.all(np.isfinite(torques))
     assert 0.0 <= states[:, 4].min() and states[:, 4].max() <= 1.0
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.model import dynamics, equilibrium, lane_course, lane_form, lanes, numeric
+from pam_antagonist.model import dynamics, equilibrium, integration, lane_course, lane_form, lanes, numeric
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig.load import load_rig
@@ -37,7 +37,7 @@ def assert_same(vectors: list[np.ndarray], given: np.ndarray) -> None:
     starts = [equilibrium.initial_state(0.05, 3e5, 2.5e5, given[0], p) for p in vectors]
     together = lanes.courses(starts, given, vectors, 1e-3, 1)
     for x, p, (states, torques) in zip(starts, vectors, together, strict=True):
-        alone = dynamics.course(x, given, p, 1e-3, 1)
+        alone = integration.course(x, given, p, 1e-3, 1)
         assert np.array_equal(states, alone[0], equal_nan=True)
         assert np.array_equal(torques, alone[1], equal_nan=True)
 
@@ -136,6 +136,6 @@ def test_an_effect_without_lane_form_leaves_the_models_to_run_one_by_one(p0, mon
 
 def test_the_source_of_the_equations_is_what_is_written_for_lanes() -> None:
     text = lane_course.TEXT
-    for function in (dynamics._slopes, dynamics._rows):
+    for function in (dynamics.slopes, dynamics.rows):
         assert f"def dynamics__{function.py_func.__name__}(" in text
         assert "lanes" not in inspect.getsource(function.py_func)

@@ -10,7 +10,7 @@ import transcription as paper
 from scipy.optimize import brentq
 from states import ATMOSPHERE, CHOKED_BELOW, TANK, sealed, steps
 
-from pam_antagonist.model import dynamics, flow
+from pam_antagonist.model import flow, integration
 from pam_antagonist.model import parameters as par
 
 T = paper.CORRECTED
@@ -67,7 +67,7 @@ def test_steady_pressure_is_the_root_of_the_balance(rig, voltage):
         p = rig.parameters("locked", changes=changes)
         # 300 s: the time constant is 4 s with the table's areas and 15 s with the small one.
         voltages = np.full((15_001, 2), voltage)
-        states, _, _ = dynamics.simulate(np.array([0.0, 0.0, 120e3, 690e3]), voltages, p, 0.02, 1)
+        states, _, _ = integration.simulate(np.array([0.0, 0.0, 120e3, 690e3]), voltages, p, 0.02, 1)
         assert states[-1, 2:] == pytest.approx([expected, expected], abs=1.0)
 
 
@@ -83,7 +83,9 @@ def test_open_rate_follows_from_the_steady_pressure(p_locked):
 @pytest.mark.parametrize(("voltage", "expected"), [(0.0, ATMOSPHERE), (10.0, TANK)])
 def test_shut_valve_ends_at_the_atmosphere_or_the_tank(p_locked, voltage, expected):
     """... and stays there: with the root in the subsonic branch the pressure arrives in finite time."""
-    states, _, _ = dynamics.simulate(np.array([0.0, 0.0, 300e3, 300e3]), np.full((4001, 2), voltage), p_locked, 1e-3, 1)
+    states, _, _ = integration.simulate(
+        np.array([0.0, 0.0, 300e3, 300e3]), np.full((4001, 2), voltage), p_locked, 1e-3, 1
+    )
     assert states[-1, 2:] == pytest.approx([expected] * 2, abs=1.0)
     # An overshoot through the flow's infinite slope at equal pressures is bounded by a step.
     assert np.all(states[:, 2] >= ATMOSPHERE - 50.0)
@@ -93,7 +95,7 @@ def test_shut_valve_ends_at_the_atmosphere_or_the_tank(p_locked, voltage, expect
 def test_pressure_rises_by_k_1_r_t_over_v_times_the_mass(p_locked):
     """Over any transient at constant volume, P(t) − P(0) = k_1 R T ∫ m dt / V, with the integral taken apart."""
     voltages = np.column_stack((np.linspace(4.0, 9.0, 801), np.linspace(7.0, 2.0, 801)))
-    states, _, _ = dynamics.simulate(np.array([0.0, 0.0, 300e3, 500e3]), voltages, p_locked, 1e-3, 1)
+    states, _, _ = integration.simulate(np.array([0.0, 0.0, 300e3, 500e3]), voltages, p_locked, 1e-3, 1)
     for i in (1, 2):
         pressure, voltage = states[:, 1 + i], voltages[:, i - 1]
         before = np.array([paper.mass_flow(T, u, x) for u, x in zip(voltage[1:], pressure[:-1], strict=True)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from states import steps
 
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, integration
 
 START = np.array([0.0, 0.0, 450e3, 450e3])
 
@@ -21,7 +21,7 @@ def voltages(samples: int, seed: int = 16) -> np.ndarray:
 
 def test_row_k_of_the_voltages_acts_over_the_step_that_ends_at_sample_k(p_stop):
     u = voltages(600)
-    states, torques, sigma = dynamics.simulate(START, u, p_stop, 1e-3, 1)
+    states, torques, sigma = integration.simulate(START, u, p_stop, 1e-3, 1)
     assert states.shape == (600, 4)
     assert torques.shape == sigma.shape == (600,)
     assert np.array_equal(states[0], START)
@@ -35,12 +35,12 @@ def test_row_0_is_not_used(p_stop):
     u = voltages(50)
     other = u.copy()
     other[0] = np.nan
-    one, two = (dynamics.simulate(START, voltage, p_stop, 1e-3, 1)[0] for voltage in (u, other))
+    one, two = (integration.simulate(START, voltage, p_stop, 1e-3, 1)[0] for voltage in (u, other))
     assert np.array_equal(one, two)
 
 
 def test_torque_and_subsystem_are_those_of_the_state_reported(p_stop):
-    states, torques, sigma = dynamics.simulate(START, voltages(6000), p_stop, 1e-3, 1)
+    states, torques, sigma = integration.simulate(START, voltages(6000), p_stop, 1e-3, 1)
     for k in range(0, 6000, 37):
         assert torques[k] == dynamics.torque(states[k], p_stop)
         assert sigma[k] == dynamics.subsystem(states[k], p_stop)
@@ -49,7 +49,7 @@ def test_torque_and_subsystem_are_those_of_the_state_reported(p_stop):
 
 def test_substeps_share_the_sample(p_stop):
     u = voltages(100)
-    states, _, _ = dynamics.simulate(START, u, p_stop, 1e-3, 4)
+    states, _, _ = integration.simulate(START, u, p_stop, 1e-3, 4)
     x = START.tolist()
     for k in range(1, 100):
         x = steps(x, p_stop, 4, dt=0.25e-3, u=tuple(u[k]))[-1]
@@ -58,14 +58,14 @@ def test_substeps_share_the_sample(p_stop):
 
 def test_start_is_left_alone(p_stop):
     start = START.copy()
-    dynamics.simulate(start, voltages(20), p_stop, 1e-3, 1)
+    integration.simulate(start, voltages(20), p_stop, 1e-3, 1)
     assert np.array_equal(start, START)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.2, -math.radians(25.0), math.radians(25.0)])
 def test_locked_joint_holds_exactly(rig, angle):
     start = np.array([angle, 0.0, 450e3, 450e3])
-    states, torques, sigma = dynamics.simulate(start, voltages(3000), rig.parameters("locked", angle), 1e-3, 1)
+    states, torques, sigma = integration.simulate(start, voltages(3000), rig.parameters("locked", angle), 1e-3, 1)
     assert np.all(states[:, 0] == angle)
     assert np.all(states[:, 1] == 0.0)
     assert np.all(sigma % 2 == 1)
@@ -77,7 +77,7 @@ def test_equal_muscles_driven_alike_do_not_move(rig):
     """Both muscles with the map of muscle 1: nothing tells left from right, and nothing turns the joint."""
     same = {f"muscle_2.force.{k}": rig.value(f"muscle_1.force.{k}") for k in ("v1", "v2", "w1", "w2")}
     u = np.repeat(voltages(2000)[:, :1], 2, axis=1)
-    states, torques, _ = dynamics.simulate(START, u, rig.parameters(changes=same), 1e-3, 1)
+    states, torques, _ = integration.simulate(START, u, rig.parameters(changes=same), 1e-3, 1)
     assert np.all(states[:, 0] == 0.0)
     assert np.all(torques == 0.0)
     assert np.array_equal(states[:, 2], states[:, 3])
@@ -89,8 +89,8 @@ def test_mirrored_drive_mirrors_the_motion(rig):
     same = {f"muscle_2.force.{k}": rig.value(f"muscle_1.force.{k}") for k in ("v1", "v2", "w1", "w2")}
     p = rig.parameters(changes=same)
     u = voltages(4000)
-    one, _, _ = dynamics.simulate(START, u, p, 1e-3, 1)
-    other, _, _ = dynamics.simulate(START, np.ascontiguousarray(u[:, ::-1]), p, 1e-3, 1)
+    one, _, _ = integration.simulate(START, u, p, 1e-3, 1)
+    other, _, _ = integration.simulate(START, np.ascontiguousarray(u[:, ::-1]), p, 1e-3, 1)
     assert np.ptp(one[:, 0]) > 0.05
     assert other[:, 0] == pytest.approx(-one[:, 0], abs=1e-9)
     assert other[:, [3, 2]] == pytest.approx(one[:, [2, 3]], rel=1e-9)

@@ -9,7 +9,7 @@ import pytest
 import transcription as paper
 from states import CHOKED_ABOVE, CHOKED_BELOW, EDGE_PRESSURES, EDGE_VOLTAGES, random_states
 
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, integration
 
 T = paper.CORRECTED
 SCALE = [1e-12, 1e-9, 1e-3, 1e-3]
@@ -61,7 +61,7 @@ def test_runge_kutta_step(p, p_locked, locked):
     result = np.zeros(4)
     for x, u in cases():
         before = np.array(x)
-        dynamics.rk4_step(before, np.array(u), p_locked if locked else p, 1e-3, result)
+        integration.rk4_step(before, np.array(u), p_locked if locked else p, 1e-3, result)
         agree(result, paper.runge_kutta(T, x, u, 1e-3, locked), [1e-13, 1e-10, 1e-6, 1e-6])
         assert before.tolist() == x, "the state before the step was changed"
 
@@ -70,8 +70,8 @@ def test_step_in_place_is_the_same_step(p):
     apart = np.zeros(4)
     for x, u in random_states(20, seed=12):
         place = np.array(x)
-        dynamics.rk4_step(np.array(x), np.array(u), p, 1e-3, apart)
-        dynamics.rk4_step(place, np.array(u), p, 1e-3, place)
+        integration.rk4_step(np.array(x), np.array(u), p, 1e-3, apart)
+        integration.rk4_step(place, np.array(u), p, 1e-3, place)
         assert np.array_equal(place, apart)
 
 

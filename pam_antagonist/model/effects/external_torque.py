@@ -14,7 +14,7 @@ begun or ended: the filter then lets $d$ be anything within $s$. Noise of two pr
 hour. $\sigma$ is then only what a push changes by while it lasts.
 
 The model alone has $d = 0$; a filter estimates it (`EstimateRun.added["external_torque"]`). Where the torque from
-outside was *measured*, it is an input instead: `u[2]` of `dynamics.rk4_step`, `external_torque` of `simulate_model`.
+outside was *measured*, it is an input instead: `u[2]` of `integration.rk4_step`, `external_torque` of `simulate_model`.
 """
 
 from __future__ import annotations

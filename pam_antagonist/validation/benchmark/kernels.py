@@ -7,7 +7,7 @@ import numpy as np
 from pam_antagonist._jit import in_place
 from pam_antagonist.estimation import Estimator, simulate_model, ukf
 from pam_antagonist.estimation.estimator import parameter_sets
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import dynamics, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.parameters import BASE_STATES as STATES
 from pam_antagonist.rig import Rig
@@ -20,7 +20,7 @@ _SAMPLES_FILTERPY = 1000
 _REFERENCE_NINE_STEPS = 8.0e-6
 """[s] What nine Runge-Kutta steps take on the machine that the bound on the default tuning speaks of."""
 
-_rk4_step = dynamics.rk4_step_within
+_rk4_step = integration.rk4_step_within
 _predict, _innovate, _update = ukf.predict, ukf.innovate, ukf.update
 
 
@@ -186,7 +186,7 @@ def _against_filterpy(rig: Rig, case: _Case) -> Figure:
 
     def advance(x: np.ndarray, dt: float, u: np.ndarray) -> np.ndarray:
         result = np.empty(STATES)
-        dynamics.rk4_step(x, u, p, dt, result)
+        integration.rk4_step(x, u, p, dt, result)
         return result
 
     def observe(x: np.ndarray) -> np.ndarray:

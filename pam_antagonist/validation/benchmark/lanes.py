@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pam_antagonist.model import dynamics, equilibrium, lanes
+from pam_antagonist.model import equilibrium, integration, lanes
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.model.lane_values import LANES
 from pam_antagonist.rig import Rig
@@ -40,11 +40,11 @@ def _measured(rig: Rig, names: tuple[str, ...]) -> Figure:
     p = rig.replaced(effects=effects).parameters()
     voltage = profile("steps", _DURATION, rig.sample_period, seed=1)
     start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
-    substeps = dynamics.substeps_of(rig.sample_period)
+    substeps = integration.substeps_of(rig.sample_period)
 
     def alone() -> None:
         for _ in range(LANES):
-            dynamics.course(start, voltage, p, rig.sample_period, substeps)
+            integration.course(start, voltage, p, rig.sample_period, substeps)
 
     def together() -> None:
         lanes.courses([start] * LANES, voltage, [p] * LANES, rig.sample_period, substeps)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.model.effects.external_torque import UNBOUNDED
@@ -153,7 +153,7 @@ def _known(
     """Standard deviations of angle and torque from outside, by sensor."""
 
     def outputs(start: NDArray[np.float64]) -> NDArray[np.float64]:
-        states, _ = dynamics.course(start, inputs, p, rig.sample_period, 1)
+        states, _ = integration.course(start, inputs, p, rig.sample_period, 1)
         return np.asarray(states[:, [2, 3, 0]])
 
     columns = []

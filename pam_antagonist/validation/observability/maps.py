@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.estimator import ANGLE_SENSORS
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import integration
 from pam_antagonist.report import figures
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.matplotlib_renderer import picture
@@ -49,7 +49,7 @@ def claimed(rig: Rig) -> Grids:
     for row, pressure in enumerate(PRESSURES):
         for column, (joint, angle) in enumerate((joint, angle) for joint in _JOINTS for angle in ANGLES):
             x0, inputs = place(p, rig, pressure, math.radians(angle), joint == "motion", SECONDS)
-            states, _ = dynamics.course(x0, inputs, p, rig.sample_period, 1)
+            states, _ = integration.course(x0, inputs, p, rig.sample_period, 1)
             stamps = np.rint(np.arange(1, len(inputs) + 1) * rig.sample_period * 1e9).astype(np.int64)
             measured = states[:, 2:4] + rng.normal(0.0, rig.sensors.error("pressure"), (len(states), 2))
             encoder = states[:, 0] + rng.normal(0.0, SENSORS["encoder"], len(states))

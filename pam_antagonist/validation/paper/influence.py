@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.report.figure import TIME, Axis, Figure, Panel
 from pam_antagonist.report.figures import lines
 from pam_antagonist.report.table import Table, number
@@ -86,7 +86,7 @@ def run(rig: Rig, voltage: Floats, factors: dict[str, float]) -> Floats:
     changes = {name: rig.value(name) * factor for name, factor in factors.items()}
     p = rig.parameters("free", 0.0, changes)
     start = equilibrium.initial_state(float(equilibrium.rest_angle(*START, p)), *START, voltage[0], p)
-    return np.asarray(dynamics.course(start, voltage, p, rig.sample_period, 1)[0])
+    return np.asarray(integration.course(start, voltage, p, rig.sample_period, 1)[0])
 
 
 def response(rig: Rig, factors: dict[str, float]) -> Response:

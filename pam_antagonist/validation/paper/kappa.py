@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.valve_curve import SteadyPoints, steady_open_rate, steady_points, valve_curve
-from pam_antagonist.model import dynamics, equilibrium, flow
+from pam_antagonist.model import equilibrium, flow, integration
 from pam_antagonist.recording import Recording
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
@@ -42,7 +42,7 @@ def simulated_pressures(work: SeedWork) -> Floats:
     out = []
     for rate in _SIMULATED:
         voltage = np.full((round(60.0 / rig.sample_period), 2), 10.0 * rate)
-        states, _ = dynamics.course(
+        states, _ = integration.course(
             equilibrium.initial_state(0.0, *START, voltage[0], p), voltage, p, rig.sample_period, 1
         )
         out.append(states[-1, 2])

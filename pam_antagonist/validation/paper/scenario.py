@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from pam_antagonist.model import dynamics, equilibrium, sensor
+from pam_antagonist.model import equilibrium, integration, sensor
 from pam_antagonist.paths import config_dir
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig, load_rig
@@ -122,7 +122,7 @@ class VirtualRig:
         x = equilibrium.initial_state(angle, *START, np.zeros(3), p)
         # `simulate` takes its first row for the state at the first sample.
         held = np.vstack([voltage[:1], voltage])
-        states, torque, sigma = dynamics.simulate(x, held, p, self.actual.sample_period, _SUBSTEPS)
+        states, torque, sigma = integration.simulate(x, held, p, self.actual.sample_period, _SUBSTEPS)
         return Truth(states[1:], torque[1:], sigma[1:])
 
     def record(self, voltage: Floats, joint: str = "free", truth: Truth | None = None) -> Recording:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics
+from pam_antagonist.model import integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording import read_bag
@@ -52,10 +52,10 @@ def test_without_effects_it_is_the_model_at_a_finer_step(joint: str) -> None:
     p = par.changed(case.parameters(joint), {"friction.time_step": 1e-3 / substeps})
     x = np.array([0.0, 0.0, 450e3, 450e3])
     for _ in range(physics.SETTLING * substeps):
-        dynamics.rk4_step(x, voltage[0], p, 1e-3 / substeps, x)
+        integration.rk4_step(x, voltage[0], p, 1e-3 / substeps, x)
         x[2:] = 450e3
     # ``simulate`` shows the start first, the battery the end of the first period.
-    states, torques, _ = dynamics.simulate(x, np.vstack([voltage[:1], voltage]), p, 1e-3, substeps)
+    states, torques, _ = integration.simulate(x, np.vstack([voltage[:1], voltage]), p, 1e-3, substeps)
     shown = case.channels(joint, seconds)
     np.testing.assert_allclose(shown.pressure, states[1:, 2:], rtol=1e-9)
     np.testing.assert_allclose(shown.angle, states[1:, 0], atol=1e-9)
