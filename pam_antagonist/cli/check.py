@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from pam_antagonist.api.check import CheckResult, check
@@ -90,7 +89,3 @@ def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> st
     if options:
         lines.append(f"With these options every command reads it corrected: {' '.join(options)}")
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

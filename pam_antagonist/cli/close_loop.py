@@ -204,7 +204,3 @@ def _diagnosed(
         )  # fmt: skip
     assert isinstance(found, DiagnoseResult)
     return found
-
-
-if __name__ == "__main__":
-    sys.exit(main())

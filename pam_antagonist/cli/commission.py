@@ -369,7 +369,3 @@ class Commission:
             for name, one in self._record.steps.items()
         ]
         write_report(self._out, self._rig, steps, typed(f"commission --rig {self._arguments.rig} --out {self._out}"))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

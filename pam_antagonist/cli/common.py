@@ -327,11 +327,40 @@ def give_json(where: str, text: str) -> None:
     """
     if where == "-":
         sys.stdout.write(text)
-        return
+    else:
+        write_text(Path(where), text)
+
+
+def show(text: str, content: object, where: str | None) -> None:
+    """Print the result of a command, and give it as JSON where ``--json`` says.
+
+    Args:
+        text: for people, may be empty; it goes to standard error where JSON goes to standard output.
+        content: the same for programs.
+        where: of ``--json``: a file, - for standard output, or None.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    if text:
+        with json_alone(where):
+            print(text)
+    if where is not None:
+        from pam_antagonist.strict_json import dumps
+
+        give_json(where, dumps(content) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that was asked for; what is there is replaced.
+
+    Raises:
+        BadInput: it cannot be written.
+    """
     try:
-        Path(where).write_text(text, encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise BadInput(f"{where}: cannot be written: {error.strerror}") from None
+        raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def only_available_figures(arguments: argparse.Namespace) -> None:

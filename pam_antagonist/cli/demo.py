@@ -336,7 +336,3 @@ def _seen(watch: ReferenceClient, mode: Mode, reference: float) -> str:
             *(math.degrees(value) for value in (reference, estimate, measured))
         )
     return f"reference {reference:+4.1f} N m  estimate {estimate:+6.3f} N m  measured {measured:+6.3f} N m"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

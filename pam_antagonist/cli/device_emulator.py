@@ -188,7 +188,3 @@ def _faults(arguments: argparse.Namespace) -> list[LineFault]:
     texts += [f"silent@{arguments.silent_after!r}"] if arguments.silent_after is not None else []
     texts += [f"freeze={arguments.freeze_sensor}"] if arguments.freeze_sensor is not None else []
     return [parse_fault(text) for text in texts]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

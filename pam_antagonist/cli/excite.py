@@ -183,7 +183,3 @@ def _summary(document: dict[str, Any]) -> str:
         f"planned: {document['duration_s']:g} s, joint {document['joint']}, {low:.0f} to {high:.0f} kPa, "
         f"up to {angle} deg and {limits['rate_rad_s']:g} rad/s\n{table}"
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

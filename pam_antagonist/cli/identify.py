@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 
 from pam_antagonist.api import episodes
@@ -114,7 +113,3 @@ def _of_episodes(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[R
     given.announce_output(arguments)
     print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -124,7 +124,3 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
         )
     lines.append(common.next_command("check", [arguments.out], "--rig RIG"))
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -209,7 +209,3 @@ def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
         )
         lines.append("pressures near it are not predicted well. Keep the voltages away from it, or moving.")
     return lines
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from pam_antagonist.cli import common
@@ -71,7 +70,3 @@ def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         common.announce_report(arguments, arguments.out)
     return common.DONE
-
-
-if __name__ == "__main__":
-    sys.exit(main())

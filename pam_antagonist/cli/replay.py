@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -147,7 +146,3 @@ def _replay(
             recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, done, read_seconds,
             arguments.begin, arguments.angle_sensor,
         )  # fmt: skip
-
-
-if __name__ == "__main__":
-    sys.exit(main())

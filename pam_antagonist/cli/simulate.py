@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +107,3 @@ def _summary(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> s
         f"  angle {span(recording.angle, np.degrees(1.0), 'deg')}, torque {span(recording.torque, 1.0, 'N m')}\n"
         f"{common.next_command('replay', [arguments.out], f'--rig {arguments.rig} --out DIR')}"
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from pam_antagonist.cli import common
@@ -170,7 +169,3 @@ def _remarks(result: StaticResult) -> list[str]:
         f"Rig {result.rig.name} with static fits of muscle {whose} from {' and '.join(tables)}; their errors: priors."
     ]
     return lines + [f"! {text}" for text in result.warnings]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -17,7 +17,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.report import terminal
 from pam_antagonist.rig import load_rig
-from pam_antagonist.strict_json import dumps, write_json
+from pam_antagonist.strict_json import write_json
 from pam_antagonist.validation.battery import outcomes, page, remainders
 from pam_antagonist.validation.battery.draw import LARGE, cases
 from pam_antagonist.validation.battery.outcomes import Outcome
@@ -208,15 +208,11 @@ def _report(run: page.Run, arguments: argparse.Namespace) -> None:
             raise BadInput(f"{arguments.out}: no case is finished yet, so there is no summary for --json")
         print(f"{arguments.out}: no case is finished yet")
         return
-    with common.json_alone(arguments.json):
-        print(f"{len(run.done)} of {run.asked} cases are finished\n")
-        for table in page.tables(run):
-            if table.rows:
-                print(terminal.table(table, indent="") + "\n")
+    shown = [terminal.table(table, indent="") for table in page.tables(run) if table.rows]
     summary = page.as_json(run)
     write_json(arguments.out / "summary.json", summary)
-    if arguments.json is not None:
-        common.give_json(arguments.json, dumps(summary) + "\n")
+    text = "\n\n".join([f"{len(run.done)} of {run.asked} cases are finished", *shown])
+    common.show(f"{text}\n", summary, arguments.json)
     if arguments.docs is not None:
         try:
             page.write_page(run, arguments.docs)

@@ -19,7 +19,6 @@ from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.software import versions
-from pam_antagonist.strict_json import dumps
 from pam_antagonist.validation.benchmark.figure import Figure
 
 _DESCRIPTION = """\
@@ -180,18 +179,14 @@ def _soak(arguments: argparse.Namespace) -> int:
 
 def _report(figures: Sequence[Figure], json: str | None, more: Mapping[str, object] = {}) -> None:
     """Print the figures, and write them where that was asked for."""
-    with common.json_alone(json):
-        print(terminal.table(_table(figures), indent=""))
-        print("\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures))
-    if json is not None:
-        machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
-        content = {
-            "figures": {figure.name: dataclasses.asdict(figure) for figure in figures},
-            "machine": machine,
-            "software": versions(),
-            **more,
-        }
-        common.give_json(json, dumps(content) + "\n")
+    parts = "\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures)
+    content = {
+        "figures": {figure.name: dataclasses.asdict(figure) for figure in figures},
+        "machine": {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+        "software": versions(),
+        **more,
+    }
+    common.show(f"{terminal.table(_table(figures), indent='')}\n{parts}", content, json)
 
 
 def _table(figures: Sequence[Figure]) -> Table:
@@ -207,7 +202,3 @@ def _table(figures: Sequence[Figure]) -> Table:
 
 def _parts(figure: Figure) -> str:
     return ", ".join(f"{name} {number(value)}" for name, value in figure.parts.items())
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

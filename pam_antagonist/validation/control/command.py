@@ -21,7 +21,6 @@ from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel
 from pam_antagonist.report.style import ESTIMATE, MODEL, SECOND
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import load_rig
-from pam_antagonist.strict_json import dumps
 from pam_antagonist.validation.control import trials
 
 PARTS = ("time", "steps", "grid", "limits", "yielding")
@@ -78,14 +77,12 @@ def _main(arguments: argparse.Namespace) -> int:
     parts = [part for part in PARTS if part in (arguments.only or PARTS)]
     results = measure(parts, arguments.rig, arguments.seeds, arguments.references, arguments.jobs)
     shown = tables(results)
-    with common.json_alone(arguments.json):
-        print("\n\n".join(terminal.table(table, indent="") for table in shown))
+    common.show("\n\n".join(terminal.table(table, indent="") for table in shown), results, arguments.json)
     if arguments.out is not None:
         with common.output_folder(arguments.out) as folder:
             html.write(folder, document(results, shown, arguments.rig), results)
-        print(f"report: {arguments.out / 'report.html'} and report.json")
-    if arguments.json is not None:
-        common.give_json(arguments.json, dumps(results) + "\n")
+        with common.json_alone(arguments.json):
+            print(f"report: {arguments.out / 'report.html'} and report.json")
     return common.DONE
 
 

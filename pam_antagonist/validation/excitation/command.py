@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -51,15 +50,12 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig)
-    with common.json_alone(arguments.json):
-        with counted(arguments.joints, "excitation") as advance:
-            found = []
-            for seed in range(arguments.seed, arguments.seed + arguments.joints):
-                found.append(compared(rig, seed, arguments.duration, arguments.mismatch))
-                advance(1.0)
-        print(_summary(found))
-    if arguments.json is not None:
-        common.give_json(arguments.json, json.dumps(found, indent=1) + "\n")
+    found = []
+    with common.json_alone(arguments.json), counted(arguments.joints, "excitation") as advance:
+        for seed in range(arguments.seed, arguments.seed + arguments.joints):
+            found.append(compared(rig, seed, arguments.duration, arguments.mismatch))
+            advance(1.0)
+    common.show(_summary(found), found, arguments.json)
     return common.DONE
 
 
@@ -113,6 +109,3 @@ def _summary(found: Sequence[dict[str, Any]]) -> str:
 
 
 _COLUMNS = ("designed", "steps", "ratio")
-
-if __name__ == "__main__":
-    raise SystemExit(main())

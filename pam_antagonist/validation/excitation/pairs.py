@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -102,20 +101,16 @@ def _main(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig)
     pairs = listed() if arguments.pair is None else [_pair(text) for text in arguments.pair]
     found = []
-    with common.json_alone(arguments.json):
-        for pair in pairs:
-            each = (
-                iter([designed_only(rig, pair, arguments.without)])
-                if arguments.plan_only
-                else tried(rig, pair, arguments.seeds)
-            )
-            for one in each:
-                found.append(one)
-                print(_line(one), file=sys.stderr, flush=True)
-        if not arguments.plan_only:
-            print(terminal.table(_table(found), indent=""))
-    if arguments.json is not None:
-        common.give_json(arguments.json, json.dumps(found, indent=1) + "\n")
+    for pair in pairs:
+        each = (
+            iter([designed_only(rig, pair, arguments.without)])
+            if arguments.plan_only
+            else tried(rig, pair, arguments.seeds)
+        )
+        for one in each:
+            found.append(one)
+            print(_line(one), file=sys.stderr, flush=True)
+    common.show("" if arguments.plan_only else terminal.table(_table(found), indent=""), found, arguments.json)
     return common.DONE
 
 
@@ -202,7 +197,3 @@ def _table(found: Sequence[dict[str, Any]]) -> Table:
         cells = (percent(promised), f"{here[0]['seconds']:.0f}", f"{right} of {len(here)}")
         rows.append((" or ".join(pair), *cells))
     return Table(("effects", "promised", "length [s]", "right first"), tuple(rows))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -103,15 +102,9 @@ def _main(arguments: argparse.Namespace) -> int:
                 if not (folder / "outcome.json").exists():
                     write_json(folder / "outcome.json", rehearsed(rig, arguments.rig, name, seed, folder))
                 found.append(json.loads((folder / "outcome.json").read_text(encoding="utf-8")))
-        print(terminal.table(table(found), indent=""))
-        print(summary(found))
     if arguments.docs is not None:
-        try:
-            arguments.docs.write_text("\n".join(page(found, arguments)) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise BadInput(f"{arguments.docs}: cannot be written: {error.strerror}") from None
-    if arguments.json is not None:
-        common.give_json(arguments.json, json.dumps(found, indent=1) + "\n")
+        common.write_text(arguments.docs, "\n".join(page(found, arguments)) + "\n")
+    common.show(f"{terminal.table(table(found), indent='')}\n{summary(found)}", found, arguments.json)
     return common.DONE
 
 
@@ -303,7 +296,3 @@ def page(found: Sequence[dict[str, Any]], arguments: argparse.Namespace) -> list
     command = f"./run rehearse --out DIR --seeds {arguments.seeds}{effects} --docs FILE"
     said = summary(found)
     return [*_PAGE.format(command=command, summary=said[0].upper() + said[1:]).splitlines(), *markdown(table(found))]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -80,15 +80,8 @@ def _main(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         common.give_json(arguments.json, dumps(table.content(outcomes)) + "\n")
     if arguments.docs is not None:
-        _write(arguments.docs, table.page(outcomes))
+        common.write_text(arguments.docs, table.page(outcomes))
     return common.DONE if all(outcome.held for outcome in outcomes) else common.FAILED
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def chosen(faults: Sequence[Fault], names: Sequence[str] | None) -> list[Fault]:
@@ -103,7 +96,3 @@ def chosen(faults: Sequence[Fault], names: Sequence[str] | None) -> list[Fault]:
         if name not in known:
             raise BadInput(f"--only {name!r}: expected one of {', '.join(known)}")
     return [fault for fault in faults if fault.name in wanted]
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -25,7 +25,6 @@ from pam_antagonist.model.effects.external_torque import UNBOUNDED
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.strict_json import dumps
 
 _DESCRIPTION = """\
 What can be known of angle and torque from outside within a second, at best: by pressures alone, with an encoder
@@ -68,10 +67,7 @@ def main(argv: list[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig)
     found = measure(rig)
-    with common.json_alone(arguments.json):
-        print(terminal.table(table(found), indent=""))
-    if arguments.json is not None:
-        common.give_json(arguments.json, dumps(found) + "\n")
+    common.show(terminal.table(table(found), indent=""), found, arguments.json)
     if arguments.maps is not None:
         from pam_antagonist.validation.observability import maps
 

@@ -69,7 +69,7 @@ def _run(arguments: argparse.Namespace) -> int:
         content = report.document(result.found, result.joint, hashes, not arguments.no_figures)
         html.write(folder, content, page.numbers(result, hashes))
     if arguments.docs is not None:
-        arguments.docs.write_text(page.markdown(result), encoding="utf-8")
+        common.write_text(arguments.docs, page.markdown(result))
     print(terminal.render(report.summary(result.found, result.joint)))
     common.announce_report(arguments, arguments.out)
     return common.DONE
@@ -99,7 +99,3 @@ def analysed(recording: Recording, jobs: int) -> page.ArmResult:
     held_by = pressures_of(regulators, later)
     commanded = rmse(*later.squares(replace(later, pressure=held_by).residual(found.model)))
     return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, 0.0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

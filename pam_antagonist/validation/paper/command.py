@@ -125,7 +125,3 @@ def _options(arguments: argparse.Namespace) -> Options:
         raise BadInput(f"{force_map}: no such file; expected a CSV with length, pressure and force")
     seeds = range(arguments.seed, arguments.seed + arguments.seeds)
     return Options(names, tuple(seeds), arguments.jobs, not arguments.no_figures, arguments.short, force_map)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,7 +13,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import NO_ENCODER, load_rig
-from pam_antagonist.strict_json import dumps
 from pam_antagonist.validation.pushes import trial
 
 _DESCRIPTION = """\
@@ -63,10 +62,7 @@ def _main(arguments: argparse.Namespace) -> int:
     if hours is not None and not 0.001 <= hours <= 1000.0:
         raise BadInput(f"--quiet-hours {hours:g}: expected 0.001 to 1000")
     results = measure(arguments.rig, arguments.seeds, arguments.seconds, arguments.jobs, hours)
-    with common.json_alone(arguments.json):
-        print(terminal.table(_table(results), indent=""))
-    if arguments.json is not None:
-        common.give_json(arguments.json, dumps(results) + "\n")
+    common.show(terminal.table(_table(results), indent=""), results, arguments.json)
     return common.DONE
 
 
