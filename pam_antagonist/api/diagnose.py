@@ -15,6 +15,7 @@ from pam_antagonist.diagnosis import Diagnosis, found_calibrations
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.recording import bag_name, recording_hash
@@ -139,10 +140,12 @@ class DiagnoseResult(Diagnosis):
         ]
         return pd.DataFrame(rows, columns=["effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"])
 
+    def _written(self, rig: Rig, source: str) -> Rig:
+        return _named(with_known_curves(rig, self.start), self.start.name, source)
+
     def _write_rigs(self, folder: Path) -> None:
-        name = self.start.name
         about = [
-            f"By pam_antagonist close_loop, from rig {name}. {self.sentence}",
+            f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}",
             "Recordings (SHA-256):",
             *(f"  {own}: {value}" for (own, _), value in zip(self.own, self.hashes, strict=False)),
             *(f"Attention: {warning}." for warning in self.warnings),
@@ -153,7 +156,7 @@ class DiagnoseResult(Diagnosis):
         if "rig_extended.yaml" in self.rig_files:
             found = {item.name: item.value for item in self.calibrations}
             common = _calibrated(self.rig_extended, self.typed, found)
-            write_rig(_named(common, name, source), folder / "rig_extended.yaml", remarks)
+            write_rig(self._written(common, source), folder / "rig_extended.yaml", remarks)
         for number, (own, rig) in enumerate(self.own, 1):
             file = f"rig_extended_{number}.yaml"
             if file not in self.rig_files:
@@ -162,7 +165,7 @@ class DiagnoseResult(Diagnosis):
             if not self.no_common_rig:
                 remark += " Those that suit all recordings are in rig_extended.yaml."
             found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
-            named = _named(rig, name, f"{source}; with the values of {own} alone")
+            named = self._written(rig, f"{source}; with the values of {own} alone")
             write_rig(_calibrated(named, self.typed, found), folder / file, [*remarks, remark])
 
 

@@ -16,6 +16,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed import SealedIdentified, identify_sealed
 from pam_antagonist.identification.session import Identified, Options
 from pam_antagonist.identification.session import identify as _identify
+from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.recording import Recording, bag_name, recording_hash
@@ -201,8 +202,9 @@ def identify(
     found = _identify(read, chosen, options, progress)
     judged = judge(read, numbers.rigs_of(found), found.held_from, progress)
     report = numbers.report(read, found, judged)
-    own = found.own if len(read) > 1 else ()
-    return IdentifyResult(found.tuned.rig, own, found.warnings, report, found, tuple(judged), tuple(read), seed)
+    own = tuple(with_known_curves(each, chosen) for each in (found.own if len(read) > 1 else ()))
+    identified = with_known_curves(found.tuned.rig, chosen)
+    return IdentifyResult(identified, own, found.warnings, report, found, tuple(judged), tuple(read), seed)
 
 
 def _sealed(

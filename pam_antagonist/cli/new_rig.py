@@ -195,6 +195,7 @@ def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
         "From data sheets: force and volume of the muscles, areas of the valves. Muscles of one kind differ by 15 %.",
         "Assumed: valve curves, friction, gas.polytropic_*, noise of the sensors, uncertainty, tunings.",
         "Priors (standard deviations before identification) are wide where a number is assumed.",
+        "Those of valve_offset say by how much the guessed curves may be shifted.",
     ]
     if assumed:
         lines.append(f"Default answers were taken for: {', '.join(question.option for question in assumed)}.")

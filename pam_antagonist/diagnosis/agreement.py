@@ -101,8 +101,8 @@ def common_point(experiments: Sequence[Experiment], model: Model, effects: Mappi
     return Point(theta, {**effects, **calibrations.common(model)})
 
 
-def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, float] | None:
-    """Where two models of the same joint condition are of different rigs: name and relative difference, else None.
+def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, str] | None:
+    """Where two models of the same joint condition are of different rigs: name and difference in words, else None.
 
     Args:
         experiment: one of the two, whose directions they share.
@@ -117,7 +117,8 @@ def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[
         thresholds.OTHER_RIG_STD * np.sqrt(variances),
     )
     worst = int(np.argmax(np.abs(apart) / bound))
-    return (experiment.directions[worst].name, float(apart[worst])) if abs(apart[worst]) > bound[worst] else None
+    direction = experiment.directions[worst]
+    return (direction.name, direction.in_words(float(apart[worst]))) if abs(apart[worst]) > bound[worst] else None
 
 
 def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:
@@ -159,7 +160,7 @@ def check_same_rig(group: Group, base: Model, jobs: int) -> None:
             apart = farthest_apart(experiment, theirs, fitted) if same_condition else None
             if apart is not None:
                 raise BadInput(
-                    f"{other.trial.name}: held out, but {apart[0]} is {100 * apart[1]:+.0f} % from that of "
+                    f"{other.trial.name}: held out, but {apart[0]} is {apart[1]} from that of "
                     f"{experiment.trial.name}: it seems to be of another rig; expected a recording of the same one"
                 )
 
@@ -175,7 +176,7 @@ def base_contradictions(experiments: Sequence[Experiment], base: Model) -> list[
             apart = farthest_apart(one, fitted, theirs)
             if apart is not None:
                 warnings.append(
-                    f"the recordings contradict each other: {apart[0]} is {100 * apart[1]:+.0f} % in {one.trial.name} "
+                    f"the recordings contradict each other: {apart[0]} is {apart[1]} in {one.trial.name} "
                     f"from that in {other.trial.name}; are they of one rig?"
                 )
     return warnings

@@ -34,7 +34,7 @@ def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
         for direction, amount in zip(experiment.directions, fitted.point.theta, strict=False):
             if abs(amount) > thresholds.IMPLAUSIBLE * direction.prior:
                 warnings.append(
-                    f"recalibration moves {direction.name} by {100 * amount:+.0f} % in {experiment.trial.name}, "
+                    f"recalibration moves {direction.name} by {direction.in_words(amount)} in {experiment.trial.name}, "
                     f"{abs(amount) / direction.prior:.0f} standard deviations of what was expected"
                 )
     return warnings

@@ -212,7 +212,7 @@ def _friction(state: _Progress) -> None:
 def _flow(state: _Progress, ways: Sequence[Variation]) -> None:
     source = "pressures in motion"
     earlier = padded(state.whole, state.theta)
-    chosen = state.chosen("valve_", "gas.", "supply.", "effects.regulator_")
+    chosen = state.chosen("valve_", "gas.", "supply.", "effects.regulator_", "effects.valve_offset.")
     if not chosen:
         return state.end("flow", source, earlier, {}, "skipped: no parameter of it is free")
     now = state.whole.values(state.theta)

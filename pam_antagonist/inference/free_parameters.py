@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.expected import expected_sizes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, Form, parameter_path
 from pam_antagonist.rig import Rig
@@ -87,9 +88,9 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     """The parameters of a fit.
 
     By default all that cannot be measured directly (Proposition 1): the force maps, the orifice areas, the
-    polytropic indices, the friction, the sizes of the effects that the rig has; and the supply pressure, which a
-    gauge shows to a per cent. The prior of each is that of the rig file (``priors``), else 5 % of the value; so are
-    its bounds (``bounds``), else a factor of five either way.
+    polytropic indices, the friction, the sizes of the effects that the rig has or expects; and the supply pressure,
+    which a gauge shows to a per cent. The prior of each is that of the rig file (``priors``), else 5 % of the value; so
+    are its bounds (``bounds``), else a factor of five either way.
 
     Args:
         rig: start values and priors.
@@ -135,7 +136,7 @@ def _by_default(rig: Rig) -> set[str]:
         names -= {name for name in _FLOW if name != "gas.polytropic_volume"}
         names |= {"effects.regulator_lag.damping"}
         present -= {name for name in present if name.startswith("effects.regulator_") and name[-1] not in "12"}
-    return {name for name in names if rig.value(name)} | present
+    return {name for name in names if rig.value(name)} | present | set(expected_sizes(rig))
 
 
 def _prior(name: str, start: float) -> float:
@@ -163,15 +164,23 @@ def _bounds(name: str, start: float, std: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class FreeDirection(Direction):
-    """One direction in which the base model may differ from its file; its amount is a relative change.
+    """One direction in which the base model may differ from its file.
+
+    Its amount is a relative change, or the value of a number that is 0 in the file.
 
     Attributes:
         prior: standard deviation of the amount.
         free_only: a locked joint does not depend on it.
+        unit: of the amount; empty where it is a relative change.
     """
 
     prior: float = RELATIVE_PRIOR
     free_only: bool = False
+    unit: str = ""
+
+    def in_words(self, amount: float) -> str:
+        """An amount with its unit, or in per cent."""
+        return f"{amount:+.2g} {self.unit}" if self.unit else f"{100 * amount:+.0f} %"
 
 
 def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
@@ -194,6 +203,8 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
     found.append(_single(rig, "gas.polytropic_volume", free_only=True))
     if rig.drive == "valve":
         found.append(_single(rig, "supply.pressure"))
+        sizes = expected_sizes(rig)
+        found += [FreeDirection(path, {path: 1.0}, rig.priors[path], unit=_EFFECTS[path].unit) for path in sizes]
     for path in (*_MOTION, *_FRICTION[rig.model.friction]):
         found.append(_single(rig, path, free_only=True))
     return tuple(direction for direction in found if any(direction.changes.values()))

@@ -99,7 +99,8 @@ def variations(rig: Rig, free: Sequence[FreeParameter]) -> tuple[Variation, ...]
 def _group(name: str) -> str:
     if ".force." in name:
         return "force"
-    return "flow" if name.startswith(("valve_", "gas.", "supply.", "atmosphere.")) or ".volume." in name else "joint"
+    of_flow = ("valve_", "gas.", "supply.", "atmosphere.", "effects.valve_")
+    return "flow" if name.startswith(of_flow) or ".volume." in name else "joint"
 
 
 def deviations(ways: Sequence[Variation], free: Sequence[FreeParameter]) -> Deviations:

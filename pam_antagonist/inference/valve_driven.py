@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from pam_antagonist.inference import calibration
+from pam_antagonist.inference.expected import expected_sizes
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, base_directions, candidates
 from pam_antagonist.inference.free_run import Key, Phase, Run, Start, courses, predict_each, start_of
@@ -119,9 +120,10 @@ class ValveDriven(Experiment):
         Args:
             taken: values of the model's effects' parameters, by dotted path.
         """
-        # What a rig file says of its regulators is no candidate any more.
-        declared = dict.fromkeys((f"effects.{name}." for name in self.rig.effects), 0.0)
-        known = {**taken, **declared} if self.rig.drive == "regulator" else taken
+        # What a rig file says of its regulators is no candidate any more, and no effect is that it expects.
+        known = {**taken, **dict.fromkeys(expected_sizes(self.rig), 0.0)}
+        if self.rig.drive == "regulator":
+            known |= dict.fromkeys((f"effects.{name}." for name in self.rig.effects), 0.0)
         return candidates(known, {"valve": "valve", "regulator": "command"}[self.rig.drive])
 
     @override

@@ -23,6 +23,7 @@ from pam_antagonist.diagnosis.result import (
     Splits,
     Verdict,
 )
+from pam_antagonist.diagnosis.warnings import estimator_worse
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
 from pam_antagonist.recording.corrections import Corrections
@@ -277,9 +278,22 @@ def next_steps(found: Diagnosis, rig: Rig, rig_files: Sequence[str], no_common_r
     if found.verdict == "effect":
         instead = f", or go on with {rig_files[0]}, which every command and node takes" if rig_files else ""
         out.append(f"Next: repair the joint and record again{instead}.")
+    elif found.verdict == "unexplained" and rig_files and _halves_errors(found):
+        out.append(
+            f"Next: read when the rest appears and with what it goes. Until that is known, go on with {rig_files[0]}: "
+            f"it is {rig.name} with its parameters fitted, and halves the errors on held-out data."
+        )
     elif found.verdict == "unexplained":
         out.append(f"Next: keep the rig file of {rig.name}, and read when the rest appears and with what it goes.")
     else:
         also = "" if no_common_rig else "; rig_extended.yaml is the same, recalibrated by these recordings"
         out.append(f"Next: nothing. Keep the rig file of {rig.name}{also}.")
     return tuple(out)
+
+
+def _halves_errors(found: Diagnosis) -> bool:
+    """Whether every error of the model is halved at least, and the estimator is worse nowhere."""
+    before, after = found.errors.as_configured, found.errors.extended
+    pairs = [(a.rmse, b.rmse) for a, b in ((before.angle, after.angle), (before.torque, after.torque)) if a and b]
+    pairs += list(zip(before.rmse_pa, after.rmse_pa, strict=True))
+    return all(new <= 0.5 * old for old, new in pairs) and not estimator_worse(found.by_recording)

@@ -53,6 +53,8 @@ _PRIORS = {
     "friction.shaft": 0.3, "friction.muscle": 0.2,
 }  # fmt: skip
 """Standard deviations before identification, as shares of the value."""
+_CURVE_PRIOR = 0.05
+"""Of the range of voltages: so far may a valve's curve lie elsewhere than guessed [-]."""
 _DAMPING = 0.6
 """Damping ratio of a regulator whose step overshoots by 10 %, assumed [-]."""
 _FORCE_PRIOR = 0.15
@@ -148,6 +150,8 @@ def starting_point(facts: Facts) -> Rig:
     valve = _rounded({**content["valve_1"], "inflow_area": area, "outflow_area": area})
     rig = validated(Rig, {**content, "valve_1": valve, "valve_2": valve}, facts.name, ("consider", "sealed"))
     priors = {**{name: share * rig.value(name) for name, share in _PRIORS.items()}, **_force_priors(facts)}
+    shift = _CURVE_PRIOR * (facts.voltage[1] - facts.voltage[0])
+    priors |= {f"effects.valve_offset.voltage_{i}": shift for i in (1, 2)}
     rig = _with_regulators(rig.replaced(priors=priors), facts)
     rig = rig.replaced(priors=_rounded(rig.priors))
     complaint = unphysical(rig)
@@ -169,7 +173,7 @@ def _with_regulators(rig: Rig, facts: Facts) -> Rig:
     if part.hysteresis:
         effects["regulator_threshold"] = {"threshold_1": part.hysteresis, "threshold_2": part.hysteresis}
     names = {name: f"effects.regulator_lag.{name}" for name in lag}
-    flow = ("valve_", "gas.polytropic_flow")
+    flow = ("valve_", "gas.polytropic_flow", "effects.valve_offset.")
     return rig.replaced(
         drive="regulator",
         effects=_rounded(effects),

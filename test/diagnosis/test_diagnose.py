@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pam_antagonist import simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
@@ -56,6 +57,19 @@ def test_the_extended_model_is_better_on_data_that_no_fit_saw(leaking) -> None:
 def test_the_extended_rig_can_be_read_again(leaking, tmp_path) -> None:
     write_rig(leaking.rig_extended, tmp_path / "rig.yaml")
     assert load_rig(tmp_path / "rig.yaml").effects["leak"]["area_1"] > 0.0
+
+
+@pytest.mark.slow(8)
+def test_a_curve_that_the_file_calls_guessed_is_no_fault(rig) -> None:
+    """The student's case: the data sheet tells no curve, and nothing is wrong with the joint."""
+    shifts = {"voltage_1": 0.4, "voltage_2": -0.3}
+    joint = rig.replaced(effects={"valve_offset": shifts})
+    recording = simulate(joint, duration=24.0, joint="locked", mismatch=0.0, seed=3)
+    guessed = rig.replaced(priors={f"effects.valve_offset.{name}": 0.5 for name in shifts})
+    found = diagnose([recording], guessed, joint="locked", jobs=1)
+    assert (found.verdict, found.effects) == ("none", ())
+    for name, shift in shifts.items():
+        assert found.rig_recalibrated.value(f"effects.valve_offset.{name}") == pytest.approx(shift, abs=0.02)
 
 
 def test_no_rig_is_written_that_explains_nothing_and_is_worse(rig, leaking, tmp_path) -> None:
@@ -117,7 +131,10 @@ def test_a_report_says_what_to_do_next(rig, leaking) -> None:
     sealed = dataclasses.replace(undecided, start=load_rig("sealed_joint"))
     assert all("--tell-apart" not in step for step in sealed.report.next_steps)
     nothing = dataclasses.replace(found, verdict="unexplained", effects=())
-    assert nothing.report.next_steps[-1].startswith("Next: keep the rig file of shin2022")
+    assert "go on with rig_extended.yaml: it is shin2022 with its parameters fitted" in nothing.report.next_steps[-1]
+    errors = dataclasses.replace(found.errors, extended=found.errors.as_configured)
+    as_bad = dataclasses.replace(nothing, errors=errors)
+    assert as_bad.report.next_steps[-1].startswith("Next: keep the rig file of shin2022")
 
 
 def test_what_a_locked_joint_cannot_show_is_said(leaking) -> None:

@@ -1,0 +1,56 @@
+"""What a rig file expects and does not know yet: sizes of effects that are 0 in the file and have a prior there.
+
+A guessed valve curve is the common case. The prior of ``effects.valve_offset.voltage_1`` says how far it may lie
+elsewhere. A fit finds the shift as it finds an orifice area, and no diagnosis calls it a fault of the joint.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.rig import Rig
+
+_SIZES = {
+    parameter_path(effect.name, item.name)
+    for effect in CATALOGUE.values()
+    for item in effect.parameters
+    if item.is_size
+}
+_CURVE_SHIFT = parameter_path("valve_offset", "voltage_")
+
+
+def expected_sizes(rig: Rig) -> tuple[str, ...]:
+    """Sizes of effects that are 0 in the rig file and have a prior there, by dotted path.
+
+    The file expects them: they are numbers of the rig that nobody has measured yet, and no fault.
+
+    Args:
+        rig: the rig file.
+    """
+    return tuple(name for name in rig.priors if name in _SIZES and not rig.value(name))
+
+
+def with_known_curves(rig: Rig, start: Rig) -> Rig:
+    """A rig whose valves' curves are shifted themselves, where its file expected an effect to do that.
+
+    A number that was expected and is known now is no effect, and a rig without effects runs quicker.
+
+    Args:
+        rig: with the shifts that were found.
+        start: the file that expected them.
+    """
+    changes: dict[str, Any] = {}
+    offset, priors = dict(rig.effects.get("valve_offset", {})), dict(rig.priors)
+    for path in expected_sizes(start):
+        name = path.rsplit(".", 1)[1]
+        if path.startswith(_CURVE_SHIFT) and (shift := offset.pop(name, 0.0)):
+            valve = getattr(rig, f"valve_{name[-1]}")
+            # κ(u − δ): constant beyond its ends, before and after.
+            curve = valve.curve.replaced(voltage=tuple(voltage + shift for voltage in valve.curve.voltage))
+            changes[f"valve_{name[-1]}"] = valve.replaced(curve=curve)
+            priors.pop(path, None)
+    if not changes:
+        return rig
+    effects = {name: values for name, values in rig.effects.items() if name != "valve_offset"}
+    return rig.replaced(**changes, effects={**effects, **({"valve_offset": offset} if offset else {})}, priors=priors)
