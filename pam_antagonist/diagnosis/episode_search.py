@@ -93,6 +93,20 @@ class _Folds:
             for one, model in zip(self.fitted, before, strict=True)
         )
 
+    def in_steps_that_serve(self, models: Models) -> tuple[_Folds, Models]:
+        """The folds with shorter steps where the models need these, and the models fitted in them."""
+        step = self.fitted[0].step_that_serves(models[0])
+        if step == self.longest_step:
+            return self, models
+        fitted, judged = (tuple(replace(one, longest_step=step) for one in part) for part in (self.fitted, self.judged))
+        finer = replace(self, fitted=fitted, judged=judged)
+        return finer, finer.fit(models, models[0])
+
+    @property
+    def longest_step(self) -> float:
+        """Of the models [s]."""
+        return self.fitted[0].longest_step
+
     def squares(self, models: Models) -> Floats:
         """Squared errors of the judged episodes (E,)."""
         sums = [one.squares(one.residual(model)).sums for one, model in zip(self.judged, models, strict=True)]
@@ -118,6 +132,7 @@ class Searched:
         replaced: the extended one with an effect that may remove as much as one that was taken in its place, by both
             their names.
         left: squared error of the extended model over what the noise of the readings alone would leave.
+        longest_step: steps [s] that serve for the extended model.
     """
 
     base: PressureModel
@@ -125,6 +140,7 @@ class Searched:
     tried: tuple[Tried, ...]
     replaced: Mapping[tuple[str, str], PressureModel]
     left: Interval
+    longest_step: float
 
 
 def search(joint: PressureDriven, pool: Indices, progress: Callable[[str], None]) -> Searched:
@@ -136,7 +152,8 @@ def search(joint: PressureDriven, pool: Indices, progress: Callable[[str], None]
         progress: is called with what is being done.
     """
     folds = _Folds.of(joint, pool)
-    models = folds.fit((joint.as_configured,) * len(folds.fitted), joint.as_configured)
+    configured = joint.as_configured
+    folds, models = folds.in_steps_that_serve(folds.fit((configured,) * len(folds.fitted), configured))
     base, whole = models[0], float(folds.squares(models).sum())
     tried: list[Tried] = []
     rivals: dict[tuple[str, str], tuple[PressureModel, PressureModel]] = {}
@@ -156,18 +173,19 @@ def search(joint: PressureDriven, pool: Indices, progress: Callable[[str], None]
         left = ratio(before, folds.squares_of_noise(models))
         near = []
         if left.low > thresholds.EPISODES_ABOVE_NOISE:
-            near = _best(folds, joint.take(thinned(pool, _FITTED)), found, float(before.sum()), whole)
+            both = replace(joint.take(thinned(pool, _FITTED)), longest_step=folds.longest_step)
+            near = _best(folds, both, found, float(before.sum()), whole)
         best = near[0][0] if near else None
         tried += [replace(item, taken=item is best) for item, _ in found]
         if best is None:
             break
-        models = near[0][1]
-        rivals |= {(item.name, best.name): (models[0], other[0]) for item, other in near[1:]}
+        rivals |= {(item.name, best.name): (near[0][1][0], other[0]) for item, other in near[1:]}
+        folds, models = folds.in_steps_that_serve(near[0][1])
     also = [item.name for item in tried if item.taken]
     replaced = {
         names: _exchanged(models[0], taken, other) for names, (taken, other) in rivals.items() if names[0] not in also
     }
-    return Searched(base, models[0], tuple(tried), replaced, left)
+    return Searched(base, models[0], tuple(tried), replaced, left, folds.longest_step)
 
 
 def _exchanged(model: PressureModel, taken: PressureModel, other: PressureModel) -> PressureModel:

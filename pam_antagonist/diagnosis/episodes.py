@@ -67,6 +67,7 @@ class EpisodeDiagnosis:
         ratio: squared error of the extended model on interleaved episodes by that of the model with Coulomb friction
             alone; None where that is not known.
         left: squared error of the extended model over what the noise of the readings alone would leave.
+        longest_step: of the integration [s].
     """
 
     effects: tuple[str, ...]
@@ -82,6 +83,7 @@ class EpisodeDiagnosis:
     others: tuple[tuple[str, str, Row], ...] = ()
     ratio: Interval | None = None
     left: Interval | None = None
+    longest_step: float = 0.0
 
 
 @one_blas_thread
@@ -102,6 +104,7 @@ def diagnose(
     unseen = joint.take(held.later) if later is None else replace(later, usual=joint.usual)
     progress("base parameters")
     searched = search(joint, held.pool, progress)
+    joint, unseen = (replace(one, longest_step=searched.longest_step) for one in (joint, unseen))
     base, model, tried, replaced = searched.base, searched.model, searched.tried, searched.replaced
     coulomb = with_effect(base, joint.candidates({}).get("friction", ()), {})
     models = {"mechanics with viscous friction": base}
@@ -136,7 +139,7 @@ def diagnose(
     return EpisodeDiagnosis(
         tuple(item.name for item in tried if item.taken), tried, tuple(rows), fitted, intervals(recent, fitted),
         window, forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), drifting, tuple(others),
-        compared, searched.left,
+        compared, searched.left, searched.longest_step,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ to measured pressures (:mod:`pam_antagonist.identification.regulators`). Whole e
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,6 +68,8 @@ def identify(
     held = held_out(len(joint), share)
     fitted = joint.take(thinned(held.pool, _USED))
     progress(f"mechanics from {len(fitted)} episodes")
+    step = fitted.step_that_serves(fitted.fit(_start(joint)))
+    joint, fitted = (replace(one, longest_step=step) for one in (joint, fitted))
     model = fitted.fit(_start(joint))
     errors = {
         name: (_error(joint.take(held.later), one), _error(joint.take(held.interleaved), one))

@@ -369,6 +369,7 @@ def numbers(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, .
         "errors_deg": found.rows,
         "ratio_to_coulomb_interleaved": found.ratio,
         "ratio_to_noise": found.left,
+        "longest_step_s": found.longest_step,
         "values": found.values,
         "tried": found.tried,
         "window": found.window,

@@ -125,7 +125,8 @@ def test_a_signal_that_goes_with_another_one_is_not_told_apart_from_it(tied: Rec
     assert set(found.effects) < {"friction", "friction_by_signal: other", "friction_by_signal: alike"}
     (one, place, row), *_ = [item for item in found.others if item[0].startswith("friction_by_signal")]
     assert {one, place} == {"friction_by_signal: other", "friction_by_signal: alike"}
-    assert row.later.value == pytest.approx(found.rows[-1].later.value, rel=0.3)
+    assert row.later.value < 0.1 * found.rows[1].later.value
+    assert row.later.value == pytest.approx(found.rows[-1].later.value, rel=0.5)
     said = [item.text for item in report.findings(found, episodes) if item.text.startswith("Not told apart")]
     assert any("friction that grows with other" in text and "friction that grows with alike" in text for text in said)
 
@@ -161,6 +162,7 @@ def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
 
 
 def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: Path, capsys: Any) -> None:
+    tied = tied.slice(0.0, 3.0 * 40 - 1.0)
     write_bag(tmp_path / "bag", tied)
     run = ["--rig", "regulator_joint", "--also", "other", "--no-figures"]
     assert main([str(tmp_path / "bag"), *run, "--out", str(tmp_path / "out")]) == 0
@@ -169,7 +171,7 @@ def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: P
     numbers = json.loads((tmp_path / "out" / "report.json").read_text())
     rig = load_rig(tmp_path / "out" / "rig_extended.yaml", regulators=True)
     assert rig.drive == "regulator" and list(rig.signals) == ["other"]
-    again = PressureDriven.of(tied, rig)
+    again = replace(PressureDriven.of(tied, rig), longest_step=numbers["longest_step_s"])
     later = again.take(held_out(len(again), 1.0 / 3.0).later)
     error = np.degrees(later.squares(later.residual(later.as_configured)).rmse)
     row = numbers["errors_deg"][-1]

@@ -97,5 +97,7 @@ def analysed(recording: Recording, jobs: int) -> page.ArmResult:
     regulators = of_commands(joint, held, progress)
     later = joint.take(held.later)
     held_by = pressures_of(regulators, later)
-    commanded = rmse(*later.squares(replace(later, pressure=held_by).residual(found.model)))
+    commanded = rmse(
+        *later.squares(replace(later, pressure=held_by, longest_step=found.longest_step).residual(found.model))
+    )
     return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, 0.0)
