@@ -18,8 +18,9 @@
 All of them use :mod:`thresholds`. What is passed on stands in :mod:`result` and :mod:`errors`; :mod:`checkpoint` keeps
 finished candidates on disk.
 
-A regulator-driven joint with many short episodes goes another way: :mod:`episodes`, with :mod:`episode_search` for its
-effects, and :mod:`episode_drift` and :mod:`episode_lines` for numbers that drift.
+A regulator-driven joint with many short episodes goes another way: :mod:`episodes`, with
+:mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` and :mod:`episode_lines` for
+numbers that drift.
 """
 
 from pam_antagonist.diagnosis.pipeline import diagnose

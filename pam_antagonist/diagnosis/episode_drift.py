@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.bootstrap import CHANCE, Interval
-from pam_antagonist.inference.episode_values import draws, shown
+from pam_antagonist.inference.episodes import EpisodeModel
 from pam_antagonist.inference.held_episodes import Held, thinned
-from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+from pam_antagonist.inference.pressure_driven import PressureDriven
 
 Indices = NDArray[np.intp]
 
@@ -39,7 +39,7 @@ class Drift:
     errors: tuple[tuple[float, float], ...]
 
 
-def course(joint: PressureDriven, held: Held, everything: PressureModel) -> Drift:
+def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift:
     """The model's numbers and errors over the recording, each part fitted by itself.
 
     Args:
@@ -53,8 +53,8 @@ def course(joint: PressureDriven, held: Held, everything: PressureModel) -> Drif
     for number, part in enumerate(np.array_split(np.union1d(held.pool, held.later), PARTS)):
         here = joint.take(thinned(part, _FITTED))
         found = here.fit(everything, _ROUNDS)
-        best.append(shown(here, found))
-        spread.append(draws(here, found, number))
+        best.append(here.shown(found))
+        spread.append(here.draws(found, number))
         pair = (np.degrees(here.squares(here.residual(m)).rmse) for m in (everything, found))
         errors.append((float(next(pair)), float(next(pair))))
     line = np.linspace(-0.5, 0.5, PARTS)
@@ -67,7 +67,7 @@ def course(joint: PressureDriven, held: Held, everything: PressureModel) -> Drif
     return Drift(values, changes, tuple(errors))
 
 
-def forecast(joint: PressureDriven, pool: Indices, model: PressureModel, window: float) -> float:
+def forecast(joint: PressureDriven, pool: Indices, model: EpisodeModel, window: float) -> float:
     """Error [deg] on the fitted episodes that follow a window, at three places of the pool; each eighth is one.
 
     Args:

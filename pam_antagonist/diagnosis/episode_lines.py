@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from pam_antagonist.inference.episodes import EpisodeModel, Squares
 from pam_antagonist.inference.held_episodes import Held, thinned
-from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel, Squares
+from pam_antagonist.inference.pressure_driven import PressureDriven
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -30,7 +31,7 @@ class StraightLines:
         model: with constant numbers, fitted to the same episodes.
     """
 
-    def __init__(self, joint: PressureDriven, held: Held, model: PressureModel) -> None:
+    def __init__(self, joint: PressureDriven, held: Held, model: EpisodeModel) -> None:
         self._model = model
         self._last = float(held.pool[-1])
         groups = self._groups(joint, thinned(held.pool, _USED))
@@ -38,13 +39,14 @@ class StraightLines:
         count = len(at)
 
         def residual(z: Floats) -> Floats:
-            return np.concatenate([one.residual(joint.moved(model, z[:count] + t * z[count:])) for one, t in groups])
+            models = [joint.moved(model, z[:count] + t * z[count:]) for _, t in groups]
+            return np.concatenate([one.residual(here).ravel() for (one, _), here in zip(groups, models, strict=True)])
 
         def jacobian(z: Floats) -> Floats:
             rows = []
             for one, t in groups:
                 here = joint.moved(model, z[:count] + t * z[count:])
-                slopes = one.jacobian(here, one.residual(here))
+                slopes = one.slopes(here, one.residual(here))
                 rows.append(np.hstack([slopes, t * slopes]))
             return np.vstack(rows)
 

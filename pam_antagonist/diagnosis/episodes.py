@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, course, forecast
 from pam_antagonist.diagnosis.episode_lines import StraightLines
-from pam_antagonist.diagnosis.episode_search import Tried, search, with_effect
 from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
-from pam_antagonist.inference.episode_values import intervals
+from pam_antagonist.inference.episode_search import Tried, search, with_effect
+from pam_antagonist.inference.episodes import EpisodeModel
 from pam_antagonist.inference.held_episodes import Held, held_out, last, thinned
-from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+from pam_antagonist.inference.pressure_driven import PressureDriven
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -73,7 +73,7 @@ class EpisodeDiagnosis:
     effects: tuple[str, ...]
     tried: tuple[Tried, ...]
     rows: tuple[Row, ...]
-    model: PressureModel
+    model: EpisodeModel
     values: Mapping[str, Interval]
     window: float
     forecasts: tuple[float, ...]
@@ -137,7 +137,7 @@ def diagnose(
     if coulomb is not None:
         compared = ratio(squares["extended"], squares["with Coulomb friction alone"])
     return EpisodeDiagnosis(
-        tuple(item.name for item in tried if item.taken), tried, tuple(rows), fitted, intervals(recent, fitted),
+        tuple(item.name for item in tried if item.taken), tried, tuple(rows), fitted, recent.intervals(fitted),
         window, forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), drifting, tuple(others),
         compared, searched.left, searched.longest_step,
     )  # fmt: skip
@@ -153,8 +153,8 @@ def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Ro
 
 
 def _row(
-    joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, start: PressureModel, window: float
-) -> tuple[Row, Floats, PressureModel, PressureModel]:
+    joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, start: EpisodeModel, window: float
+) -> tuple[Row, Floats, EpisodeModel, EpisodeModel]:
     """Errors of a model that is fitted for each way of holding out, squares of the interleaved, and the fits.
 
     The first fit is to all that may be fitted, the second one, for later episodes, to the last of them.

@@ -6,7 +6,8 @@ they were set on the simulated development joints of the battery (seeds 703, 811
 forms than the catalogue's laws. All of them hold for valve-driven and for angle-driven joints alike: on the measured
 sealed joint the two effects have evidence of 22 and 15 and remove 0.80 and 0.71 of the excess. Only the measure of the
 excess differs (:meth:`~pam_antagonist.inference.angle_driven.AngleDriven.excess_removed` says why). Numerical
-tolerances of an algorithm stand in its own module.
+tolerances of an algorithm stand in its own module. Thresholds of many short episodes stand in
+:mod:`pam_antagonist.inference.episode_search`: identification has them as well.
 """
 
 from __future__ import annotations
@@ -66,13 +67,6 @@ about as well. Both were set with the 24 unexplained cases of even numbers of ba
 were there had shares of 0.22, 0.33 and 0.36 and 2.2 to 6 times the evidence; imitators less, or 1.2 times at most."""
 EXPLAINED_WELL = 0.6
 """Below it a warning says that something is left: another form of the effect, or something smaller."""
-
-# Many short episodes.
-
-EPISODES_ABOVE_NOISE = 2.0
-"""Squared error over what the noise of the readings alone would leave, by the lower end of its interval, from which on
-an effect is named. The noise of input and start is known to about that. Set on simulated joints of 24 and 40 episodes:
-14 of 16 without an effect had 1.85 or less, of 16 with creep that leaves 0.08° the lowest had 1.5, the median 2.7."""
 
 # Calibrations.
 

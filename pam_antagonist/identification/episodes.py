@@ -16,10 +16,10 @@ from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.regulators import RegulatorsFound, of_commands
 from pam_antagonist.inference.bootstrap import Interval, rmse
-from pam_antagonist.inference.episode_values import intervals
+from pam_antagonist.inference.episodes import EpisodeModel
 from pam_antagonist.inference.free_parameters import FreeEffectParameter, moved
 from pam_antagonist.inference.held_episodes import held_out, thinned
-from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
+from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import unphysical
@@ -84,10 +84,10 @@ def identify(
     if complaint:
         raise BadInput(f"{joint.name}: what fits it best cannot be: {complaint}; does the joint move enough?")
     counts = len(held.pool), len(held.later), len(held.interleaved)
-    return EpisodesIdentified(joint.rig, found, intervals(fitted, model), errors, regulators, counts)
+    return EpisodesIdentified(joint.rig, found, fitted.intervals(model), errors, regulators, counts)
 
 
-def _start(joint: PressureDriven) -> PressureModel:
+def _start(joint: PressureDriven) -> EpisodeModel:
     """The rig's own model; the sizes of the effects that it has may move."""
     free = tuple(
         FreeEffectParameter((f"effects.{name}.{item.name}",), item)
@@ -97,8 +97,8 @@ def _start(joint: PressureDriven) -> PressureModel:
         if item.is_size and values.get(item.name, 0.0)
     )
     values = {item.path: joint.rig.value(item.path) for item in free}
-    return PressureModel(joint.as_configured.amounts, free, values)
+    return EpisodeModel(joint.origin.theta, values, free)
 
 
-def _error(joint: PressureDriven, model: PressureModel) -> Interval:
+def _error(joint: PressureDriven, model: EpisodeModel) -> Interval:
     return rmse(*joint.squares(joint.residual(model)))

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.regulators import of_commands
+from pam_antagonist.inference.command_driven import CommandDriven
 from pam_antagonist.inference.held_episodes import held_out
-from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.rig import Rig
 
@@ -63,7 +63,7 @@ def beside_the_lag(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[dict[s
     return values, note
 
 
-def _stretches(rig: Rig, trials: Sequence[Trial], jobs: int) -> PressureDriven:
+def _stretches(rig: Rig, trials: Sequence[Trial], jobs: int) -> CommandDriven:
     """All stretches of all recordings, one behind the other."""
     parts: list[Mapping[str, NDArray[np.float64]]] = []
     for trial in trials:
@@ -84,7 +84,7 @@ def _stretches(rig: Rig, trials: Sequence[Trial], jobs: int) -> PressureDriven:
         for name in ("time", "angle", "pressure", "command")
     }
     first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
-    return PressureDriven(
+    return CommandDriven(
         rig, "stretches", first, joined["time"], joined["angle"], joined["pressure"],
         np.empty((int(first[-1]), 0)), joined["command"], jobs,
     )  # fmt: skip

@@ -7,32 +7,31 @@ pressure regulator, derive from :class:`Experiment` and give what it declares ab
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.inference import calibration
-from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, start_values, values_along
+from pam_antagonist.inference.driven import Driven
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.likelihood import ERROR_S, Equations, Scale, in_decibels
 from pam_antagonist.inference.point import THROUGHOUT, Channel, Point, Span
-from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import Split, Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
-_STEP = 2e-3
-"""Relative step of the base directions' differences: far above what stiction rounds off."""
 _RUNAWAY = 1e9
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment(ABC):
+class Experiment(Driven):
     """A recording of a rig, made ready to be explained.
 
     Every recording has base parameters and effects of its own: a day later the rig is warmer, and what is wrong with
@@ -67,11 +66,6 @@ class Experiment(ABC):
     span: Span = THROUGHOUT
 
     # What each way of driving a joint gives.
-
-    @property
-    @abstractmethod
-    def directions(self) -> tuple[FreeDirection, ...]:
-        """Free base directions (K)."""
 
     @property
     @abstractmethod
@@ -150,11 +144,6 @@ class Experiment(ABC):
 
     # What may differ, with what holds for most.
 
-    @property
-    def start_std(self) -> Floats:
-        """Standard deviations of the start values that are fitted with the parameters (S,)."""
-        return np.zeros(0)
-
     @cached_property
     def vector(self) -> Floats:
         """Parameter vector of the rig as configured."""
@@ -166,10 +155,6 @@ class Experiment(ABC):
     def blocks_per_error(self) -> float:
         """Blocks per value that a fit counts: what a model lacks moves with the commands, about once a second."""
         return max(1.0, ERROR_S / self.trial.block_s)
-
-    def depends_on(self, k: int) -> bool:
-        """Whether anything that is compared depends on a base coordinate."""
-        return True
 
     def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
         """What of one residual's excess over noise is gone in another one, and what was there [dB].
@@ -209,27 +194,7 @@ class Experiment(ABC):
         """Where the joint slides (N,), None where that makes no difference to the model."""
         return None
 
-    def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
-        """How the residual (B, C) changes from a point to others nearby.
-
-        Args:
-            point: where the residual is known.
-            residual: there (B, C).
-            moved: the others.
-        """
-        return self.side_by_side(lambda there: self.residual(there) - residual, moved)
-
     # What follows from that.
-
-    @property
-    def size(self) -> int:
-        """How many base coordinates there are, the start's included (K + S)."""
-        return len(self.directions) + len(self.start_std)
-
-    @property
-    def origin(self) -> Point:
-        """The model as configured."""
-        return Point(np.zeros(self.size))
 
     @cached_property
     def prior(self) -> Floats:
@@ -251,14 +216,6 @@ class Experiment(ABC):
     def start_shift(self, point: Point) -> Floats:
         """Deviations of the start from what the sensors showed first (S,) [rad, Pa, Pa]."""
         return np.asarray(point.theta[len(self.directions) :] * self.start_std)
-
-    def changes(self, point: Point) -> dict[str, float]:
-        """Values of the base parameters that differ from the rig file's, by dotted path."""
-        return values_along(self._start_values, self.directions, point.theta)
-
-    @cached_property
-    def _start_values(self) -> dict[str, float]:
-        return start_values(self.rig, self.directions)
 
     def parameters(self, point: Point, at_s: float | None = None) -> Floats:
         """Parameter vector of a point: with all of its effects, or with those that act at a time [s]."""
@@ -286,6 +243,7 @@ class Experiment(ABC):
         effects = {path.split(".")[1] for path in calibration.without(point.effects)}
         return tuple(sorted({edge for effect in effects for edge in self.span_of(effect).edges}))
 
+    @override
     def residual(self, point: Point, whole: bool = False) -> Floats:
         """Measured minus simulated block means (B, C), 0 where nothing was measured.
 
@@ -404,17 +362,3 @@ class Experiment(ABC):
         weight = 1.0 / (scale.variances(residual) * scale.blocks_per_error)
         before, after = (weight @ np.sum(part**2, axis=0) for part in (residual, self.residual(moved)))
         return moved if after + step @ step < before else now
-
-    def jacobian(self, point: Point, residual: Floats) -> Floats:
-        """Derivatives of the residual by the base coordinates (B, C, K + S)."""
-        result = np.zeros((*residual.shape, self.size))
-        free = [k for k in range(self.size) if self.depends_on(k)]
-        steps = np.where(np.arange(self.size) < len(self.directions), _STEP, 1.0)
-        moved = (Point(point.theta + np.eye(self.size)[k] * steps, point.effects) for k in free)
-        for k, difference in zip(free, self.differences(point, residual, moved), strict=True):
-            result[:, :, k] = difference / steps[k]
-        return result
-
-    def side_by_side(self, work: Callable[[Point], Floats], points: Iterable[Point]) -> list[Floats]:
-        """Something of several points, on the threads that all fits share."""
-        return side_by_side(work, points, self.jobs)

@@ -49,7 +49,10 @@ _FRICTION = {
     "tondu": ("friction.static", "friction.kinetic"),
     "none": (),
 }
-_EFFECTS = {parameter_path(effect.name, item.name): item for effect in CATALOGUE.values() for item in effect.parameters}
+EFFECT_PARAMETERS = {
+    parameter_path(effect.name, item.name): item for effect in CATALOGUE.values() for item in effect.parameters
+}
+"""Of all effects, by dotted path."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ def _by_default(rig: Rig) -> set[str]:
     names = {f"muscle_{i}.force.{c}" for i in (1, 2) for c in coefficients if rig.value(f"muscle_{i}.force.{c}")}
     names |= set(_FRICTION[rig.model.friction])
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
-    present = {name for name, item in _EFFECTS.items() if item.is_size and rig.value(name)}
+    present = {name for name, item in EFFECT_PARAMETERS.items() if item.is_size and rig.value(name)}
     if rig.drive == "regulator":
         # No air passes a valve of the model. Range, dead zone and largest rate have a step of their own.
         names -= {name for name in _FLOW if name != "gas.polytropic_volume"}
@@ -140,8 +143,8 @@ def _by_default(rig: Rig) -> set[str]:
 
 
 def _prior(name: str, start: float) -> float:
-    if start == 0.0 and name in _EFFECTS:
-        return _EFFECTS[name].scale
+    if start == 0.0 and name in EFFECT_PARAMETERS:
+        return EFFECT_PARAMETERS[name].scale
     return _relative_prior(name) * abs(start)
 
 
@@ -154,8 +157,8 @@ def _matches(name: str, word: str) -> bool:
 
 
 def _bounds(name: str, start: float, std: float) -> tuple[float, float]:
-    if name in _EFFECTS:
-        return min(_EFFECTS[name].low, start - std), max(_EFFECTS[name].high, start + std)
+    if name in EFFECT_PARAMETERS:
+        return min(EFFECT_PARAMETERS[name].low, start - std), max(EFFECT_PARAMETERS[name].high, start + std)
     if is_positive(name):
         return (start / 5.0, start * 5.0) if start > 0.0 else (0.0, 10.0 * std)
     width = 5.0 * abs(start) if start else np.inf

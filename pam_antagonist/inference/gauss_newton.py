@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.inference.driven import Driven
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.likelihood import Equations, Scale, Step
@@ -81,7 +82,7 @@ def cost_of(experiment: Experiment, point: Point, residual: Floats, scale: Scale
 
 
 def effect_jacobian(
-    experiment: Experiment, point: Point, residual: Floats, free: Sequence[FreeEffectParameter]
+    experiment: Driven, point: Point, residual: Floats, free: Sequence[FreeEffectParameter], share: float = 1.0
 ) -> Floats:
     """Derivatives of the residual by the coordinates of effects (B, C, m).
 
@@ -90,12 +91,13 @@ def effect_jacobian(
         point: the model.
         residual: it leaves (B, C).
         free: parameters of effects (m).
+        share: of the usual steps that are taken.
     """
     result = np.zeros((*residual.shape, len(free)))
     points, steps = [], []
     for parameter in free:
         value = point.effects.get(parameter.path, parameter.item.neutral)
-        step = parameter.step(value)
+        step = share * parameter.step(value)
         moved = parameter.value(parameter.coordinate(value) + step)
         points.append(Point(point.theta, {**point.effects, **dict.fromkeys(parameter.paths, moved)}))
         steps.append(step)

@@ -9,8 +9,8 @@ import numpy as np
 
 from pam_antagonist.diagnosis.episode_drift import PARTS, WINDOWS
 from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
-from pam_antagonist.diagnosis.thresholds import EPISODES_ABOVE_NOISE
 from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
@@ -105,7 +105,7 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
     if found.effects and _later(found.rows[-1]).value >= _later(base).value:
         text = "On later episodes the model errs no less with these effects: they may be chance; record more episodes."
         out.append(Finding("warn", text))
-    if found.left is not None and found.left.low <= EPISODES_ABOVE_NOISE:
+    if found.left is not None and found.left.low <= ABOVE_NOISE:
         text = (
             f"What is left is hardly more than noise: the model's squared error is {interval(found.left)} times what "
             "the noise of the readings alone would leave. No further effect is named."

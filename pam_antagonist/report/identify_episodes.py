@@ -92,6 +92,7 @@ def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
     ]
     for name in dict.fromkeys(item.name for item in found.tried):
         item = [one for one in found.tried if one.name == name][-1]
+        assert item.removed is not None
         out.append(
             f"The {item.name} is {'identified' if item.taken else 'left as configured'}: to free it removes "
             f"{percent(item.removed.value)} of the squared error of unseen episodes ({percent(item.removed.low)} to "

@@ -88,7 +88,7 @@ def rows(joint: PressureDriven, held: Held, window: float) -> tuple[Row, ...]:
             others: bool = others,
         ) -> Floats:  # fmt: skip
             found = model(features(seen, history, others), seen.angle, features(unseen, history, others))
-            return np.asarray(unseen.angle - found)
+            return (unseen.angle - found)[:, None]
 
         out.append(
             Row(

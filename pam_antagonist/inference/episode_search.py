@@ -1,5 +1,7 @@
 """The search for effects in many short episodes: which of them remove what of episodes that their fit has not seen.
 
+It is the same for the mechanics of a joint and for its regulators.
+
 One half of the episodes is fitted, the other half decides. Of few episodes each part is judged by fits to the rest. An
 effect is taken as long as more is left than the noise of the readings leaves. It has to remove a share of what is left,
 by the lower end of its interval by episode, and its size has to differ from none.
@@ -9,24 +11,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.inference.bootstrap import Interval, ratio
-from pam_antagonist.inference.episode_values import intervals
+from pam_antagonist.inference.episodes import EpisodeModel, Episodes
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.held_episodes import thinned
-from pam_antagonist.inference.pressure_driven import PressureDriven, PressureModel
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
-Models = tuple[PressureModel, ...]
+Models = tuple[EpisodeModel, ...]
 """One for each fold."""
 
 MOST = 6
 """Effects at most; each signal that friction goes with counts as one."""
+LEAST_REMOVED = 0.05
+"""Share of the squared error of unseen episodes that an effect removes at least, as of joints with valves."""
+ABOVE_NOISE = 2.0
+"""Squared error over what the noise of the readings alone would leave, by the lower end of its interval, from which on
+an effect is named. XXX"""
 LEAST_OF_ALL = 0.01
 """Share of the squared error without effects that an effect removes at least. What is left at the end may be due to the
 form of the others: on a simulated joint, creep that was not there removed 5 % of what was nearly nothing."""
@@ -45,7 +51,8 @@ class Tried:
     Attributes:
         name: the effect, with the signal by which it goes.
         round: how many effects the model had before, plus one.
-        score: share of the squared error that it would remove of what was fitted, to first order.
+        score: share of the squared error that it would remove of what was fitted, to first order; None where all that
+            is offered is fitted.
         removed: share that it removed of episodes that its fit has not seen, with an interval that is corrected for how
             many effects were offered; None where the score was too low for a fit.
         taken: whether it is in the model.
@@ -53,9 +60,23 @@ class Tried:
 
     name: str
     round: int
-    score: float
+    score: float | None
     removed: Interval | None = None
     taken: bool = False
+
+
+class Begun(NamedTuple):
+    """A candidate before it is fitted.
+
+    Attributes:
+        name: of the effect.
+        score: as of :class:`Tried`.
+        starts: where its fit may start; none: it is not fitted.
+    """
+
+    name: str
+    score: float | None
+    starts: tuple[EpisodeModel, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,30 +89,42 @@ class _Folds:
         order: puts what is judged into the order of the recording.
     """
 
-    fitted: tuple[PressureDriven, ...]
-    judged: tuple[PressureDriven, ...]
+    fitted: tuple[Episodes, ...]
+    judged: tuple[Episodes, ...]
     order: Indices
 
     @classmethod
-    def of(cls, joint: PressureDriven, pool: Indices) -> _Folds:
+    def of(cls, joint: Episodes, pool: Indices, few: int) -> _Folds:
         """Halves of many episodes, quarters of few.
 
         Args:
             joint: the episodes.
             pool: that may be used.
+            few: fewer than so many are few.
         """
         pairs = [(thinned(pool[::2], _FITTED), thinned(pool[1::2], _SCORED))]
-        if len(pool) < _FEW:
+        if len(pool) < few:
             pairs = [(np.delete(pool, np.s_[k::_FOLDS]), pool[k::_FOLDS]) for k in range(_FOLDS)]
         order = np.argsort(np.concatenate([judged for _, judged in pairs]))
         return cls(tuple(joint.take(one) for one, _ in pairs), tuple(joint.take(one) for _, one in pairs), order)
 
-    def fit(self, before: Models, start: PressureModel) -> Models:
-        """A fit of each fold with the effects of a start, from where the fold was before."""
+    def fit(self, before: Models, start: EpisodeModel) -> Models:
+        """A fit of each fold with the effects of a start, from where the fold was; a start elsewhere is one for all."""
+        if not np.array_equal(start.theta, before[0].theta):
+            return tuple(one.fit(start) for one in self.fitted)
         return tuple(
-            one.fit(PressureModel(model.amounts, start.free, {**start.effects, **model.effects}))
+            one.fit(EpisodeModel(model.theta, {**start.effects, **model.effects}, start.free))
             for one, model in zip(self.fitted, before, strict=True)
         )
+
+    def best_fit(self, before: Models, starts: Sequence[EpisodeModel]) -> Models:
+        """The fits from that start from which they leave least of what was fitted."""
+        fits = [self.fit(before, start) for start in starts]
+        return fits[0] if len(fits) == 1 else min(fits, key=self._left_of_fitted)
+
+    def _left_of_fitted(self, models: Models) -> float:
+        pairs = zip(self.fitted, models, strict=True)
+        return float(sum(one.squares(one.residual(model)).sums.sum() for one, model in pairs))
 
     def in_steps_that_serve(self, models: Models) -> tuple[_Folds, Models]:
         """The folds with shorter steps where the models need these, and the models fitted in them."""
@@ -135,44 +168,51 @@ class Searched:
         longest_step: steps [s] that serve for the extended model.
     """
 
-    base: PressureModel
-    model: PressureModel
+    base: EpisodeModel
+    model: EpisodeModel
     tried: tuple[Tried, ...]
-    replaced: Mapping[tuple[str, str], PressureModel]
+    replaced: Mapping[tuple[str, str], EpisodeModel]
     left: Interval
     longest_step: float
 
 
-def search(joint: PressureDriven, pool: Indices, progress: Callable[[str], None]) -> Searched:
+def search(
+    joint: Episodes, pool: Indices, progress: Callable[[str], None],
+    begin: Callable[[Episodes, EpisodeModel, Mapping[str, Sequence[Candidate]]], list[Begun]] | None = None,
+    few: int = _FEW,
+) -> Searched:  # fmt: skip
     """Add effects to the base model, one in each round, as long as something is left that is not noise.
 
     Args:
         joint: the episodes.
         pool: that may be used.
         progress: is called with what is being done.
+        begin: which candidates are fitted beside a model, and from where; default: those with the best scores.
+        few: of fewer episodes each quarter is judged by fits to the rest.
     """
-    folds = _Folds.of(joint, pool)
+    begin = begin or by_score
+    folds = _Folds.of(joint, pool, few)
     configured = joint.as_configured
     folds, models = folds.in_steps_that_serve(folds.fit((configured,) * len(folds.fitted), configured))
     base, whole = models[0], float(folds.squares(models).sum())
     tried: list[Tried] = []
-    rivals: dict[tuple[str, str], tuple[PressureModel, PressureModel]] = {}
+    rivals: dict[tuple[str, str], tuple[EpisodeModel, EpisodeModel]] = {}
     for number in range(1, MOST + 1):
         offered = joint.candidates(models[0].effects)
-        progress(f"round {number}: {len(offered)} candidates")
-        scored = sorted(_scores(folds.fitted[0], models[0], offered), key=lambda item: -item[1])
+        if not offered:
+            break
+        progress(f"round {number}: {', '.join(offered)}")
         before = folds.squares(models)
         found: list[tuple[Tried, Models | None]] = []
-        for place, (name, score, start) in enumerate(scored):
-            if place >= _REFITTED or start is None:
-                found.append((Tried(name, number, score), None))
-                continue
-            refitted = folds.fit(models, start)
-            removed = ratio(before - folds.squares(refitted), before, len(offered))
+        for name, score, starts in begin(folds.fitted[0], models[0], offered):
+            refitted = folds.best_fit(models, starts) if starts else None
+            removed = None
+            if refitted is not None:
+                removed = ratio(before - folds.squares(refitted), before, len(offered))
             found.append((Tried(name, number, score, removed), refitted))
         left = ratio(before, folds.squares_of_noise(models))
         near = []
-        if left.low > thresholds.EPISODES_ABOVE_NOISE:
+        if left.low > ABOVE_NOISE:
             both = replace(joint.take(thinned(pool, _FITTED)), longest_step=folds.longest_step)
             near = _best(folds, both, found, float(before.sum()), whole)
         best = near[0][0] if near else None
@@ -188,16 +228,16 @@ def search(joint: PressureDriven, pool: Indices, progress: Callable[[str], None]
     return Searched(base, models[0], tuple(tried), replaced, left, folds.longest_step)
 
 
-def _exchanged(model: PressureModel, taken: PressureModel, other: PressureModel) -> PressureModel:
+def _exchanged(model: EpisodeModel, taken: EpisodeModel, other: EpisodeModel) -> EpisodeModel:
     """A model with what another one has of its own in the place of what it shares with one of its round."""
     out = model.without([path for path in taken.effects if path not in other.effects])
     free = [item for item in other.free if item not in out.free]
-    return PressureModel(out.amounts, (*out.free, *free), {**other.effects, **out.effects})
+    return EpisodeModel(out.theta, {**other.effects, **out.effects}, (*out.free, *free))
 
 
 def _best(
     folds: _Folds,
-    both: PressureDriven,
+    both: Episodes,
     found: Sequence[tuple[Tried, Models | None]],
     left: float,
     whole: float,
@@ -215,7 +255,7 @@ def _best(
         (item, refitted, folds.squares(refitted))
         for item, refitted in found
         if item.removed is not None and refitted is not None
-        and item.removed.low > 0.0 and item.removed.value >= thresholds.FIRST_SHARE
+        and item.removed.low > 0.0 and item.removed.value >= LEAST_REMOVED
         and item.removed.value * left >= LEAST_OF_ALL * whole
         and _has_a_size(both, refitted[0])
     ]  # fmt: skip
@@ -227,7 +267,7 @@ def _best(
     return [(item, refitted) for item, refitted, _ in near]
 
 
-def _has_a_size(joint: PressureDriven, model: PressureModel) -> bool:
+def _has_a_size(joint: Episodes, model: EpisodeModel) -> bool:
     """Whether the effect that was freed last differs from none, by the interval of its size by episode.
 
     Sizes that stand for each other, such as both parts of a friction, tell nothing one by one: then it is not asked.
@@ -238,18 +278,18 @@ def _has_a_size(joint: PressureDriven, model: PressureModel) -> bool:
     """
     effect = model.free[-1].paths[0].rsplit(".", 1)[0]
     sizes = [item.paths[0] for item in model.free if item.item.is_size and item.paths[0].startswith(f"{effect}.")]
-    if len(sizes) > 1:
+    if len(sizes) != 1:
         return True
-    size = intervals(joint, joint.fit(model))[sizes[0]]
+    size = joint.intervals(joint.fit(model))[sizes[0]]
     return size.low > 0.0 or size.high < 0.0
 
 
 def with_effect(
-    model: PressureModel,
+    model: EpisodeModel,
     forms: Sequence[Candidate],
     shape: Mapping[str, float],
     sizes: Mapping[str, float] | None = None,
-) -> PressureModel | None:
+) -> EpisodeModel | None:
     """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes.
 
     Args:
@@ -263,15 +303,20 @@ def with_effect(
     candidate = forms[0]
     values = {path: (sizes or {}).get(free.path, free.item.scale) for free in candidate.sizes for path in free.paths}
     values |= {path: shape.get(free.path, free.item.neutral) for free in candidate.shapes for path in free.paths}
-    return PressureModel(model.amounts, (*model.free, *candidate.free), {**model.effects, **values})
+    return EpisodeModel(model.theta, {**model.effects, **values}, (*model.free, *candidate.free))
 
 
-def _scores(
-    joint: PressureDriven, model: PressureModel, offered: Mapping[str, Sequence[Candidate]]
-) -> list[tuple[str, float, PressureModel | None]]:
-    """Share of the squared error that each candidate would remove, to first order, and where its fit starts."""
-    left = joint.residual(model)
-    basis = np.linalg.qr(joint.jacobian(model, left))[0]
+def by_score(joint: Episodes, model: EpisodeModel, offered: Mapping[str, Sequence[Candidate]]) -> list[Begun]:
+    """Candidates in the order of the share of the squared error that each would remove, to first order.
+
+    Args:
+        joint: the episodes that are fitted.
+        model: of them.
+        offered: forms of each candidate, by its name.
+    """
+    here = joint.residual(model)
+    left = here.ravel()
+    basis = np.linalg.qr(joint.slopes(model, here))[0]
     rest = left - basis @ (basis.T @ left)
     total = float(left @ left)
     out = []
@@ -284,7 +329,7 @@ def _scores(
                     only = {other.path: size.item.scale * (other == size) for other in candidate.sizes}
                     point = with_effect(model, (candidate,), shape, only)
                     assert point is not None
-                    column = joint.residual(point) - left
+                    column = joint.residual(point).ravel() - left
                     columns.append(column - basis @ (basis.T @ column))
                 matrix = np.column_stack(columns)
                 step = np.linalg.lstsq(matrix, -rest, rcond=None)[0]
@@ -296,5 +341,6 @@ def _scores(
                         for size, part in zip(candidate.sizes, step, strict=True)
                     }
                     best, start = gain, with_effect(model, (candidate,), shape, sizes)
-        out.append((name, best, start))
-    return out
+        out.append(Begun(name, best, () if start is None else (start,)))
+    out.sort(key=lambda begun: -(begun.score or 0.0))
+    return [begun._replace(starts=begun.starts if place < _REFITTED else ()) for place, begun in enumerate(out)]

@@ -1,0 +1,100 @@
+"""What every fit of a model to a joint sees, however the joint is driven and recorded.
+
+Two kinds derive from it: an :class:`~pam_antagonist.inference.experiment.Experiment` is one recording, in blocks;
+:class:`~pam_antagonist.inference.episodes.Episodes` are many short ones, each from its own start.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.free_parameters import FreeDirection, start_values, values_along
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.threads import side_by_side
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+_STEP = 2e-3
+"""Relative step of the base directions' differences: far above what stiction rounds off."""
+
+
+class Driven(ABC):
+    """A model of a joint, and what it leaves of what was recorded.
+
+    Attributes:
+        rig: as configured.
+        jobs: threads that work out derivatives.
+    """
+
+    rig: Rig
+    jobs: int
+
+    @property
+    @abstractmethod
+    def directions(self) -> tuple[FreeDirection, ...]:
+        """Free base directions (K)."""
+
+    @abstractmethod
+    def residual(self, point: Point) -> Floats:
+        """Measured minus simulated values (B, C) of what may be fitted, 0 where nothing was measured.
+
+        Args:
+            point: the model.
+        """
+
+    @property
+    def start_std(self) -> Floats:
+        """Standard deviations of the start values that are fitted with the parameters (S,)."""
+        return np.zeros(0)
+
+    def depends_on(self, k: int) -> bool:
+        """Whether anything that is compared depends on a base coordinate."""
+        return True
+
+    def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
+        """How the residual (B, C) changes from a point to others nearby.
+
+        Args:
+            point: where the residual is known.
+            residual: there (B, C).
+            moved: the others.
+        """
+        return self.side_by_side(lambda there: self.residual(there) - residual, moved)
+
+    @property
+    def size(self) -> int:
+        """How many base coordinates there are, the start's included (K + S)."""
+        return len(self.directions) + len(self.start_std)
+
+    @property
+    def origin(self) -> Point:
+        """The model as configured."""
+        return Point(np.zeros(self.size))
+
+    def changes(self, point: Point) -> dict[str, float]:
+        """Values of the base parameters that differ from the rig file's, by dotted path."""
+        return values_along(self._start_values, self.directions, point.theta)
+
+    @cached_property
+    def _start_values(self) -> dict[str, float]:
+        return start_values(self.rig, self.directions)
+
+    def jacobian(self, point: Point, residual: Floats) -> Floats:
+        """Derivatives of the residual by the base coordinates (B, C, K + S)."""
+        result = np.zeros((*residual.shape, self.size))
+        free = [k for k in range(self.size) if self.depends_on(k)]
+        steps = np.where(np.arange(self.size) < len(self.directions), _STEP, 1.0)
+        moved = (Point(point.theta + np.eye(self.size)[k] * steps, point.effects) for k in free)
+        for k, difference in zip(free, self.differences(point, residual, moved), strict=True):
+            result[:, :, k] = difference / steps[k]
+        return result
+
+    def side_by_side(self, work: Callable[[Point], Floats], points: Iterable[Point]) -> list[Floats]:
+        """Something of several points, on the threads that all fits share."""
+        return side_by_side(work, points, self.jobs)

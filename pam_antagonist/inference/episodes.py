@@ -1,0 +1,408 @@
+"""Many short recordings of a joint that pressure regulators drive, each simulated from its own start.
+
+What drives the model is a class: measured pressures
+(:class:`~pam_antagonist.inference.pressure_driven.PressureDriven`) or commands
+(:class:`~pam_antagonist.inference.command_driven.CommandDriven`). Fits, sums by episode and their bootstrap are here.
+An episode is one independent value, whatever its length.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from typing_extensions import override
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.bootstrap import Interval, steps
+from pam_antagonist.inference.driven import Driven
+from pam_antagonist.inference.free_parameters import (
+    EFFECT_PARAMETERS,
+    Candidate,
+    FreeDirection,
+    FreeEffectParameter,
+)
+from pam_antagonist.inference.gauss_newton import effect_jacobian
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.trial import converter_step
+from pam_antagonist.model.effects.base import SIGNALS
+from pam_antagonist.recording import Recording, bag_name
+from pam_antagonist.recording.resets import resets
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.physical import is_positive
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+E = TypeVar("E", bound="Episodes")
+
+LEAST_EPISODES = 20
+"""Episodes with which something can be fitted, judged and told from chance."""
+STEPS = (4e-3, 2e-3, 1e-3)
+"""[s] Longest steps of the integration. On 2,416 episodes of a real arm, of which a model leaves 3°, steps of 1 ms
+change the error by 0.002°. Where a model leaves 0.05°, friction in steps of 4 ms makes 15 to 50 % of its square."""
+_SERVES = 0.2
+"""Steps serve that change what is compared by no more than this share of what a model leaves (RMS)."""
+_ROUNDING = 1.0
+"""[Pa] By so much a measured pressure may differ from a command that was logged in its place."""
+_ROUNDS = 20
+_ENOUGH = 1e-4
+"""Relative change of the squared error, and of the parameters, that ends a fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeModel(Point):
+    """A point in the space of models, with what of its effects a fit moves.
+
+    Attributes:
+        free: effects' parameters that were fitted.
+    """
+
+    free: tuple[FreeEffectParameter, ...] = ()
+
+    def without(self, paths: Sequence[str]) -> EpisodeModel:
+        """The model without some of its effects' parameters.
+
+        Args:
+            paths: of the parameters.
+        """
+        free = tuple(item for item in self.free if not set(item.paths) & set(paths))
+        return EpisodeModel(self.theta, {k: v for k, v in self.effects.items() if k not in paths}, free)
+
+
+class Squares(NamedTuple):
+    """Squared errors by episode.
+
+    Attributes:
+        sums: of each episode (E,), in the square of the unit.
+        counts: how many values each has (E,).
+    """
+
+    sums: Floats
+    counts: Floats
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error over all episodes together."""
+        return float(np.sqrt(self.sums.sum() / self.counts.sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes(Driven):
+    """Episodes of a joint whose pressures regulators hold.
+
+    Attributes:
+        rig: as configured, with the further signals that may count.
+        name: of the recording.
+        first: index of the first row of each episode, and behind the last one (E + 1,).
+        time: of the rows (N,) [s].
+        angle: measured (N,) [rad], NaN where missing.
+        pressure: measured (N, 2) [Pa].
+        signals: further ones (N, S) [SI], in the order of ``rig.signals``, less their values there.
+        command: what the regulators were asked for over the step that ends at each row (N, 2) [Pa], NaN where that is
+            not known.
+        jobs: threads.
+        left_out: episodes that lack pressures, signals or the first angle.
+        usual: pressure of each muscle [Pa] about which the directions turn; the same for all parts of a recording.
+        longest_step: a model takes no longer steps than this [s].
+    """
+
+    rig: Rig
+    name: str
+    first: Indices
+    time: Floats
+    angle: Floats
+    pressure: Floats
+    signals: Floats
+    command: Floats
+    jobs: int = 1
+    left_out: int = 0
+    usual: tuple[float, float] = (0.0, 0.0)
+    longest_step: float = STEPS[0]
+
+    @classmethod
+    def of(cls: type[E], recording: Recording, rig: Rig, also: Sequence[str] = (), jobs: int = 1) -> E:
+        """Make a recording ready.
+
+        Args:
+            recording: with measured angle and episodes.
+            rig: whose pressures regulators hold.
+            also: names of further signals that are offered, beside those of the rig file.
+            jobs: threads.
+
+        Raises:
+            BadInput: a rig with valves, no angle, a signal that was not recorded, or too few episodes.
+        """
+        name = bag_name(recording.path)
+        if rig.drive != "regulator":
+            raise BadInput(f"rig {rig.name} has valves (drive: valve); expected drive: regulator")
+        if recording.angle is None:
+            raise BadInput(f"{name}: no measured angle; expected measured/joint_states")
+        names = list(dict.fromkeys([*rig.signals, *also]))
+        if len(names) > SIGNALS:
+            raise BadInput(f"{len(names)} further signals ({', '.join(names)}): expected at most {SIGNALS}")
+        for signal in names:
+            if signal not in recording.signals:
+                known = ", ".join(recording.signals) or "none was recorded"
+                raise BadInput(f"{name}: no signal {signal!r}; expected one of: {known}")
+        _refuse_commands(recording, name)
+        columns = [recording.signals[signal].values for signal in names]
+        signals = np.column_stack(columns) if columns else np.empty((len(recording), 0))
+        whole: NDArray[np.bool_] = np.asarray(np.isfinite(np.column_stack([recording.pressure, signals])).all(axis=1))
+        parts = [part for part in recording.episodes if whole[part].all() and np.isfinite(recording.angle[part.start])]
+        if recording.episode_ns is None and (jumped := resets(recording)) is not None:
+            raise BadInput(f"{name}: {jumped.sentence}")
+        if len(parts) < LEAST_EPISODES:
+            raise BadInput(
+                f"{name}: {len(parts)} whole episodes of {len(recording.episodes)}; expected at least {LEAST_EPISODES} "
+                "with pressures, angle and every signal throughout (import_csv: episode)"
+            )
+        means = {
+            signal: rig.signals.get(signal, float(np.nanmean(c))) for signal, c in zip(names, columns, strict=True)
+        }
+        signals = signals - np.array(list(means.values()))
+        command = recording.voltage if recording.drive == "regulator" else np.full((len(recording), 2), np.nan)
+        made = cls(
+            rig.replaced(signals=means), name, np.array([*(p.start for p in recording.episodes), len(recording)]),
+            recording.time_s, recording.angle, recording.pressure, signals, command, jobs,
+            len(recording.episodes) - len(parts),
+            (float(np.nanmean(recording.pressure[:, 0])), float(np.nanmean(recording.pressure[:, 1]))),
+        )  # fmt: skip
+        kept = {part.start for part in parts}
+        return made.take(np.flatnonzero([part.start in kept for part in recording.episodes]))
+
+    def __len__(self) -> int:
+        return len(self.first) - 1
+
+    def take(self: E, episodes: Indices) -> E:
+        """Some of the episodes.
+
+        Args:
+            episodes: their numbers (K,), in order.
+        """
+        spans = [np.arange(self.first[e], self.first[e + 1]) for e in episodes]
+        rows = np.concatenate(spans) if spans else np.empty(0, np.intp)
+        first = np.concatenate([[0], np.cumsum([len(span) for span in spans])]).astype(np.intp)
+        return replace(
+            self, first=first, time=self.time[rows], angle=self.angle[rows], pressure=self.pressure[rows],
+            signals=self.signals[rows], command=self.command[rows],
+        )  # fmt: skip
+
+    @classmethod
+    def like(cls: type[E], other: Episodes) -> E:
+        """The same episodes, driven in this way.
+
+        Args:
+            other: the episodes.
+        """
+        return cls(**{item.name: getattr(other, item.name) for item in fields(other)})
+
+    # What each way of driving them gives.
+
+    @property
+    @abstractmethod
+    def measured(self) -> Floats:
+        """What is compared (N, C), NaN where there is nothing."""
+
+    @abstractmethod
+    def simulated(self, point: Point) -> Floats:
+        """What the sensors would show (N, C).
+
+        Args:
+            point: the model.
+        """
+
+    @abstractmethod
+    def candidates(self, taken: Mapping[str, float]) -> Mapping[str, tuple[Candidate, ...]]:
+        """Effects that may be added to a model, by their names in a report; the simpler form of each first.
+
+        Args:
+            taken: values of the model's effects' parameters, by dotted path.
+        """
+
+    @abstractmethod
+    def as_if(self: E, model: Point) -> E:
+        """These episodes as if a model were right: what it does, with the noise of the readings once more.
+
+        Args:
+            model: the model.
+        """
+
+    @abstractmethod
+    def shown(self, model: Point) -> dict[str, float]:
+        """What a report shows of a model, by dotted path: no coefficients that only move together.
+
+        Args:
+            model: the model.
+        """
+
+    @property
+    @abstractmethod
+    def runaway(self) -> float:
+        """Error beyond which a model is wrong, however far it runs."""
+
+    @property
+    def share_of_steps(self) -> float:
+        """Of the usual steps of effects' parameters for derivatives."""
+        return 1.0
+
+    # What follows from that.
+
+    @property
+    def as_configured(self) -> EpisodeModel:
+        """The model of the rig file."""
+        return EpisodeModel(self.origin.theta)
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First row of each episode, and the one behind its last (E,)."""
+        return list(zip(self.first[:-1].tolist(), self.first[1:].tolist(), strict=True))
+
+    def values(self, model: Point) -> dict[str, float]:
+        """Values of all parameters of a model that differ from the rig file's, by dotted path."""
+        return {**self.changes(model), **model.effects}
+
+    @override
+    def residual(self, point: Point) -> Floats:
+        """Measured minus simulated values (N, C), 0 where nothing was measured."""
+        far = self.runaway
+        left = np.nan_to_num(self.measured - self.simulated(point), nan=0.0, posinf=far, neginf=-far)
+        return np.asarray(np.clip(left, -far, far))
+
+    def step_that_serves(self, model: Point) -> float:
+        """The longest step [s], no longer than now, that changes little beside what a model leaves.
+
+        Args:
+            model: the model.
+        """
+        finest = replace(self, longest_step=STEPS[-1]).residual(model)
+        for step in STEPS:
+            apart = replace(self, longest_step=step).residual(model) - finest
+            if step <= self.longest_step and np.sum(apart**2) <= _SERVES**2 * np.sum(finest**2):
+                return step
+        return STEPS[-1]
+
+    def squares(self, left: Floats) -> Squares:
+        """Squared errors by episode; the first row of each, where the model starts, does not count.
+
+        Args:
+            left: a residual (N, C).
+        """
+        known = np.isfinite(self.measured)
+        known[self.first[:-1]] = False
+        return Squares(
+            np.add.reduceat(np.where(known, left, 0.0) ** 2, self.first[:-1]).sum(axis=1),
+            np.add.reduceat(known.astype(float), self.first[:-1]).sum(axis=1),
+        )
+
+    def coordinates(self, model: EpisodeModel) -> Floats:
+        """The numbers that a fit moves (K + F,)."""
+        own = [item.coordinate(model.effects[item.path]) for item in model.free]
+        return np.concatenate([model.theta, own])
+
+    def moved(self, model: EpisodeModel, coordinates: Floats) -> EpisodeModel:
+        """A model with other numbers; further shapes and effects stay.
+
+        Args:
+            model: the model.
+            coordinates: (K + F,).
+        """
+        count = len(self.directions)
+        values = dict(model.effects)
+        # A step along a direction that hardly shows may lead anywhere: the bounds hold it, and exp must not overflow.
+        for item, coordinate in zip(model.free, np.clip(coordinates[count:], -600.0, 600.0), strict=True):
+            values.update(dict.fromkeys(item.paths, item.bounded(item.value(float(coordinate)))))
+        return EpisodeModel(np.asarray(coordinates[:count]), values, model.free)
+
+    def slopes(self, model: EpisodeModel, left: Floats) -> Floats:
+        """Derivatives of the residual by the coordinates (N C, K + F).
+
+        Args:
+            model: where.
+            left: residual there (N, C).
+        """
+        effect = effect_jacobian(self, model, left, model.free, self.share_of_steps)
+        return np.concatenate([self.jacobian(model, left), effect], axis=2).reshape(left.size, -1)
+
+    def fit(self, model: EpisodeModel, rounds: int = _ROUNDS) -> EpisodeModel:
+        """The model with the least squared error.
+
+        Args:
+            model: where to start.
+            rounds: simulations of the whole, at most.
+        """
+        bounds = [self._bounds(direction) for direction in self.directions]
+        bounds += [(item.coordinate(item.item.low), item.coordinate(item.item.high)) for item in model.free]
+        low, high = np.array(bounds).T
+        found = least_squares(
+            lambda z: self.residual(self.moved(model, z)).ravel(),
+            np.clip(self.coordinates(model), low + 1e-9, high - 1e-9),
+            jac=lambda z: self.slopes(point := self.moved(model, z), self.residual(point)),
+            bounds=(low, high), x_scale="jac", ftol=_ENOUGH, xtol=_ENOUGH, max_nfev=rounds,
+        )  # fmt: skip
+        return self.moved(model, found.x)
+
+    def _bounds(self, direction: FreeDirection) -> tuple[float, float]:
+        """Least and largest amount of a direction: what is positive in any rig stays so."""
+        path = direction.name
+        if path not in direction.changes or not (is_positive(path) or path in EFFECT_PARAMETERS):
+            return -np.inf, np.inf
+        low, high = 0.0, np.inf
+        if path in EFFECT_PARAMETERS:
+            low, high = EFFECT_PARAMETERS[path].low, EFFECT_PARAMETERS[path].high
+        now, change = self.rig.value(path), direction.changes[path]
+        return (low - now) / change, (high - now) / change
+
+    def draws(self, model: EpisodeModel, seed: int = 0) -> dict[str, Floats]:
+        """What :meth:`shown` shows, for draws of a bootstrap by episode: a Gauss-Newton step for each (D,).
+
+        Args:
+            model: fitted to these episodes.
+            seed: of the draws.
+        """
+        left, channels = self.residual(model), self.measured.shape[1]
+        spans = [(channels * begin, channels * end) for begin, end in self.spans]
+        at = self.coordinates(model)
+        moves = steps(spans, self.slopes(model, left), left.ravel(), seed)
+        found = [self.shown(self.moved(model, at + move)) for move in moves]
+        return {name: np.array([one[name] for one in found]) for name in found[0]}
+
+    def intervals(self, model: EpisodeModel) -> dict[str, Interval]:
+        """What :meth:`shown` shows, with 95 % intervals by episode.
+
+        Args:
+            model: fitted to these episodes.
+        """
+        best = self.shown(model)
+        return {name: Interval.of(best[name], values) for name, values in self.draws(model).items()}
+
+
+def noise_of(readings: Floats) -> float:
+    """Standard deviation of the noise of a signal (N,), from its fourth differences.
+
+    What a joint or a regulator does within rows of 10 ms counts for little in these; half of them may be between two
+    episodes.
+    """
+    differences = np.diff(readings[np.isfinite(readings)], 4)
+    spread = float(np.median(np.abs(differences))) / (0.6745 * math.sqrt(70.0)) if len(differences) else 0.0
+    return max(spread, converter_step(readings) / math.sqrt(12.0))
+
+
+def _refuse_commands(recording: Recording, name: str) -> None:
+    """Refuse what was asked for in the place of what was measured."""
+    asked = {signal: values for signal, (values, _) in recording.signals.items()}
+    if recording.drive == "regulator":
+        asked |= {f"the command of regulator {k + 1}": recording.voltage[:, k] for k in (0, 1)}
+    for signal, values in asked.items():
+        for number in (1, 2):
+            apart = np.abs(values - recording.pressure[:, number - 1])
+            if np.isfinite(apart).any() and np.nanmax(apart) <= _ROUNDING and np.nanmax(values) > np.nanmin(values):
+                raise BadInput(
+                    f"{name}: pressure_{number} is {signal}, row by row; expected the measured pressure, not what "
+                    "the regulator was asked for"
+                )
