@@ -30,9 +30,10 @@ MOST = 6
 """Effects at most; each signal that friction goes with counts as one."""
 LEAST_REMOVED = 0.05
 """Share of the squared error of unseen episodes that an effect removes at least, as of joints with valves."""
-ABOVE_NOISE = 2.0
+ABOVE_NOISE = 1.5
 """Squared error over what the noise of the readings alone would leave, by the lower end of its interval, from which on
-an effect is named. XXX"""
+an effect is named. Set on simulated joints of 24 episodes: six without an effect had 1.2 at most, six with creep that
+leaves 0.09° had 1.75 at least."""
 LEAST_OF_ALL = 0.01
 """Share of the squared error without effects that an effect removes at least. What is left at the end may be due to the
 form of the others: on a simulated joint, creep that was not there removed 5 % of what was nearly nothing."""

@@ -1,8 +1,9 @@
-"""A recording that a model is compared with: the one interface of everything that fits and judges.
+"""A recording that a model is compared with: the one interface of what fits and judges recordings by blocks.
 
-A way of driving a joint is one class. :class:`~pam_antagonist.inference.valve_driven.ValveDriven` puts the recorded
-voltages in, :class:`~pam_antagonist.inference.angle_driven.AngleDriven` the recorded angle. For a third way, say a
-pressure regulator, derive from :class:`Experiment` and give what it declares abstract; all else follows from that.
+A way of driving a joint is one class. :class:`~pam_antagonist.inference.valve_driven.ValveDriven` puts in the recorded
+voltages, or what pressure regulators were asked for, :class:`~pam_antagonist.inference.angle_driven.AngleDriven` the
+recorded angle. For a third way, derive from :class:`Experiment` and give what it declares abstract; all else follows
+from that. Many short episodes are :class:`~pam_antagonist.inference.episodes.Episodes`.
 """
 
 from __future__ import annotations

@@ -24,6 +24,7 @@ from pam_antagonist.diagnosis.episode_lines import StraightLines
 from pam_antagonist.diagnosis.episodes import diagnose, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.bootstrap import drawn, ratio
+from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.pressure_driven import angles
@@ -110,7 +111,7 @@ def test_of_few_episodes_nothing_is_named_that_is_hardly_more_than_noise() -> No
     whole = PressureDriven.of(joint(by_signal=0.0, coulomb=0.0, seed=4), load_rig("regulator_joint", regulators=True))
     searched = search(whole.take(np.arange(count)), held_out(count, 1.0 / 3.0).pool, lambda text: None)
     assert not [item.name for item in searched.tried if item.taken]
-    assert searched.left.low < 2.0 and any(item.removed and item.removed.low > 0.0 for item in searched.tried)
+    assert searched.left.low < ABOVE_NOISE and any(item.removed and item.removed.low > 0.0 for item in searched.tried)
     rough = PressureDriven.of(joint(by_signal=0.0, coulomb=3.0, seed=4), whole.rig)
     searched = search(rough.take(np.arange(count)), held_out(count, 1.0 / 3.0).pool, lambda text: None)
     assert [item.name for item in searched.tried if item.taken][0].startswith("friction")
