@@ -207,7 +207,9 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
     if rig.drive == "valve":
         found.append(_single(rig, "supply.pressure"))
         sizes = expected_sizes(rig)
-        found += [FreeDirection(path, {path: 1.0}, rig.priors[path], unit=_EFFECTS[path].unit) for path in sizes]
+        found += [
+            FreeDirection(path, {path: 1.0}, rig.priors[path], unit=EFFECT_PARAMETERS[path].unit) for path in sizes
+        ]
     for path in (*_MOTION, *_FRICTION[rig.model.friction]):
         found.append(_single(rig, path, free_only=True))
     return tuple(direction for direction in found if any(direction.changes.values()))
