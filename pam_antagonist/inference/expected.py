@@ -41,16 +41,20 @@ def with_known_curves(rig: Rig, start: Rig) -> Rig:
         start: the file that expected them.
     """
     changes: dict[str, Any] = {}
-    offset, priors = dict(rig.effects.get("valve_offset", {})), dict(rig.priors)
+    known = set()
+    offset = dict(rig.effects.get("valve_offset", {}))
     for path in expected_sizes(start):
         name = path.rsplit(".", 1)[1]
         if path.startswith(_CURVE_SHIFT) and (shift := offset.pop(name, 0.0)):
             valve = getattr(rig, f"valve_{name[-1]}")
             # κ(u − δ): constant beyond its ends, before and after.
             curve = valve.curve.replaced(voltage=tuple(voltage + shift for voltage in valve.curve.voltage))
+            known.add(path)
             changes[f"valve_{name[-1]}"] = valve.replaced(curve=curve)
-            priors.pop(path, None)
     if not changes:
         return rig
     effects = {name: values for name, values in rig.effects.items() if name != "valve_offset"}
-    return rig.replaced(**changes, effects={**effects, **({"valve_offset": offset} if offset else {})}, priors=priors)
+    effects |= {"valve_offset": offset} if offset else {}
+    for section, spreads in (("priors", rig.priors), ("uncertainty", rig.uncertainty)):
+        changes[section] = {name: std for name, std in spreads.items() if name not in known}
+    return rig.replaced(**changes, effects=effects)

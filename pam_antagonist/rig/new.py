@@ -53,6 +53,8 @@ _PRIORS = {
     "friction.shaft": 0.3, "friction.muscle": 0.2,
 }  # fmt: skip
 """Standard deviations before identification, as shares of the value."""
+_AREA_UNCERTAINTY = 0.19
+"""[-] The estimator follows a share that leaves an area above 0 at all sigma points: less than a fifth."""
 _CURVE_PRIOR = 0.05
 """Of the range of voltages: so far may a valve's curve lie elsewhere than guessed [-]."""
 _DAMPING = 0.6
@@ -152,7 +154,10 @@ def starting_point(facts: Facts) -> Rig:
     priors = {**{name: share * rig.value(name) for name, share in _PRIORS.items()}, **_force_priors(facts)}
     shift = _CURVE_PRIOR * (facts.voltage[1] - facts.voltage[0])
     priors |= {f"effects.valve_offset.voltage_{i}": shift for i in (1, 2)}
-    rig = _with_regulators(rig.replaced(priors=priors), facts)
+    # An estimator that takes a guessed valve for a known one sees the joint move where the valve lets more air through.
+    guessed = {name: _AREA_UNCERTAINTY * rig.value(name) for name in priors if name.startswith("valve_")}
+    guessed |= {name: std for name, std in priors.items() if name.startswith("effects.valve_offset.")}
+    rig = _with_regulators(rig.replaced(priors=priors, uncertainty={**rig.uncertainty, **_rounded(guessed)}), facts)
     rig = rig.replaced(priors=_rounded(rig.priors))
     complaint = unphysical(rig)
     if complaint:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist import check, load_rig, simulate
+from pam_antagonist import check, load_rig, replay, simulate
 from pam_antagonist.cli import new_rig
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import muscle, orifice
 from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
 
@@ -46,6 +47,17 @@ def test_a_recording_of_the_joint_passes_the_check_with_the_new_file(tmp_path, c
         at = [muscle.length(0, muscle.leverage(angle, vector)[0], vector) for vector in (p, true)]
         force, real = (muscle.force(0, at[k], 450e3, vector) for k, vector in enumerate((p, true)))
         assert force == pytest.approx(real, rel=0.35)
+
+
+def test_the_interval_of_the_estimate_knows_what_was_guessed(tmp_path) -> None:
+    guess = written(MEASURED, tmp_path / "rig.yaml")
+    # The joint itself: its valves open later than guessed, and let less air through.
+    valves = {name: 0.8 * guess.value(name) for name in guess.priors if name.startswith("valve_")}
+    joint = moved(guess, {**valves, "effects.valve_offset.voltage_1": 0.4, "effects.valve_offset.voltage_2": 0.5})
+    recording = simulate(joint, duration=15.0, seed=5, mismatch=0.0)
+    certain = guess.replaced(uncertainty={name: std for name, std in guess.uncertainty.items() if "valve_" not in name})
+    now, then = (replay(recording, rig).report.ukf.angle for rig in (guess, certain))
+    assert now.rmse < 0.5 * then.rmse and now.coverage95 > 3.0 * then.coverage95
 
 
 def test_a_muscle_has_the_force_of_its_data_sheet(tmp_path) -> None:
