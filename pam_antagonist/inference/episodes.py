@@ -33,6 +33,7 @@ from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.recording import Recording, bag_name
+from pam_antagonist.recording.csv_time import LEAST_ROWS
 from pam_antagonist.recording.resets import resets
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import is_positive
@@ -107,7 +108,7 @@ class Episodes(Driven):
         command: what the regulators were asked for over the step that ends at each row (N, 2) [Pa], NaN where that is
             not known.
         jobs: threads.
-        left_out: episodes that lack pressures, signals or the first angle.
+        left_out: episodes that are too short, or lack pressures, signals or the first angle.
         usual: pressure of each muscle [Pa] about which the directions turn; the same for all parts of a recording.
         longest_step: a model takes no longer steps than this [s].
     """
@@ -154,13 +155,17 @@ class Episodes(Driven):
         columns = [recording.signals[signal].values for signal in names]
         signals = np.column_stack(columns) if columns else np.empty((len(recording), 0))
         whole: NDArray[np.bool_] = np.asarray(np.isfinite(np.column_stack([recording.pressure, signals])).all(axis=1))
-        parts = [part for part in recording.episodes if whole[part].all() and np.isfinite(recording.angle[part.start])]
+        parts = [
+            part
+            for part in recording.episodes
+            if part.stop - part.start >= LEAST_ROWS and whole[part].all() and np.isfinite(recording.angle[part.start])
+        ]
         if recording.episode_ns is None and (jumped := resets(recording)) is not None:
             raise BadInput(f"{name}: {jumped.sentence}")
         if len(parts) < LEAST_EPISODES:
             raise BadInput(
                 f"{name}: {len(parts)} whole episodes of {len(recording.episodes)}; expected at least {LEAST_EPISODES} "
-                "with pressures, angle and every signal throughout (import_csv: episode)"
+                f"with {LEAST_ROWS} rows, and pressures, angle and every signal throughout (import_csv: episode)"
             )
         means = {
             signal: rig.signals.get(signal, float(np.nanmean(c))) for signal, c in zip(names, columns, strict=True)

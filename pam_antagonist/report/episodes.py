@@ -182,7 +182,12 @@ def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
             )
         )
     if joint.left_out:
-        out.append(Finding("warn", f"{joint.left_out} episodes lack pressures, signals or the first angle: left out."))
+        out.append(
+            Finding(
+                "warn",
+                f"{joint.left_out} episodes are too short, or lack pressures, signals or the first angle: left out.",
+            )
+        )
     return tuple(out)
 
 

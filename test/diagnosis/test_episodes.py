@@ -200,6 +200,14 @@ def test_a_recording_in_one_piece_is_refused(tied: Recording) -> None:
         PressureDriven.of(tied.slice(0.0, 0.5), load_rig("regulator_joint", regulators=True))
 
 
+def test_episodes_of_a_few_rows_are_left_out(tied: Recording) -> None:
+    """A bag may have them: the last one of a single row, and one of three."""
+    marks = np.append(tied.episode_ns, [tied.stamp_ns[-4], tied.stamp_ns[-1]])
+    found = PressureDriven.of(replace(tied, episode_ns=marks), load_rig("regulator_joint", regulators=True))
+    assert (len(found), found.left_out) == (EPISODES, 2)
+    assert np.isfinite(found.residual(found.as_configured)).all()
+
+
 def test_setpoints_in_the_place_of_measured_pressures_are_refused(tied: Recording) -> None:
     signals = {**tied.signals, "p1_set": FurtherSignal(tied.pressure[:, 0], "Pa")}
     rig = load_rig("regulator_joint", regulators=True)

@@ -41,7 +41,7 @@ def expanded(words: list[str], folder: Path) -> list[str]:
 
 
 def test_scripts_are_short() -> None:
-    assert len(SCRIPTS) == 3
+    assert len(SCRIPTS) == 4
     assert all(len(path.read_text(encoding="utf-8").splitlines()) <= 30 for path in SCRIPTS)
 
 
@@ -62,6 +62,13 @@ def test_step_script_tells_one_estimate_every_five_seconds(tmp_path: Path) -> No
     rows = [[float(word) for word in line.split()] for line in lines[1:-1]]
     assert [row[0] for row in rows] == [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]
     assert lines[-1].startswith("Counts(processed=30000, predicted_only=0, missing=0")
+
+
+def test_regulator_script_does_without_measured_pressures(tmp_path: Path) -> None:
+    lines = run(str(ROOT / "examples" / "regulators.py"), cwd=tmp_path).splitlines()
+    assert [line.split(":")[0] for line in lines] == ["pressures measured", "pressures not measured"]
+    measured, blind = (float(re.search(r"angle RMSE ([\d.]+)°", line).group(1)) for line in lines)
+    assert blind < 1.2 * measured < 0.6
 
 
 @pytest.mark.slow(25)
