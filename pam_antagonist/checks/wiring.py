@@ -68,7 +68,7 @@ def arrangement(recording: Recording, model: Prediction) -> tuple[list[Finding],
     if better < GOES_WITH:
         text = (
             "the pressures do not follow the voltages as in this rig (correlation "
-            f"{better:.2f}, expected {GOES_WITH:g} or more): another rig's recording, or voltages of another time"
+            f"{better:.3f}, expected {GOES_WITH:g} or more): another rig's recording, or voltages of another time"
         )
         return [Finding("doubtful", text)], None
     if better - worse < _LEAST_CONTRAST:

@@ -164,13 +164,25 @@ def identify_curves(rig: Rig, trials: Sequence[Trial]) -> tuple[Rig, list[CurveF
         if finding.replaced:
             name = f"valve_{valve + 1}"
             curve = getattr(rig, name).curve
-            knots = np.array(curve.voltage)
+            knots = _knots(np.array(curve.voltage), finding.voltage)
             shift = finding.open_rate - finding.declared
             inside = (knots >= finding.voltage[0]) & (knots <= finding.voltage[-1])
-            rates = np.array(curve.open_rate) + np.where(inside, np.interp(knots, finding.voltage, shift), 0.0)
-            new = curve.replaced(open_rate=tuple(float(r) for r in np.maximum.accumulate(np.clip(rates, 0.0, 1.0))))
+            rates = np.interp(knots, curve.voltage, curve.open_rate)
+            rates += np.where(inside, np.interp(knots, finding.voltage, shift), 0.0)
+            rates = np.maximum.accumulate(np.clip(rates, 0.0, 1.0))
+            new = curve.replaced(voltage=tuple(knots.tolist()), open_rate=tuple(rates.tolist()))
             rig = rig.replaced(**{name: getattr(rig, name).replaced(curve=new)})
     return rig, findings
+
+
+def _knots(declared: Floats, measured: Floats) -> Floats:
+    """Voltages [V] of a curve that bends where it was measured as well, as many as a curve may have.
+
+    A guessed curve may have a point at either end only.
+    """
+    most = par.MAX_KNOTS - len(declared)
+    chosen = np.unique(np.linspace(0, len(measured) - 1, min(most, len(measured))).round().astype(int))
+    return np.unique(np.concatenate([declared, measured[chosen]]).round(6))
 
 
 def _one(rig: Rig, trials: Sequence[Trial], valve: int) -> CurveFinding:

@@ -98,6 +98,18 @@ def test_a_curve_that_is_declared_wrong_is_replaced_where_it_was_measured_and_no
     assert np.array_equal(rates[~measured], declared[~measured])
 
 
+def test_a_guessed_curve_bends_where_it_was_measured() -> None:
+    straight = RIG.valve_1.curve.replaced(voltage=(0.0, 10.0), open_rate=(0.0, 1.0))
+    guessed = RIG.replaced(valve_1=RIG.valve_1.replaced(curve=straight))
+    found, (first, _) = identify_curves(guessed, [_staircase(RIG)])
+    assert first.replaced
+    curve, true = found.valve_1.curve, RIG.valve_1.curve
+    assert (curve.voltage[0], curve.open_rate[0], curve.voltage[-1], curve.open_rate[-1]) == (0.0, 0.0, 10.0, 1.0)
+    for voltage in (4.6, 4.8, 5.0, 5.25, 5.5, 6.0):
+        rates = [np.interp(voltage, item.voltage, item.open_rate) for item in (curve, true)]
+        assert rates[0] == pytest.approx(rates[1], abs=0.005)
+
+
 def test_an_offset_that_the_rig_declares_is_not_put_into_the_curve_once_more() -> None:
     offset = RIG.replaced(effects={"valve_offset": {"voltage_1": 0.1, "open_rate_2": 0.04}})
     trial = _staircase(offset)
