@@ -14,6 +14,7 @@ from pam_antagonist.diagnosis.result import RecordingEntry, SizeProfile
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.stretches import Stretch
 from pam_antagonist.inference.angle_driven import BALANCE, sweeps
+from pam_antagonist.inference.expected import guesses_curves
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted
@@ -22,9 +23,44 @@ from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.inference.point import Point, Span
 from pam_antagonist.inference.trial import ANGLE, TORQUE
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, Effect
+from pam_antagonist.rig import Rig
 
 _WITH_VALVES = tuple(effect for effect in CATALOGUE.values() if "valve" in effect.tested_with)
 """What is tested here: effects of joints with regulators alone are no candidates."""
+
+
+_OF_STEADY_PRESSURES = {"voltage_shift", "open_rate_shift", "supply_change", "mass_loss", "sensor_reading"}
+"""Hooks of effects that give a voltage another steady pressure, as another valve curve does."""
+
+
+def like_a_curve(rig: Rig, effects: Iterable[str]) -> tuple[str, ...]:
+    """Effects that a valve curve of another slope would look like, where the rig file calls its curves guessed.
+
+    The prior of a guessed curve is that of its shift; nothing moves its slope.
+
+    Args:
+        rig: as configured.
+        effects: names of effects that were found.
+    """
+    if not guesses_curves(rig):
+        return ()
+    return tuple(dict.fromkeys(name for name in effects if _OF_STEADY_PRESSURES & set(CATALOGUE[name].hooks)))
+
+
+def guessed_curves(rig: Rig, effects: Iterable[str]) -> list[str]:
+    """What to say where a guessed curve may be taken for an effect.
+
+    Args:
+        rig: as configured.
+        effects: names of effects that were found.
+    """
+    alike = " or ".join(like_a_curve(rig, effects))
+    if not alike:
+        return []
+    return [
+        f"the valves' curves are a guess in rig {rig.name}, and a curve of another slope looks like {alike}: this is "
+        "not certain before the curves are measured"
+    ]
 
 
 def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:

@@ -31,6 +31,15 @@ def expected_sizes(rig: Rig) -> tuple[str, ...]:
     return tuple(name for name in rig.priors if name in _SIZES and not rig.value(name))
 
 
+def guesses_curves(rig: Rig) -> bool:
+    """Whether a rig file expects the curve of a valve to be shifted.
+
+    Args:
+        rig: the rig file.
+    """
+    return any(path.startswith(_CURVE_SHIFT) for path in expected_sizes(rig))
+
+
 def with_known_curves(rig: Rig, start: Rig) -> Rig:
     """A rig whose valves' curves are shifted themselves, where its file expected an effect to do that.
 

@@ -23,7 +23,7 @@ from pam_antagonist.diagnosis.result import (
     Splits,
     Verdict,
 )
-from pam_antagonist.diagnosis.warnings import estimator_worse
+from pam_antagonist.diagnosis.warnings import estimator_worse, like_a_curve
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
 from pam_antagonist.recording.corrections import Corrections
@@ -275,7 +275,15 @@ def next_steps(found: Diagnosis, rig: Rig, rig_files: Sequence[str], no_common_r
             f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
             "folder of this report designs the voltages."
         )
-    if found.verdict == "effect":
+    alike = like_a_curve(rig, [effect.name for effect in found.effects])
+    if alike:
+        out.append(
+            "Next: measure the valves' curves before you repair anything: a curve of another slope looks like "
+            f"{' or '.join(alike)}. Hold six voltages of each valve until the pressures stand, give that recording to "
+            f"{typed_command('identify')} with the others, and run {typed_command('close_loop')} with the rig file "
+            "that it writes."
+        )
+    elif found.verdict == "effect":
         instead = f", or go on with {rig_files[0]}, which every command and node takes" if rig_files else ""
         out.append(f"Next: repair the joint and record again{instead}.")
     elif found.verdict == "unexplained" and rig_files and _halves_errors(found):

@@ -9,7 +9,7 @@ import pytest
 
 from pam_antagonist import simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
-from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out
+from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out, warnings
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
@@ -130,6 +130,12 @@ def test_a_report_says_what_to_do_next(rig, leaking) -> None:
     # A sealed joint has no valves that excite could move.
     sealed = dataclasses.replace(undecided, start=load_rig("sealed_joint"))
     assert all("--tell-apart" not in step for step in sealed.report.next_steps)
+    # The same leak, beside curves that are a guess.
+    guessed = rig.replaced(priors={"effects.valve_offset.voltage_1": 0.5})
+    measure = dataclasses.replace(found, start=guessed).report.next_steps[-1]
+    assert measure.startswith("Next: measure the valves' curves before you repair anything")
+    assert warnings.guessed_curves(guessed, ["leak", "friction"])[0].count("leak") == 1
+    assert not warnings.guessed_curves(rig, ["leak"]) and not warnings.guessed_curves(guessed, ["friction"])
     nothing = dataclasses.replace(found, verdict="unexplained", effects=())
     assert "go on with rig_extended.yaml: it is shin2022 with its parameters fitted" in nothing.report.next_steps[-1]
     errors = dataclasses.replace(found.errors, extended=found.errors.as_configured)
