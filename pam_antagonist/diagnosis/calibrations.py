@@ -101,7 +101,7 @@ def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: i
         more = () if candidate is None else candidate.free
         point = Point(now.point.theta, {**now.point.effects, **{free.path: 0.0 for free in more}})
         return refit(
-            experiment, point, (*now.free, *more), renewals=3, blocks_per_error=now.scale.blocks_per_error
+            experiment, point, (*now.free, *more), renewals=3, blocks_per_error=now.scale.blocks_per_error, beside=now
         )  # fmt: skip
 
     # What a further fit gains without any calibration speaks for none.
@@ -130,7 +130,8 @@ def _first_order(experiment: Experiment, fitted: Fitted, candidate: Candidate) -
     column = effect_jacobian(experiment, fitted.point, fitted.residual, candidate.free)
     effect = np.concatenate([fitted.effect, column], axis=2)
     step = Equations.of(fitted.residual, fitted.base, effect).solved(scale, experiment.prior, theta, rounds=2)
-    gain = float(np.sum(scale.misfits(fitted.residual) - scale.misfits(step.residual)))
+    left = scale.misfits_of(step.squares, len(fitted.residual))
+    gain = float(np.sum(scale.misfits(fitted.residual) - left))
     gain += prior_cost(experiment, theta) - prior_cost(experiment, theta + step.theta)
     return gain * scale.blocks_per_error / float(scale.length.max())
 
@@ -157,7 +158,8 @@ def _with(
 ) -> Fitted:
     """A model with further calibrations, fitted from where it was."""
     point = Point(fitted.point.theta, {**fitted.point.effects, **values})
-    return best_of_starts(experiment, refit(experiment, point, (*fitted.free, *free), fitted.base, renewals=2), 0)
+    found = refit(experiment, point, (*fitted.free, *free), fitted.base, renewals=2, beside=fitted)
+    return best_of_starts(experiment, found, 0)
 
 
 def taken(
@@ -184,7 +186,7 @@ def taken(
             return relinearised(experiment, fitted)
         point = Point(fitted.point.theta, {**fitted.point.effects, dotted: value})
         pace = fitted.scale.blocks_per_error
-        other = refit(experiment, point, fitted.free, renewals=2, blocks_per_error=pace)
+        other = refit(experiment, point, fitted.free, renewals=2, blocks_per_error=pace, beside=fitted)
         return other if evidence(experiment, fitted, other) >= -thresholds.POSITIVE else fitted
 
     in_threads = Parallel(n_jobs=jobs, prefer="threads")
@@ -271,7 +273,7 @@ def without(experiments: Sequence[Experiment], model: Model, prefix: str, jobs: 
         if len(kept) == len(fitted.point.effects):
             return fitted
         free = tuple(free for free in fitted.free if not free.path.startswith(prefix))
-        return best_of_starts(experiment, refit(experiment, Point(fitted.point.theta, kept), free), 0)
+        return best_of_starts(experiment, refit(experiment, Point(fitted.point.theta, kept), free, beside=fitted), 0)
 
     pairs = zip(experiments, model.fits, strict=True)
     fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*pair) for pair in pairs)

@@ -152,17 +152,19 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     # A score is a first guess, for which the steps of a derivative are fine enough.
     steps = {_key(size, shape): (size, shape) for each in offered for shape in each.grid() for size in each.sizes}
     moved = (_with(here.point, size, shape) for size, shape in steps.values())
-    columns = dict(zip(steps, experiment.differences(here.point, here.residual, moved), strict=True))
+    columns = np.stack(experiment.differences(here.point, here.residual, moved), axis=2)
+    # The sums over the blocks are made once, and each candidate takes those that it needs.
+    everything = Equations.of(here.residual, here.base, np.concatenate([here.effect, columns], axis=2))
+    place = {key: known + k for k, key in enumerate(steps)}
+    del columns
 
     def cost(step: Step) -> float:
-        return float(scale.misfits(step.residual).sum()) + prior_cost(experiment, here.point.theta + step.theta)
+        misfits = scale.misfits_of(step.squares, len(here.residual))
+        return float(misfits.sum()) + prior_cost(experiment, here.point.theta + step.theta)
 
     def score(candidate: Candidate, shape: Mapping[str, float], sizes: Sequence[FreeEffectParameter]) -> Score:
         while sizes:
-            effect = np.concatenate(
-                [here.effect, np.stack([columns[_key(size, shape)] for size in sizes], axis=2)], axis=2
-            )
-            linear = Equations.of(here.residual, here.base, effect)
+            linear = everything.among([*range(known), *(place[_key(size, shape)] for size in sizes)])
             each = (linear.solved(scale, experiment.prior, here.point.theta, 4, first=first) for first in firsts)
             step = min(each, key=cost)
             values = [size.value(float(a)) for size, a in zip(sizes, step.effect[known:], strict=True)]

@@ -29,6 +29,8 @@ _STIFF = 30.0
 _DAMPING = 0.1
 """[N m s/rad] of the observer."""
 _ROUNDS = 4
+_LIKE = 0.02
+"""Share of a torque (RMS) that another round has to change."""
 _LOOK = 0.24
 """[s] Shorter than a push by hand."""
 _MARGIN = 0.24
@@ -48,7 +50,7 @@ _LEAST_TORQUE = 1e-4
 """[N m]"""
 _ABOUT_NONE = 0.3
 """Torques of less than this share of the median count as squares: absolute values have no weight at 0."""
-_rk4_step = integration.rk4_step
+_step, _STAGES = integration.rk4_step_within, integration.STAGES
 
 
 @kernel
@@ -57,6 +59,7 @@ def _followed(x0, given, angle, p, dt, substeps, stiff, damping):  # type: ignor
     x = x0.copy()
     u = np.zeros(3)
     out = np.empty(len(angle))
+    scratch = np.empty((_STAGES + 1, x.shape[0]))
     for k in range(len(angle)):
         u[0] = given[k, 0]
         u[1] = given[k, 1]
@@ -65,7 +68,7 @@ def _followed(x0, given, angle, p, dt, substeps, stiff, damping):  # type: ignor
         for j in range(substeps):
             wanted = angle[k] - (substeps - 1 - j) / substeps * change
             u[2] = stiff * (wanted - x[0]) - damping * x[1]
-            _rk4_step(x, u, p, dt / substeps, x)
+            _step(x, u, p, dt / substeps, x, scratch)
             total += u[2]
         out[k] = total / substeps
     return out
@@ -128,12 +131,21 @@ def estimate(experiment: Experiment, fitted: Fitted) -> Disturbance | None:
     experiment = replace(experiment, judged=())
     found = []
     for start in (fitted.point, _bent_back(experiment, fitted.point)):
-        point = start
+        point, before = start, None
         for _ in range(_ROUNDS):
             found.append(_estimated(experiment, fitted, point))
-            point = found[-1].fitted.point
+            torque = found[-1].torque
+            # Beside no torque, or beside the same, the fit ends where it ended.
+            if not torque.any() or (before is not None and _is_like(before, torque)):
+                break
+            point, before = found[-1].fitted.point, torque
     best = max(found, key=lambda disturbance: disturbance.squares)
     return replace(best, fitted=refit(best.experiment, best.fitted.point, fitted.free, rounds=0))
+
+
+def _is_like(before: Floats, after: Floats) -> bool:
+    """Whether two torques (B,) differ by no more than a share of the second one."""
+    return float(np.sum((after - before) ** 2)) <= _LIKE**2 * float(np.sum(after**2))
 
 
 def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturbance:
@@ -153,7 +165,8 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     disturbed = replace(experiment, trial=replace(trial, external=known + samples))
     beside = refit(_between(disturbed, torque), point, fitted.free, renewals=2)
     before = explained.remaining_residuals([experiment], [fitted])
-    after = explained.remaining_residuals([disturbed], [replace(beside, residual=disturbed.residual(beside.point))])
+    left = disturbed.residual(beside.point, whole=True)
+    after = [explained.Residuals(disturbed.held(left), disturbed.fitted_rows(left[: disturbed.fitted // trial.block]))]
     squares = [in_mean_squares(*pair, experiment.noise) for pair in zip(before[0], after[0], strict=True)]
     look = trial.block_count(_LOOK)
     steps = np.diff(torque[::look])
@@ -209,7 +222,8 @@ def _observed(experiment: Experiment, point: Point) -> Floats:
     angle = _angle(experiment)
     measured = np.interp(np.arange(len(trial)), (np.arange(len(angle)) + 0.5) * trial.block, angle)
     p = experiment.parameters(point)
-    start = experiment.simulated(point)[0]
+    # No more than the first sample of the model's course is needed.
+    start = replace(experiment, fitted=trial.block, split=None).simulated(point)[0]
     x0 = equilibrium.initial_state(measured[0], start[PRESSURE_1], start[PRESSURE_1 + 1], trial.given[0], p)
     torque = _followed(x0, trial.given, measured, p, trial.dt, trial.substeps, _STIFF, _DAMPING)
     return trial.blocks(torque[:, None])[:, 0]

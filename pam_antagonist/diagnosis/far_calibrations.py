@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from pam_antagonist.diagnosis.candidates import as_configured
@@ -43,13 +45,13 @@ def fits(experiment: Experiment, fitted: Fitted, candidates: Sequence[Candidate]
         candidates: further calibrations, of one number each.
     """
     start = as_configured(experiment, fitted)
-    none = _cost(experiment, start, start.point)
+    none = _cost(experiment, start, start.point, start.residual)
     scores = (_score(experiment, start, candidate) for candidate in candidates)
     chosen = sorted((score for score in scores if score.cost < none), key=lambda score: score.cost)[:_FITTED]
 
     def fit(score: _Score) -> Fitted:
         point = _moved(start.point, score.candidate, _refined(experiment, start, score))
-        found = refit(experiment, point, (*fitted.free, *score.candidate.free), start.base, renewals=2)
+        found = refit(experiment, point, (*fitted.free, *score.candidate.free), start.base, renewals=2, beside=start)
         return best_of_starts(experiment, found, 0)
 
     return {score.candidate.effect: fit(score) for score in chosen}
@@ -62,15 +64,24 @@ def _score(experiment: Experiment, start: Fitted, candidate: Candidate) -> _Scor
     points = {
         value: _moved(start.point, candidate, value) for value in values if number.item.low <= value <= number.item.high
     }
-    scores = (_Score(_cost(experiment, start, point), value, candidate) for value, point in points.items())
+    changes = experiment.differences(start.point, start.residual, points.values())
+    scores = (
+        _Score(_cost(experiment, start, point, start.residual + change), value, candidate)
+        for (value, point), change in zip(points.items(), changes, strict=True)
+    )
     return min(scores, key=lambda score: score.cost)
 
 
 def _refined(experiment: Experiment, start: Fitted, score: _Score) -> float:
     """The best value between the neighbours of the one that was tried."""
     low, high = sorted((0.5 * score.value, 2.0 * score.value))
+
+    def cost(value: float) -> float:
+        point = _moved(start.point, score.candidate, float(value))
+        return _cost(experiment, start, point, experiment.near(point, start.point, start.residual))
+
     found = minimize_scalar(
-        lambda value: _cost(experiment, start, _moved(start.point, score.candidate, float(value))),
+        cost,
         bounds=(low, high),
         method="bounded",
         options={"xatol": _NEAR * score.candidate.free[0].item.scale},
@@ -82,9 +93,8 @@ def _moved(point: Point, candidate: Candidate, value: float) -> Point:
     return Point(point.theta, {**point.effects, **{free.path: value for free in candidate.free}})
 
 
-def _cost(experiment: Experiment, start: Fitted, point: Point) -> float:
+def _cost(experiment: Experiment, start: Fitted, point: Point, residual: NDArray[np.float64]) -> float:
     """What is left to first order once the base parameters have moved to their best: twice a negative log posterior."""
-    residual = experiment.residual(point)
     theta, scale = point.theta, start.scale
     step = Equations.of(residual, start.base, start.effect).solved(scale, experiment.prior, theta, rounds=4)
-    return float(scale.misfits(step.residual).sum()) + prior_cost(experiment, theta + step.theta)
+    return float(scale.misfits_of(step.squares, len(residual)).sum()) + prior_cost(experiment, theta + step.theta)

@@ -79,6 +79,7 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
             fitted.base,
             renewals=1,
             blocks_per_error=fitted.scale.blocks_per_error,
+            beside=fitted,
         )
         scale = before.scale
         lost = scale.share * (

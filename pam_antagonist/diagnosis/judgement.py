@@ -46,8 +46,9 @@ def judge(prepared: Prepared, group: Group, selection: Selection, settings: Sett
 def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
     jobs, progress = settings.jobs, settings.progress
     verdict, share = _verdict(group, selection)
-    late = onset.search(group, selection.recalibrated, selection.model, jobs, progress, settings.checkpoint)
-    if late is not None and _is_taken(late, group, selection):
+    models, store = (selection.recalibrated, selection.model), settings.checkpoint
+    late = onset.search(group, *models, jobs, progress, store, to_noise=_explained_well(group, selection))
+    if late is not None and _verdict(late.group, late.selection)[0] == "effect":
         group, selection = late.group, late.selection
         verdict, share = _verdict(group, selection)
     else:
@@ -103,18 +104,15 @@ def _stuck(
     return judged if judged.verdict == "effect" else None
 
 
-def _is_taken(late: onset.Changing, group: Group, selection: Selection) -> bool:
-    """Whether effects that begin or end are the explanation.
+def _explained_well(group: Group, selection: Selection) -> bool:
+    """Whether effects that act throughout explain the recordings well.
 
-    Where effects that act throughout explain the recordings well, only if nothing but noise is left: what an effect of
-    another form leaves may come and go as well.
+    Those that begin or end are the explanation then only if they leave nothing but noise: what an effect of another
+    form leaves may come and go as well.
     """
-    if _verdict(late.group, late.selection)[0] != "effect":
-        return False
-    base, chosen = selection.recalibrated, selection.model
-    well = explained.explains(group.experiments, base, chosen)
-    well = well and not explained.explains_in_part(group.experiments, base, chosen)
-    return not well or onset.at_noise(late.group.experiments, late.selection.model)
+    models = selection.recalibrated, selection.model
+    explains = explained.explains(group.experiments, *models)
+    return explains and not explained.explains_in_part(group.experiments, *models)
 
 
 def _verdict(group: Group, selection: Selection) -> tuple[Verdict, float]:

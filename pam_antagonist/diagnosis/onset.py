@@ -26,6 +26,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, Linear, Near, cost_of, refit, relinearised
 from pam_antagonist.inference.point import THROUGHOUT, Point, Span
+from pam_antagonist.inference.starts import MAY_BE_NOISE
 
 _THIRDS = 3
 """Blocks of such a recording that are counted in turn; the last of each three is held out in the selection."""
@@ -88,7 +89,13 @@ class Changing:
 
 
 def search(
-    group: Group, base: Model, chosen: Model, jobs: int, progress: Callable[[str], None], checkpoint: Checkpoint
+    group: Group,
+    base: Model,
+    chosen: Model,
+    jobs: int,
+    progress: Callable[[str], None],
+    checkpoint: Checkpoint,
+    to_noise: bool = False,
 ) -> Changing | None:
     """Effects that begin or end during the recordings, where these explain what others do not; None where none do.
 
@@ -99,6 +106,7 @@ def search(
         jobs: threads.
         progress: is called with what is being done.
         checkpoint: keeps finished candidates.
+        to_noise: whether only those serve that leave nothing but noise; what stays far from it is not followed then.
     """
     experiments = group.experiments
     if not _can_change(group) or at_noise(experiments, chosen):
@@ -107,13 +115,13 @@ def search(
     best = None
     # Something may begin beside what acts throughout; but what begins bends the choice of what acts throughout.
     for start in (base, chosen) if chosen.effects else (base,):
-        found = _beside(group, start, jobs, progress, checkpoint)
+        found = _beside(group, start, jobs, progress, checkpoint, to_noise)
         if found is None or not _better(experiments, chosen, found):
             continue
         if at_noise(found.group.experiments, found.selection.model):
             return found
         best = found if best is None else best
-    return best
+    return None if to_noise else best
 
 
 def parts_above_noise(group: Group, model: Model, jobs: int) -> dict[str, tuple[Span, ...]]:
@@ -137,7 +145,12 @@ def _can_change(group: Group) -> bool:
 
 
 def _beside(
-    group: Group, start: Model, jobs: int, progress: Callable[[str], None], checkpoint: Checkpoint
+    group: Group,
+    start: Model,
+    jobs: int,
+    progress: Callable[[str], None],
+    checkpoint: Checkpoint,
+    to_noise: bool,
 ) -> Changing | None:
     """Effects that begin or end beside a model, one part of the recordings after the other; None where there are none.
 
@@ -147,6 +160,7 @@ def _beside(
         jobs: threads.
         progress: is called with what is being done.
         checkpoint: keeps finished candidates.
+        to_noise: as for :func:`search`.
     """
     in_threads = Parallel(n_jobs=jobs, prefer="threads")
     throughout = dict.fromkeys(start.effects, THROUGHOUT)
@@ -177,6 +191,8 @@ def _beside(
                 delayed(_best_of_recordings)(one, point, [other for other in refined if other is not one])
                 for one, point in zip(refined, starts, strict=True)
             )
+            if to_noise and any(np.max(e.times_noise(f.residual)) > MAY_BE_NOISE for e, f, _ in refined):
+                return None
             known, spans = spans, [one.experiment.span for one in refined]
             if all(_is_near(*pair) for pair in zip(known, spans, strict=True)):
                 break
@@ -292,7 +308,7 @@ def _edge(linear: Linear, span: Span, k: int, best: Near) -> tuple[Span, Near, f
             start = replace(linear.fitted, point=near.point)
             done[key] = replace(
                 linear, experiment=moved, fitted=start, residual=moved.residual(near.point)
-            ).on(everything)  # fmt: skip
+            ).on(everything, exact=False)  # fmt: skip
         return done[key]
 
     last = len(trial) * trial.dt

@@ -154,7 +154,7 @@ def refitted_without(
             return fitted
         others = tuple(free for free in fitted.free if not free.path.startswith(path))
         values = {name: value for name, value in fitted.point.effects.items() if not name.startswith(path)}
-        return refit(experiment, Point(fitted.point.theta, values), others)
+        return refit(experiment, Point(fitted.point.theta, values), others, beside=fitted)
 
     tasks = [(effect, *pair) for effect in effects for pair in _pairs(experiments, model)]
     fits = iter(_in_threads(jobs, (delayed(one)(*task) for task in tasks)))
@@ -184,7 +184,8 @@ def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
             shows = max(model.fits, key=lambda other: _certainty(other, path))
             values = {name: value for name, value in shows.point.effects.items() if name.startswith(path)}
             point = Point(fitted.point.theta, {**fitted.point.effects, **values})
-            given = refit(experiment, point, fitted.free, renewals=2, blocks_per_error=fitted.scale.blocks_per_error)
+            pace = fitted.scale.blocks_per_error
+            given = refit(experiment, point, fitted.free, renewals=2, blocks_per_error=pace, beside=fitted)
             if evidence(experiment, fitted, given) >= -thresholds.POSITIVE:
                 fitted = given
         return fitted
@@ -297,7 +298,7 @@ def _fits(
             again = refit(experiment, kept.point, free[which], rounds=0, blocks_per_error=kept.blocks_per_error)
             return again, kept.gain, True
         point = Point(start.point.theta, {**start.point.effects, **score.start})
-        fitted = refit(experiment, point, free[which], start.base, renewals=2)
+        fitted = refit(experiment, point, free[which], start.base, renewals=2, beside=start)
         return fitted, max(evidence(experiment, model.fits[which[1]], fitted), 0.0), False
 
     def end(which: tuple[str, int], descended: Fitted, gain: float, starts: int) -> Fitted:

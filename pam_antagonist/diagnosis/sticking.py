@@ -89,7 +89,7 @@ def _without_effects(experiment: Experiment) -> Fitted:
 def _with_effect(experiment: Experiment, base: Fitted, score: Score) -> Fitted:
     """An effect beside the base parameters; friction without the numbers that do not pay."""
     start = Point(base.point.theta, {**base.point.effects, **score.start})
-    fitted = refit(experiment, start, (*base.free, *score.candidate.free), base.base, renewals=2)
+    fitted = refit(experiment, start, (*base.free, *score.candidate.free), base.base, renewals=2, beside=base)
     # At the pace of the model without it: what another pace makes of the base parameters' priors is no evidence.
     fitted = best_of_starts(experiment, fitted, STARTS, finer=False)
     return findings.pruned(experiment, base, fitted, score.candidate.effect)

@@ -311,31 +311,35 @@ def invisible(experiments: Sequence[Experiment], base: Model, jobs: int) -> tupl
         base: the recalibrated model.
         jobs: threads.
     """
-    pairs = list(zip(experiments, base.fits, strict=True))
     names = [candidate.effect for candidate in experiments[0].candidates({})]
-    shown = Parallel(n_jobs=jobs, prefer="threads")(delayed(_shows)(name, *pair) for name in names for pair in pairs)
-    count = len(pairs)
-    out = [name for k, name in enumerate(names) if not any(shown[k * count : (k + 1) * count])]
+    pairs = zip(experiments, base.fits, strict=True)
+    shown = set().union(*Parallel(n_jobs=jobs, prefer="threads")(delayed(_shown)(names, *pair) for pair in pairs))
+    out = [name for name in names if name not in shown]
     if not any(ANGLE in experiment.channels for experiment in experiments):
         out.append(DISTURBANCE)
     return tuple(out)
 
 
-def _shows(name: str, experiment: Experiment, fitted: Fitted) -> bool:
-    candidate = Candidate(name)
-    shapes = {shape.path: shape.item.neutral for shape in candidate.shapes}
+def _shown(names: Iterable[str], experiment: Experiment, fitted: Fitted) -> set[str]:
+    """Which of these effects show in a recording."""
+    there, points = [], []
+    for candidate in map(Candidate, names):
+        shapes = {shape.path: shape.item.neutral for shape in candidate.shapes}
+        for size in candidate.sizes:
+            values = dict.fromkeys(size.paths, size.bounded(size.item.scale))
+            there.append(candidate.effect)
+            points.append(Point(fitted.point.theta, {**fitted.point.effects, **shapes, **values}))
     counted = experiment.blocks_per_error
     scale, none = fitted.scale, np.zeros((*fitted.residual.shape, 0))
-    for size in candidate.sizes:
-        values = dict.fromkeys(size.paths, size.bounded(size.item.scale))
-        change = experiment.residual(Point(fitted.point.theta, {**shapes, **values})) - fitted.residual
+    out = set()
+    for name, change in zip(there, experiment.differences(fitted.point, fitted.residual, points), strict=True):
         # As a fit would see it, were the rest noise.
         step = Equations.of(change, fitted.base, none).solved(
             scale, experiment.prior, np.zeros(experiment.size), rounds=1, first=scale.noise**2,
             length=np.full(len(scale.noise), counted),
         )  # fmt: skip
-        rise = np.log1p(np.mean(step.residual**2, axis=0) / scale.noise**2)
+        rise = np.log1p(step.squares / scale.noise**2)
         independent = len(change) / counted
         if independent * float(rise.sum()) - float(np.log(change.size / counted)) > thresholds.STRONG:
-            return True
-    return False
+            out.add(name)
+    return out

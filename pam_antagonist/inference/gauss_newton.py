@@ -116,6 +116,8 @@ def refit(
     blocks_per_error: float | None = None,
     careful: int = 12,
     near: bool = True,
+    beside: Fitted | None = None,
+    exact: bool = True,
 ) -> Fitted:
     """Gauss-Newton, with the derivatives by the base coordinates kept from step to step while they serve.
 
@@ -132,9 +134,11 @@ def refit(
         blocks_per_error: blocks per value that is counted; default: those of a model that lacks something.
         careful: how many steps may be damped ones, which are tried where the others lead nowhere.
         near: whether steps may be tried so.
+        beside: fit of the same part to another model, from which the first residual is worked out likewise.
+        exact: whether the fit ends with the exact residual; one that is only compared with others need not.
     """
-    begun, again = point, (point, free, base, rounds, renewals, blocks_per_error, careful)
-    residual = experiment.residual(point)
+    again = (point, free, base, rounds, renewals, blocks_per_error, careful)
+    residual, is_exact = _begun(experiment, point, beside if near else None)
     fresh = base is None
     if base is None:
         base = experiment.jacobian(point, residual)
@@ -161,6 +165,7 @@ def refit(
             first = 0
         if found is not None:
             point, residual, gain = found
+            is_exact = not near
             gained += gain
             effect = effect_jacobian(experiment, point, residual, free)
             if gain > _ENOUGH + _ENOUGH_OF_ALL * gained:
@@ -175,18 +180,27 @@ def refit(
         base = experiment.jacobian(point, residual)
         renewals -= 1
         fresh = True
-    if near and point is not begun:
-        exact = experiment.residual(point)
+    if exact and not is_exact:
+        true = experiment.residual(point)
         scale = experiment.scale(residual, blocks_per_error)
-        if cost_of(experiment, point, exact, scale) > cost_of(experiment, point, residual, scale) + _ENOUGH:
+        if cost_of(experiment, point, true, scale) > cost_of(experiment, point, residual, scale) + _ENOUGH:
             return refit(experiment, *again, near=False)
-        residual = exact
+        residual = true
     scale = experiment.scale(residual, blocks_per_error)
     last = Equations.of(residual, base, effect).solved(
         scale, experiment.prior, point.theta, rounds=1, length=scale.length
     )
     cost = cost_of(experiment, point, residual, scale)
     return Fitted(point, tuple(free), residual, base, effect, scale, cost, last.covariance)
+
+
+def _begun(experiment: Experiment, point: Point, beside: Fitted | None) -> tuple[Floats, bool]:
+    """The residual (B, C) with which a fit begins, from another model's where one is known; whether it is exact."""
+    if beside is None:
+        return experiment.residual(point), True
+    if beside.point is point:
+        return beside.residual, True
+    return experiment.near(point, beside.point, beside.residual), False
 
 
 def _step(
@@ -262,7 +276,7 @@ class Linear:
         effect = effect_jacobian(experiment, fitted.point, residual, fitted.free)
         return cls(experiment, fitted, residual, experiment.jacobian(fitted.point, residual), effect)
 
-    def on(self, part: Mask) -> Near:
+    def on(self, part: Mask, exact: bool = True) -> Near:
         """The fit to a part of the blocks.
 
         Each step has the derivatives of the start and is checked by a simulation. Parts differ by little, so that this
@@ -270,6 +284,7 @@ class Linear:
 
         Args:
             part: which blocks are fitted (B,).
+            exact: whether the fit ends with the exact residual.
         """
         point, residual, scale = self.fitted.point, self.residual, self.fitted.scale
         cost = cost_of(self.experiment, point, residual[part], scale)
@@ -287,7 +302,7 @@ class Linear:
             gain, point, residual, cost = cost - new, moved, left, new
             if gain < _ENOUGH:
                 break
-        if point is not self.fitted.point:
+        if exact and point is not self.fitted.point:
             residual = self.experiment.residual(point)
             cost = cost_of(self.experiment, point, residual[part], scale)
         return Near(point, residual, cost)

@@ -7,7 +7,7 @@ How much of a residual is beyond the sensors' noise, and how much of that is gon
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,16 +108,27 @@ class Scale:
 
     def variances(self, residual: Floats) -> Floats:
         """Error variance of each channel (C,): its mean square, at least the noise's."""
-        return np.maximum(np.mean(residual**2, axis=0), self.noise**2)
+        return self.variances_of(np.mean(residual**2, axis=0))
+
+    def variances_of(self, squares: Floats) -> Floats:
+        """Error variance of each channel (C,) by its mean square (C,)."""
+        return np.maximum(squares, self.noise**2)
 
     def misfits(self, residual: Floats) -> Floats:
         """−2 log likelihood of each channel (C,) with its variance at its best, as a fit counts, up to a constant."""
         if not len(residual):
             return np.zeros(residual.shape[1])
-        squares, variances = np.mean(residual**2, axis=0), self.variances(residual)
-        return np.asarray(
-            len(residual) / self.blocks_per_error * (np.log(variances / self.noise**2) + squares / variances)
-        )
+        return self.misfits_of(np.mean(residual**2, axis=0), len(residual))
+
+    def misfits_of(self, squares: Floats, count: int) -> Floats:
+        """:meth:`misfits` by the mean squares of the channels (C,).
+
+        Args:
+            squares: these.
+            count: of how many blocks they are.
+        """
+        variances = self.variances_of(squares)
+        return np.asarray(count / self.blocks_per_error * (np.log(variances / self.noise**2) + squares / variances))
 
     def values(self, residual: Floats) -> float:
         """Independent values in all channels."""
@@ -131,16 +142,24 @@ class Step:
     Attributes:
         theta: change of the base coordinates (K + S,).
         effect: change of the effects' coordinates (m,).
-        residual: what the linear model leaves (B, C).
+        squares: mean squares of what the linear model leaves (C,).
         information: on the coordinates that may move, the base first.
         keep: which these are, of K + S + m.
+        equations: the problem.
     """
 
     theta: Floats
     effect: Floats
-    residual: Floats
+    squares: Floats
     information: Floats
     keep: NDArray[np.intp]
+    equations: Equations
+
+    @property
+    def residual(self) -> Floats:
+        """What the linear model leaves (B, C)."""
+        of = self.equations
+        return np.asarray(of.residual + of.base @ self.theta + of.effect @ self.effect)
 
     @property
     def covariance(self) -> Floats:
@@ -157,17 +176,19 @@ class Equations:
 
     Attributes:
         residual: measured minus simulated (B, C).
-        columns: its derivatives by all coordinates, the base first (B, C, K + S + m).
-        base: how many are of the base (K + S).
-        gram: sums of products of the columns (C, K + S + m, K + S + m).
+        base: its derivatives by the base coordinates (B, C, K + S).
+        effect: its derivatives by the effects' coordinates (B, C, m).
+        gram: sums of products of all derivatives, the base first (C, K + S + m, K + S + m).
         slope: sums of their products with the residual (C, K + S + m).
+        squares: sums of the residual's squares (C,).
     """
 
     residual: Floats
-    columns: Floats
-    base: int
+    base: Floats
+    effect: Floats
     gram: Floats
     slope: Floats
+    squares: Floats
 
     @classmethod
     def of(cls, residual: Floats, base: Floats, effect: Floats) -> Equations:
@@ -178,11 +199,24 @@ class Equations:
             base: its derivatives by the base coordinates (B, C, K + S).
             effect: its derivatives by the effects' coordinates (B, C, m).
         """
-        columns = np.concatenate([base, effect], axis=2)
-        each = np.ascontiguousarray(columns.transpose(1, 2, 0))
-        gram = each @ each.transpose(0, 2, 1)
-        slope = (each @ residual.T[:, :, None])[:, :, 0]
-        return cls(residual, columns, base.shape[2], gram, slope)
+        channels, n, count = residual.shape[1], base.shape[2], base.shape[2] + effect.shape[2]
+        gram, slope = np.empty((channels, count, count)), np.empty((channels, count))
+        columns = np.empty((count, len(residual)))
+        for c in range(channels):
+            columns[:n], columns[n:] = base[:, c].T, effect[:, c].T
+            gram[c], slope[c] = columns @ columns.T, columns @ residual[:, c]
+        return cls(residual, base, effect, gram, slope, np.asarray(np.sum(residual**2, axis=0)))
+
+    def among(self, effects: Sequence[int]) -> Equations:
+        """The problem with some of the effects' coordinates only.
+
+        Args:
+            effects: which of them.
+        """
+        n = self.base.shape[2]
+        keep = np.array([*range(n), *(n + k for k in effects)], dtype=int)
+        gram, slope = self.gram[:, keep[:, None], keep], self.slope[:, keep]
+        return Equations(self.residual, self.base, self.effect[:, :, list(effects)], gram, slope, self.squares)
 
     def solved(
         self,
@@ -208,12 +242,12 @@ class Equations:
             damping: share by which the diagonal of the information grows (Marquardt 1963), for shorter steps.
         """
         counted = np.full(len(scale.noise), scale.blocks_per_error) if length is None else length
-        n, count = self.base, self.columns.shape[2]
+        n, count, blocks = self.base.shape[2], self.slope.shape[1], len(self.residual)
         keep = np.array([k for k in range(count) if k - n not in held])
-        step, left = np.zeros(count), self.residual
+        step, squares = np.zeros(count), self.squares / blocks
         information = np.diag(np.concatenate([prior, np.zeros(count - n)]))
         for number in range(rounds):
-            variances = first if first is not None and number == 0 else scale.variances(left)
+            variances = first if first is not None and number == 0 else scale.variances_of(squares)
             weights = 1.0 / (variances * counted)
             information = np.tensordot(weights, self.gram, 1)
             information[np.arange(n), np.arange(n)] += prior
@@ -222,8 +256,9 @@ class Equations:
             step = np.zeros(count)
             damped = information + damping * np.diag(np.diag(information))
             step[keep] = -_solved(damped[np.ix_(keep, keep)], right[keep])
-            left = self.residual + self.columns @ step
-        return Step(step[:n], step[n:], left, information[np.ix_(keep, keep)], keep)
+            # What the step leaves, by the same sums: no block is looked at again.
+            squares = np.maximum(self.squares + (2.0 * self.slope + self.gram @ step) @ step, 0.0) / blocks
+        return Step(step[:n], step[n:], squares, information[np.ix_(keep, keep)], keep, self)
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats:

@@ -175,7 +175,8 @@ def _rise(
     effects = {**start.effects, **dict.fromkeys(parameter.paths, value)}
     others = tuple(other for other in fitted.free if other != parameter)
     scale, begin = fitted.scale, Point(start.theta, effects)
-    moved = refit(experiment, begin, others, fitted.base, rounds=5, renewals=0, blocks_per_error=scale.blocks_per_error)
+    pace = scale.blocks_per_error
+    moved = refit(experiment, begin, others, fitted.base, rounds=5, renewals=0, blocks_per_error=pace, beside=fitted)
     change = scale.misfits(moved.residual) - scale.misfits(fitted.residual)
     prior = prior_cost(experiment, moved.point.theta) - prior_cost(experiment, fitted.point.theta)
     as_error = max(float(scale.blocks_per_error / scale.length @ change) + prior, 0.0)

@@ -13,7 +13,8 @@ from pam_antagonist.inference.point import Point
 
 AT_NOISE = 1.1
 """A channel is at its noise whose residual is at most so many times as large: a minute shows it to a few per cent."""
-_NEAR = 4.0
+MAY_BE_NOISE = 4.0
+"""A channel may be down to its noise by a further fit whose residual is at most so many times as large."""
 STARTS = 2
 """Starts of a fit that are drawn, beside the first."""
 _TRIED = 2
@@ -39,8 +40,10 @@ def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS,
         The best fit; where it ends at the noise of every channel, the finer one that counts every block.
     """
     best = min((fitted, *_from_elsewhere(experiment, fitted, starts)), key=lambda found: found.cost)
-    if finer and np.max(experiment.times_noise(best.residual)) <= _NEAR:
-        every = refit(experiment, best.point, best.free, best.base, renewals=2, blocks_per_error=1.0, careful=0)
+    if finer and np.max(experiment.times_noise(best.residual)) <= MAY_BE_NOISE:
+        every = refit(
+            experiment, best.point, best.free, best.base, renewals=2, blocks_per_error=1.0, careful=0, beside=best
+        )  # fmt: skip
         best = every if np.max(experiment.times_noise(every.residual)) < AT_NOISE else best
     return best
 
@@ -53,13 +56,23 @@ def _from_elsewhere(experiment: Experiment, fitted: Fitted, starts: int) -> list
     name = zlib.crc32(" ".join(parameter.path for parameter in fitted.free).encode())
     rng = np.random.default_rng([experiment.seed, name])
     drawn = [
-        refit(experiment, _drawn(fitted, rng), fitted.free, fitted.base, rounds=_TRIED, renewals=0, careful=0)
+        refit(
+            experiment,
+            _drawn(fitted, rng),
+            fitted.free,
+            fitted.base,
+            rounds=_TRIED,
+            renewals=0,
+            careful=0,
+            beside=fitted,
+            exact=False,
+        )
         for _ in range(starts)
     ]
     best = min(drawn, key=lambda found: found.cost)
     if best.cost > fitted.cost + _HOPELESS:
         return []
-    return [refit(experiment, best.point, best.free, best.base, renewals=0)]
+    return [refit(experiment, best.point, best.free, best.base, renewals=0, beside=fitted)]
 
 
 def _drawn(fitted: Fitted, rng: np.random.Generator) -> Point:

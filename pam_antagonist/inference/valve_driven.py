@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -258,11 +259,21 @@ class ValveDriven(Experiment):
 
     def _coarsest(self, point: Point, residual: Floats) -> tuple[Trial, Floats]:
         """The part that is fitted in the longest steps in which the model goes its way at a point; its residual."""
-        for coarse in self.in_long_steps:
-            here = self._coarse_residual(point, coarse)
-            if self.goes_its_way(here - residual):
-                return coarse, here
-        return self._part, residual
+        known = self._coarse.get(point)
+        if known is None or known[0] is not residual:
+            found = self._part, residual
+            for coarse in self.in_long_steps:
+                here = self._coarse_residual(point, coarse)
+                if self.goes_its_way(here - residual):
+                    found = coarse, here
+                    break
+            # Both derivatives and the next step ask for it at the same point.
+            known = self._coarse[point] = residual, *found
+        return known[1:]
+
+    @cached_property
+    def _coarse(self) -> WeakKeyDictionary[Point, tuple[Floats, Trial, Floats]]:
+        return WeakKeyDictionary()
 
     def goes_its_way(self, change: Floats) -> bool:
         """Whether longer steps change what is compared by so little that they serve for derivatives.
