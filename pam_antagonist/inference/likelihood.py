@@ -124,7 +124,7 @@ class Scale:
         """:meth:`misfits` by the mean squares of the channels (C,).
 
         Args:
-            squares: these.
+            squares: these (C,).
             count: of how many blocks they are.
         """
         variances = self.variances_of(squares)
