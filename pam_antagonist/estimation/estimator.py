@@ -386,7 +386,8 @@ class Estimator:
         """
         angles = np.full(len(stamp_ns), np.nan) if angle is None else np.array(angle, dtype=np.float64)
         rows, states, index, started = _results(len(stamp_ns), len(self._memory.x))
-        stamps = np.ascontiguousarray(stamp_ns, dtype=np.int64)
+        # A copy: for stamps that are read-only, numba would compile the filter once more.
+        stamps = np.array(stamp_ns, dtype=np.int64)
         count = kernels.process_all(
             stamps,
             np.array(pressure, dtype=np.float64, order="C"),

@@ -8,7 +8,7 @@ from recordings import PERIOD_NS, trial
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.estimation.filter import PATIENCE
+from pam_antagonist.estimation.filter import PATIENCE, process_all
 from pam_antagonist.estimation.memory import GAP, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER
 from pam_antagonist.rig import load_rig
 
@@ -36,6 +36,16 @@ def test_one_by_one_gives_the_same_bits_as_a_whole_recording(tuning: str, joint:
         assert row.tobytes() == whole.rows[k].tobytes()
     assert live.counts == whole.counts
     assert live.started_ns == recording.stamp_ns[0] == whole.started_ns[-1]
+
+
+def test_arrays_that_are_read_only_compile_nothing_more() -> None:
+    arrays = [array.copy() for array in (CLEAN.pressure, CLEAN.voltage, CLEAN.stamp_ns)]
+    free = _run(*arrays)
+    known = len(process_all.signatures)
+    for array in arrays:
+        array.setflags(write=False)
+    assert _run(*arrays).rows.tobytes() == free.rows.tobytes()
+    assert len(process_all.signatures) == known
 
 
 def test_a_missing_pressure_is_bridged_by_the_other_one() -> None:
