@@ -137,19 +137,8 @@ def test_close_loop_finds_the_effect_by_its_name(lab: Path, run: Run) -> None:
     assert "takes the joint up (end_stop)" in page
     assert "end_stop" in (lab / "found" / "rig_extended.yaml").read_text(encoding="utf-8")
     # The refined rig is one that every command takes.
-    good(
-        run(
-            "-m",
-            "pam_antagonist",
-            "replay",
-            "bag",
-            "--rig",
-            "found/rig_extended.yaml",
-            "--out",
-            "again",
-            "--no-figures",
-        )
-    )
+    arguments = "--rig", "found/rig_extended.yaml", "--out", "again", "--no-figures"
+    good(run("-m", "pam_antagonist", "replay", "bag", *arguments))
 
 
 @pytest.mark.slow
