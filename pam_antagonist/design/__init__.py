@@ -1,4 +1,4 @@
-"""Designed experiments: voltages under which a joint tells most of what is not known of it, within limits."""
+"""Design of experiments: valve voltages, within limits, that give the most information about a joint's parameters."""
 
 from pam_antagonist.design.information import standard_errors
 from pam_antagonist.design.limits import Limits

@@ -1,16 +1,16 @@
-"""An experiment that tells two effects apart: the voltages under which neither can imitate the other.
+"""An experiment that distinguishes two effects: voltages under which neither effect can imitate the other.
 
-Take the model with effect a. How far recordings of it lie from the best model with effect b instead is
+Suppose that effect a is present. The distance of its recordings from the best model with effect b instead is
 
-    d² = Δ' (R + J Σ J')⁻¹ Δ,
+    d² = Δ' (R + J Σ J')⁻¹ Δ.
 
-with Δ what effect a does to the sensors, R their noise, and J the derivatives by all that a fit would move meanwhile:
-the base parameters within their priors Σ, and the numbers of effect b without bound, in several shapes. So d² is what
-is left of the information about the size of a, when all else is free: a Schur complement. The same is worked out with
-the parts exchanged, and the lesser of both counts, since nobody knows which one is there.
+Δ is the change of the sensors' readings by effect a, and R is the covariance of their noise. J holds the derivatives by
+all that a fit would move: the base parameters with their priors Σ, and the sizes of effect b in several shapes, almost
+without a prior. So d² is the information about the size of a that is left when all else is free: a Schur complement.
+The same is computed with a and b exchanged. The smaller d² counts, since nobody knows which effect is present.
 
-``close_loop`` counts one independent error a second, so that d² counts by as much less. Its evidence is then normal
-with the mean d² and the variance 4 d², and decides where it is strong.
+``close_loop`` counts one independent error a second, which reduces d² accordingly. The evidence then has a normal
+distribution with mean d² and variance 4 d². The experiment decides if the evidence is strong.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ from pam_antagonist.simulation import excitation
 Floats = NDArray[np.float64]
 
 SURE = 0.95
-"""Chance of a decision from which on an experiment is long enough."""
+"""Chance of a decision at which an experiment is long enough."""
 SHORTEST = 26.0
-"""[s] Of an experiment, since ``close_loop`` wants 20 s and more in which the valves move."""
+"""[s] Shortest experiment: ``close_loop`` needs at least 20 s in which the valves move."""
 LIKELY = 0.5
-"""Chance below which no experiment within the limits is said to tell."""
+"""Chance below which an experiment does not count as distinguishing the effects."""
 _WIDE = 10.0
-"""Standard deviation of a rival's sizes, in their scales: next to no bound."""
+"""Prior standard deviation of a rival's sizes, in their scales: almost no constraint."""
 _TYPICAL_S = 20.0
-"""[s] Of the steps on which a rival is made to imitate."""
+"""[s] Duration of the voltage steps to which a rival is fitted."""
 _STEPS = (STEP, 2e-3, 1e-3, 5e-4)
-"""[s] Of the integration: the longest is taken that follows both models."""
+"""[s] Integration steps: the longest that is stable for both models is used."""
 _SENSORS = {
     ANGLE: "an encoder on the shaft",
     TORQUE: "a torque meter",
@@ -70,13 +70,13 @@ _SENSORS = {
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What an experiment promises.
+    """The expected outcome of an experiment.
 
     Attributes:
         plan: the experiment.
         chance: of a decision, the least over all rivals.
-        by_rival: the same for each rival.
-        instead: sensors or conditions that would tell where it does not, in words.
+        by_rival: chance of a decision against each rival.
+        instead: sensors or conditions that would distinguish the effects where this experiment does not, in words.
     """
 
     plan: Plan
@@ -98,19 +98,19 @@ def without(rig: Rig, effect: str) -> Rig:
     """A rig without an effect.
 
     Args:
-        rig: with it, or not.
+        rig: with or without the effect.
         effect: its name.
     """
     return rig.replaced(effects={name: dict(values) for name, values in rig.effects.items() if name != effect})
 
 
 class Question:
-    """Whether one effect can be told from another, as an experiment goes on.
+    """Whether one effect can be distinguished from another, updated as an experiment grows.
 
     Args:
-        rig: with the effect at the size that is supposed.
-        effect: which is there.
-        rival: which is not.
+        rig: with the effect at its supposed size.
+        effect: name of the effect that is present.
+        rival: name of the one that is not.
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
         pressure: of both muscles at the start [Pa].
@@ -135,10 +135,10 @@ class Question:
         size = Departure(effect, {path: rig.value(path) for path in sizes if rig.value(path)}, share=-0.1)
         base = [item for item in unknowns(without(rig, effect)) if not item.name.startswith("effects.")]
         others = _departures(rig, rival)
-        further, self._open = uncertainty_of(rig, base)
+        further, self._spread = uncertainty_of(rig, base)
         placed = [*base, *further, *others, size]
-        # What is uncertain stands in front: the columns behind it are certain in a prediction.
-        self._open = np.vstack([self._open, np.zeros((len(others) + 1, self._open.shape[1]))])
+        # The uncertain directions come first; a prediction takes the others as certain.
+        self._spread = np.vstack([self._spread, np.zeros((len(others) + 1, self._spread.shape[1]))])
         self._work = Information(rig, placed, joint, lock_angle, channels=_seen(joint, channels), step=step)
         prior = np.ones(len(placed) - 1)
         prior[len(base) + len(further) :] = _WIDE**-2
@@ -157,11 +157,11 @@ class Question:
         return self._distance(self._matrix)
 
     def course(self, voltage: Floats) -> Course:
-        """What comes of voltages (N, 2) [V]."""
+        """The simulated experiment under voltages (N, 2) [V]."""
         return self._work.along(self._states, voltage)
 
     def stable(self, bounds: tuple[float, float], step: float) -> bool:
-        """Whether steps of this length follow the models wherever the valves can bring them.
+        """Whether integration steps of this length are stable over the whole range of the voltages.
 
         Args:
             bounds: least and largest voltage [V].
@@ -173,14 +173,14 @@ class Question:
 
     def std(self, course: Course) -> Floats:
         """Standard deviations of a prediction (N, 4)."""
-        return predicted_std(course, self._open)
+        return predicted_std(course, self._spread)
 
     def with_course(self, course: Course, rows: int) -> float:
-        """d² with so many rows of a course in addition."""
+        """d² with the first rows of a course in addition."""
         return self._distance(self._matrix + self._work.matrix(replace(course, slopes=course.slopes[:rows])))
 
     def take(self, course: Course) -> None:
-        """Go on from the end of a course."""
+        """Add a course, and continue from its end."""
         self._matrix = self._matrix + self._work.matrix(course)
         self._states = course.ends
 
@@ -190,7 +190,7 @@ def _seen(joint: str, channels: Sequence[int]) -> tuple[int, ...]:
 
 
 def _departures(rig: Rig, rival: str) -> list[Departure]:
-    """Directions towards a rival, for each of its sizes in each of the shapes that a search tries."""
+    """Directions towards a rival, one for each of its sizes with each of the shapes that a search tries."""
     candidate = Candidate(rival)
     out = []
     for shapes in candidate.grid():
@@ -201,9 +201,9 @@ def _departures(rig: Rig, rival: str) -> list[Departure]:
 
 
 def imitation(rig: Rig, effect: str, rival: str) -> Rig:
-    """The rig with a rival in the place of an effect, such that typical recordings show little difference.
+    """The rig with a rival in place of an effect, fitted so that typical recordings differ little.
 
-    A rival that can do nothing of what the effect does has a typical size.
+    A rival that cannot imitate the effect at all gets a typical size.
 
     Args:
         rig: with the effect.
@@ -261,7 +261,7 @@ def told_apart(
     channels: Sequence[int] = tuple(range(len(CHANNELS))),
     progress: Callable[[float], None] | None = None,
 ) -> Verdict:
-    """The experiment that tells an effect from its rivals best, as short as it may be.
+    """The experiment that best distinguishes an effect from its rivals, no longer than needed.
 
     Args:
         rig: with the effect as it was found.
@@ -273,7 +273,7 @@ def told_apart(
         lock_angle: [rad], of a locked joint.
         seed: of the search.
         channels: what is measured, indices of ``CHANNELS``.
-        progress: takes how many seconds more are designed.
+        progress: is called with the number of further seconds that are designed.
 
     Raises:
         BadInput: an effect that the catalogue or the rig does not have.
@@ -285,12 +285,12 @@ def told_apart(
     rest = np.array(steady_voltage(rig, pressure))
     rng = np.random.default_rng(seed)
     questions, step = _questions(rig, effect, rivals, limits, joint, lock_angle, pressure, rest, channels)
-    everyone = [question for pair in questions.values() for question in pair]
+    all_questions = [question for pair in questions.values() for question in pair]
 
     def merit(rows: Floats) -> float:
         whole = np.concatenate([rows, held(rest[None], TAIL, step)])
         least = math.inf
-        for question in everyone:
+        for question in all_questions:
             course = question.course(whole)
             over = limits.excess(course.states, question.std(course))
             if over > 0.0:
@@ -299,14 +299,14 @@ def told_apart(
         return -least if math.isfinite(least) else 2.0 * FORBIDDEN
 
     def go_on(rows: Floats) -> None:
-        for question in everyone:
+        for question in all_questions:
             question.take(question.course(rows))
         taken.append(rows)
 
     taken: list[Floats] = []
     go_on(held(rest[None], REST, step))
     while (length := sum(map(len, taken)) * step) + BLOCK + REST <= max(seconds, SHORTEST) and (
-        length + REST < SHORTEST or min(chance(question.distance) for question in everyone) < SURE
+        length + REST < SHORTEST or min(chance(question.distance) for question in all_questions) < SURE
     ):
         rows = best_block(merit, limits.voltage, rest, BLOCK, step, rng)
         go_on(held(rest[None], BLOCK, step) if rows is None else rows)
@@ -333,7 +333,7 @@ def _questions(
     rest: Floats,
     channels: Sequence[int],
 ) -> tuple[dict[str, list[Question]], float]:
-    """For each rival whether the effect can be told from it, and it from the effect; and the step to integrate [s]."""
+    """For each rival both questions (effect or rival present), and the integration step [s]."""
     pairs = {rival: ((rig, effect, rival), (imitation(rig, effect, rival), rival, effect)) for rival in rivals}
     for step in _STEPS:
         questions = {
@@ -346,42 +346,42 @@ def _questions(
 
 
 def promised(rig: Rig, effect: str, rivals: Sequence[str], plan: Plan, channels: Sequence[int]) -> float:
-    """Chance that a plan's recording decides.
+    """Chance that a recording of a plan decides.
 
     Args:
         rig: with the effect as it was found.
         effect: its name.
         rivals: effects that explain the recordings as well.
         plan: the experiment.
-        channels: what is measured, indices of ``CHANNELS`` or gauges beside them.
+        channels: what is measured, indices of ``CHANNELS`` or of the further gauges.
     """
     given = (plan.limits, plan.joint, plan.lock_angle, plan.pressure, np.array(plan.rest))
     questions, step = _questions(rig, effect, rivals, *given, channels)
     times = np.arange(round(plan.duration / step)) * step
     rows = plan.voltage[np.minimum((times / plan.period + 1e-6).astype(np.int64), len(plan.voltage) - 1)]
-    everyone = [question for pair in questions.values() for question in pair]
-    for question in everyone:
+    all_questions = [question for pair in questions.values() for question in pair]
+    for question in all_questions:
         question.take(question.course(rows))
-    return min(chance(question.distance) for question in everyone)
+    return min(chance(question.distance) for question in all_questions)
 
 
 def instead_of(
     rig: Rig, effect: str, rivals: Sequence[str], verdict: Verdict, channels: Sequence[int]
 ) -> tuple[str, ...]:
-    """What else would tell: sensors that were not there, or the other condition of the joint, each tried by a design.
+    """Further sensors, or the other condition of the joint, that would decide; each is tried by a design.
 
     Args:
         rig: with the effect as it was found.
         effect: its name.
         rivals: effects that explain the recordings as well.
-        verdict: of the experiment that does not tell.
+        verdict: on the experiment that does not decide.
         channels: what is measured, indices of ``CHANNELS``.
     """
     plan, out = verdict.plan, []
     missing = [channel for channel in _SENSORS if channel not in channels]
     if plan.joint == "locked":
         missing = [channel for channel in missing if channel != ANGLE]
-    # First by the same voltages, which is quick; with a sensor more they tell no less than before.
+    # First with the same voltages, which is fast: a further sensor never reduces the information.
     by_sensor = {channel: promised(rig, effect, rivals, plan, (*channels, channel)) for channel in missing}
     if not any(value >= LIKELY for value in by_sensor.values()):
         given = (rig, effect, rivals, plan.limits, plan.duration, plan.joint, plan.lock_angle)

@@ -1,9 +1,9 @@
-"""The first air in a joint: is it wired as the rig file says? A short experiment at low pressure, and what it shows.
+"""The first filling of a joint with air: a short experiment at low pressure that checks the wiring.
 
 Both muscles hold a low pressure. Then valve 1 fills its muscle a little, and valve 2 its own. At the end both are
-vented. Which sensor rises with which valve, how far, and where the joint turns, tells the faults of a wiring from each
-other. How far a pressure should rise is the model's: of that only the two muscles are compared with each other, since a
-new rig file knows a valve to a quarter only.
+vented. Each fault of the wiring has its own signs: which sensor rises with which valve, how far, and which way the
+joint turns. The model says how far a pressure should rise. A new rig file knows a valve to a quarter only, so leaks are
+found by comparing both muscles, and the other thresholds are wide.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _LOW_SHARE, _HIGH_SHARE, _MOST_SHARE = 0.15, 0.32, 0.5
-"""Pressures of the experiment, and the limit, as shares of what the supply has beyond the atmosphere."""
+"""Low and high pressure of the experiment, and the limit, as shares of the supply's gauge pressure."""
 _LEAST_RISE = 30e3
-"""[Pa] A pressure that rises less does not show well with which valve it rises."""
+"""[Pa] A smaller rise does not show clearly which valve caused it."""
 _SETTLE_S, _HOLD_S, _VENT_S = 4.0, 2.5, 5.0
 _END_S = 0.4
-"""[s] At the end of a phase, whose mean counts."""
+"""[s] Means are taken over this time at the end of each phase."""
 _FOLLOWS = 0.3
 """A pressure follows a valve if it changes by this share of what the model says, or more."""
 _LOSES = 0.8
-"""A muscle that gets less than this share of what the other one gets, both over the model's, leaks."""
+"""A muscle leaks if its pressure, relative to the model's, is below this share of the other muscle's."""
 _WEAK = 0.6
-"""Both get less than this share of the model's: the supply is weak."""
+"""The supply is weak if both pressures are below this share of the model's."""
 _ZERO = 12e3
-"""[Pa] A vented muscle whose sensor shows more than this off the atmosphere has a wrong zero."""
+"""[Pa] A sensor that differs more from the atmosphere while its muscle is vented has a wrong zero."""
 _STILL = 2e3
-"""[Pa] A vented pressure that changes less than this in half a second has come to rest."""
+"""[Pa] A vented pressure that changes less than this in half a second is at rest."""
 _TURNS = 4.4e-3
-"""[rad] A quarter of a degree: a joint that turns less does not show a sign."""
+"""[rad] A quarter of a degree: a smaller turn does not show its direction."""
 _PLAUSIBLE = 40e3
-"""[Pa] Below this absolute pressure no muscle is vented to."""
+"""[Pa] No vented muscle has a lower absolute pressure."""
 _MISSING_SHARE = 0.1
 
 
@@ -52,7 +52,7 @@ class Fault:
     """Something that is not wired, or does not work, as the rig file says.
 
     Attributes:
-        name: for programs.
+        name: identifier for programs.
         sentence: what was seen, and what to check.
     """
 
@@ -61,11 +61,11 @@ class Fault:
 
 
 def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
-    """The experiment.
+    """Plan of the experiment.
 
     Args:
         rig: the joint.
-        highest: limit of the pressures [Pa], absolute, where that is lower than usual.
+        highest: upper limit of the pressures [Pa], absolute, if lower than the usual one.
 
     Raises:
         BadInput: a limit so low that no pressure could rise visibly.
@@ -87,19 +87,19 @@ def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
     ]  # fmt: skip
     rows = [np.tile(pair, (round(seconds / rig.sample_period), 1)) for seconds, pair in pairs]
     stop = np.pi / 2.0 if rig.joint.stop is None else rig.joint.stop
-    # At the stop nothing breaks at a pressure this low, and a vented joint falls there.
+    # A vented joint falls to its stop. At this low pressure nothing breaks there.
     limits = Limits((air, most), stop * 1.1, np.inf, (rig.valves.voltage_min, rig.valves.voltage_max))
     first, second = float(rest[0]), float(rest[1])
     return Plan(np.concatenate(rows), rig.sample_period, "free", 0.0, limits, low, (first, second))
 
 
 def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None = None) -> list[Fault]:
-    """What a recording of the experiment says is wrong; empty where nothing is.
+    """Faults that a recording of the experiment shows; empty if there are none.
 
     Args:
         rig: the joint.
-        pressure: measured ones (N, 2) [Pa], on the even grid of the rig's period from the experiment's begin on.
-        angle: measured one (N,) [rad], None where there is none.
+        pressure: measured (N, 2) [Pa], one row a sample period from the start of the experiment.
+        angle: measured (N,) [rad]; None if it was not measured.
         plan: the experiment; default: that of :func:`first_fill` without a limit.
     """
     if found := dead_sensors(pressure):
@@ -108,7 +108,7 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None =
     seen = _means(pressure, rig.sample_period, ends)
     course = _course(rig, plan or first_fill(rig))
     expected = _means(course[:, 1:], STEP, ends)
-    # Change of each sensor (columns) with each valve (rows), over what the model says of the valve's own muscle.
+    # Change of each sensor (columns) with each valve (rows), relative to the model's change in the valve's own muscle.
     rise = np.array([seen[1] - 0.5 * (seen[0] + seen[2]), seen[3] - 0.5 * (seen[2] + seen[4])])
     wanted = np.array([expected[1, 0] - expected[0, 0], expected[3, 1] - expected[2, 1]])
     follows = rise / wanted[:, None] > _FOLLOWS
@@ -132,7 +132,7 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None =
 
 
 def turns_visibly(rig: Rig, plan: Plan) -> bool:
-    """Whether the experiment turns the joint so far that the encoder's sign shows: not at the lowest pressures.
+    """Whether the experiment turns the joint far enough to show the encoder's sign; the lowest pressures do not.
 
     Args:
         rig: the joint.
@@ -147,7 +147,7 @@ def _ends() -> Floats:
 
 
 def _course(rig: Rig, plan: Plan) -> Floats:
-    """Angle [rad] and pressures [Pa] that the model says (M, 3), in its own steps."""
+    """Simulated angle [rad] and pressures [Pa] (M, 3), a row an integration step."""
     work = Information(rig, ())
     index = (np.arange(round(plan.duration / STEP)) * STEP / plan.period + 1e-6).astype(np.int64)
     course = work.along(work.start((plan.pressure, plan.pressure), np.array(plan.rest)), plan.voltage[index])
@@ -161,16 +161,16 @@ def _means(values: Floats, period: float, ends: Floats) -> Floats:
 
 
 def _turns(angle: Floats, period: float, ends: Floats) -> Floats:
-    """How far the joint turns while valve 1 fills, and while valve 2 does (2,) [rad]."""
+    """How far the joint turns while valve 1 fills its muscle, and while valve 2 does (2,) [rad]."""
     there = _means(angle[:, None], period, ends)[:, 0]
     return np.array([there[1] - there[0], there[3] - there[2]])
 
 
 def dead_sensors(pressure: Floats) -> list[Fault]:
-    """Pressure sensors that show nothing, nothing possible, or the same all the time; empty where there is none.
+    """Faults of pressure sensors whose values are missing, impossible or constant; empty if there are none.
 
     Args:
-        pressure: measured ones (N, 2) [Pa], also of an experiment that ended early.
+        pressure: measured (N, 2) [Pa], also of an experiment that ended early.
     """
     return [fault for i in (0, 1) for fault in _dead(i, pressure[:, i])]
 
@@ -225,7 +225,7 @@ def _unmoved(i: int, gauge: float, usual: float, seen: Floats) -> Fault:
 
 
 def _zeros(pressure: Floats, rig: Rig, ends: Floats) -> list[Fault]:
-    """Sensors that are off while both muscles are vented, and at rest by then."""
+    """Sensors with a wrong zero, judged once both muscles are vented and at rest."""
     vented, before = _means(pressure, rig.sample_period, np.array([ends[-1], ends[-1] - 0.5]))
     out = []
     for i in (0, 1):

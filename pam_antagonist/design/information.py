@@ -1,8 +1,8 @@
-"""What an experiment tells of a model's parameters: Fisher information along a simulated course.
+"""Information that an experiment gives about a model's parameters: Fisher information along a simulated course.
 
-The model and its neighbours, one for each parameter that is moved a little, run side by side from block to block. Their
-differences are the derivatives of what the sensors show. With means over blocks of samples and the sensors' noise they
-make the information matrix ``J' R⁻¹ J`` of the parameters, to which a prior adds 1 in units of its standard deviation.
+The model and its neighbours are simulated side by side. A neighbour is the model with one parameter moved a little. The
+differences are derivatives of the sensors' readings. Their means over blocks of samples and the sensors' noise give the
+information matrix ``J' R⁻¹ J`` of the parameters. A prior adds 1 to it, in units of the prior's standard deviation.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 GAUGE_1, GAUGE_2, TANK = range(len(CHANNELS), len(CHANNELS) + 3)
-"""Channels of sensors that no recording has: a gauge without error at each muscle, and one at the supply's tank."""
+"""Further channels that no recording has: a gauge without error at each muscle, and one at the supply's tank."""
 
 STEP = 2e-3
-"""[s] Of the integration. Derivatives need no finer one."""
+"""[s] Integration step. Derivatives need no finer one."""
 _SHARE = 1e-3
-"""Of a standard deviation: how far a neighbour lies from the model."""
+"""Distance of a neighbour from the model, as a share of the parameter's standard deviation."""
 
 
 @dataclass(frozen=True)
 class Departure(Direction):
-    """A direction towards a model that has further numbers.
+    """A direction towards a model with further parameters.
 
     Attributes:
-        fixed: numbers that its neighbour has beside the changes, by dotted path: the shapes of an effect.
-        share: of an amount of 1: how far the neighbour lies from the model.
+        fixed: parameters that only the neighbour has, by dotted path: the shapes of an effect.
+        share: distance of the neighbour from the model, as a share of the direction.
     """
 
     fixed: Mapping[str, float] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Departure(Direction):
 
 
 def block_noise(rig: Rig) -> Floats:
-    """Standard deviations of the channels' block means by the rig's sensors (7,): ``CHANNELS`` and the gauges beside.
+    """Standard deviations of the channels' block means by the rig's sensors (7,): ``CHANNELS``, then the gauges.
 
     Args:
         rig: with its sensors.
@@ -84,15 +84,15 @@ class Course:
 
 
 class Information:
-    """A model with its neighbours, and what their differences tell.
+    """A model with its neighbours, and the information in their differences.
 
     Args:
         rig: the model.
         directions: what is moved, one standard deviation each (K).
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
-        central: whether neighbours lie on both sides: twice the work, and errors that cancel.
-        channels: what is measured, indices of ``CHANNELS`` or gauges beside them; default: all that shows.
+        central: whether neighbours lie on both sides: twice the work, smaller errors.
+        channels: what is measured, indices of ``CHANNELS`` or of the gauges; default: all of a recording.
         step: of the integration [s].
     """
 
@@ -125,7 +125,7 @@ class Information:
                 self.vectors.append(par.changed(base, {**fixed, **moved}))
 
     def start(self, pressure: tuple[float, float], voltage: Floats) -> tuple[Floats, ...]:
-        """States of a joint that has stood for long, of the model and of each neighbour.
+        """States of the model and of each neighbour after a long rest.
 
         Args:
             pressure: of both muscles [Pa].
@@ -158,7 +158,7 @@ class Information:
         )
 
     def _gauges(self, states: Floats, p: Floats) -> list[Floats]:
-        """Pressures in both muscles and in the tank, each (N,) [Pa], along states; none where none is asked for."""
+        """Pressures in both muscles and in the tank, each (N,) [Pa], along states; none if no gauge is measured."""
         if max(self.channels) < GAUGE_1:
             return []
         chambers = [states[:, int(p[par.SLOT_OF[f"chamber_{i}"]]) or 1 + i] for i in (1, 2)]
@@ -179,7 +179,7 @@ class Information:
         """Information of a piece about the first directions (count, count), in units of their standard deviations.
 
         Args:
-            course: the piece; whole blocks of it count.
+            course: the piece; only its whole blocks count.
             count: how many directions; default: all.
         """
         size = max(1, round(BLOCK_S / self.dt))
@@ -195,7 +195,7 @@ def _share(direction: Direction) -> float:
 
 
 def predicted_std(course: Course, spread: Floats) -> Floats:
-    """Standard deviations of angle, rate and pressures along a course (N, 4), by what is uncertain.
+    """Standard deviations of angle, rate and pressures along a course (N, 4) by the uncertain directions.
 
     Args:
         course: the piece.

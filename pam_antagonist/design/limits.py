@@ -1,4 +1,4 @@
-"""What an experiment must not leave: pressures, angle and its rate, with margins for what the rig file leaves open."""
+"""Limits of an experiment: pressures, angle and its rate, with margins for what the rig file leaves uncertain."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 MARGIN = 3.0
 """Standard deviations of a prediction that a plan keeps from a limit."""
 _LOWEST_SHARE, _HIGHEST_SHARE = 0.15, 0.97
-"""Pressures that are the limits by default, as shares of what the supply has beyond the atmosphere."""
+"""Default limits of the pressures, as shares of the supply's gauge pressure."""
 _STOP_SHARE = 0.9
 _ANGLE_WITHOUT_STOP = math.radians(20.0)
 _RATE = 10.0
@@ -48,7 +48,7 @@ class Limits:
         angle: float | None = None,
         rate: float | None = None,
     ) -> Limits:
-        """Those that were given, and for the rest what a rig file suggests.
+        """The limits that are given; the others get defaults from the rig file.
 
         Args:
             rig: the joint.
@@ -80,7 +80,7 @@ class Limits:
         return cls(pressure, angle, rate, (rig.valves.voltage_min, rig.valves.voltage_max))
 
     def excess(self, states: Floats, std: Floats | None = None) -> float:
-        """By how much a course leaves the limits, the worst of its samples, as a share of their width; 0 within them.
+        """The largest excess of a course over the limits, as a share of their width; 0 within them.
 
         Args:
             states: (N, n), the first columns angle [rad], rate [rad/s] and pressures [Pa].
@@ -97,13 +97,13 @@ class Limits:
         return max(0.0, float(np.max(np.nan_to_num(np.array(over), nan=np.inf))))
 
     def broken(self, pressures: Floats, angle: float) -> str:
-        """What of a measurement is beyond the limits, in words; empty where nothing is.
+        """The limit that a measurement breaks, in words; empty if there is none.
 
-        A pressure below the least one is not: a joint that is vented, or not filled yet, is safe.
+        A pressure below its lower limit is allowed: a joint that is vented, or not filled yet, is safe.
 
         Args:
-            pressures: measured ones (2,) [Pa].
-            angle: measured one [rad], NaN where there is none.
+            pressures: measured (2,) [Pa].
+            angle: measured [rad], NaN if missing.
         """
         for i, pressure in enumerate(pressures, 1):
             if pressure > self.pressure[1]:
@@ -115,11 +115,11 @@ class Limits:
 
 
 def uncertain_directions(rig: Rig) -> tuple[Direction, ...]:
-    """What the rig file leaves open, as independent changes of one standard deviation each.
+    """What the rig file leaves uncertain, as independent changes of one standard deviation each.
 
-    These are the directions and uncertainties that the estimator considers. Parameters that a fit would free and that
-    neither names have their prior. A force map counts by what is declared of it as a whole: priors of its single
-    coefficients say nothing of the force, since these nearly cancel.
+    These are the directions and uncertainties that the estimator considers. Where the rig file has no directions, the
+    other parameters that a fit would free add their priors. Of a force map with a declared uncertainty only that
+    counts: its coefficients nearly cancel in the force, so their priors would say nothing about it.
 
     Args:
         rig: the rig file.
@@ -137,14 +137,15 @@ def uncertain_directions(rig: Rig) -> tuple[Direction, ...]:
 
 
 def uncertainty_of(rig: Rig, sought: Sequence[Direction]) -> tuple[tuple[Direction, ...], Floats]:
-    """The same in terms of directions that are simulated anyhow.
+    """:func:`uncertain_directions` in terms of directions that are simulated anyway.
 
     Args:
         rig: the rig file.
         sought: directions, each a single parameter (S).
 
     Returns:
-        What has to be simulated beside these (K - S), and the ways in which the amounts of all may be off (K, U).
+        Further directions that have to be simulated (K - S), and independent changes of all amounts by one standard
+        deviation each (K, U).
     """
     place = {next(iter(direction.changes)): k for k, direction in enumerate(sought)}
     ways: list[dict[int, float]] = []

@@ -3,8 +3,8 @@
 The model is linearised at rest in the middle of its pressures, without Coulomb friction, which only holds the joint.
 The input is half the difference of both voltages, the output the angle of the free joint or the torque of the locked
 one. Of all gains whose Nyquist curve keeps the distance :data:`DISTANCE` from −1, those with the largest integral gain
-are taken (Åström and Hägglund 2006): that distance bounds the peak of the sensitivity, and the integral gain is what
-removes a disturbance such as friction.
+are taken (Åström and Hägglund 2006): the distance bounds the peak of the sensitivity, and the integral gain removes a
+disturbance such as friction.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 DISTANCE = 0.6
-"""Of the Nyquist curve from −1: a gain margin of 2.5 and a phase margin of 35 degrees at least."""
+"""Least distance of the Nyquist curve from −1: a gain margin of 2.5 and a phase margin of 35 degrees at least."""
 _FASTEST = 2.0
-"""[Hz] Largest bandwidth: beyond, the valves' own dynamics and the noise of the estimate count, which are left out."""
+"""[Hz] Largest bandwidth: above it the valves' dynamics and the estimate's noise matter, which the model leaves out."""
 _DELAY_SAMPLES = 1.5
-"""Samples from a pressure to the voltage that answers it, half of the hold included."""
+"""Delay from a pressure to the voltage that answers it, in samples, with half of the hold."""
 _MOVES = np.array([1e-4, 1e-3, 100.0, 100.0])
-"""By which the state is moved to linearise [rad, rad/s, Pa, Pa]."""
+"""Steps of the state for the linearisation [rad, rad/s, Pa, Pa]."""
 _VOLTS = 1e-2
 _DRY = (
     *(f"friction.{name}" for name in ("shaft", "muscle", "lever_force", "static", "kinetic")),
     *(f"effects.friction.{name}" for name in ("coulomb", "stribeck")),
 )
-"""Friction that holds a joint at rest, whichever model it has: a slope there would be that of a wall."""
+"""Friction that holds a joint at rest, of all models. It is set to 0: its slope at rest is almost infinite."""
 _MOST_GAIN = 1e3
 _MOST_CORNER = 10.0
 """[rad/s] Largest ratio of integral to proportional gain."""
@@ -42,7 +42,7 @@ _MOST_CORNER = 10.0
 
 @dataclass(frozen=True)
 class LoopGains:
-    """Gains of one mode, and what the loop is worth by the linearised model.
+    """Gains of one mode, and bandwidth and margins of the linearised loop.
 
     Attributes:
         proportional: [V/rad] or [V/(N m)].
@@ -95,7 +95,7 @@ def _largest_gain(loop: NDArray[np.complex128], omega: Floats) -> float:
 
 
 def _linear(rig: Rig, mode: str) -> tuple[Floats, Floats, Floats]:
-    """Matrices A (n, n), b (n,) and c (n,) of the model at rest, n of its own states and those of effects."""
+    """Matrices A (n, n), b (n,) and c (n,) at rest, for the n states of the model and of its effects."""
     plain = rig.parameters("locked" if mode == "torque" else "free", 0.0)
     p = par.changed(plain, dict.fromkeys(_DRY, 0.0))
     pressure = 0.5 * (rig.atmosphere.pressure + rig.supply.pressure)

@@ -1,12 +1,12 @@
 """A D-optimal excitation: block by block, the voltages that add most to the determinant of the information.
 
-An experiment is a row of blocks. In each, both valves switch between two pairs of voltages at some pace: one step, or a
-quick to and fro. The pairs and the pace are chosen by differential evolution (scipy) so that
+An experiment is a sequence of blocks. In a block, the valves alternate between two pairs of voltages, slowly (one step)
+or quickly. The pairs and the pace are chosen by differential evolution (scipy) so that
 
     log det(I + M_before + M_block)
 
 is largest, with the information M in units of the priors. A block is allowed only if the joint stays within the limits
-in it, and in the rest that may follow it.
+during the block and during the rest that may follow.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 BLOCK = 2.0
-"""[s] Length of a block, about."""
+"""[s] Approximate length of a block."""
 REST = 1.5
 """[s] At rest before the first block and after the last one."""
 SHORTEST = 6.0
-"""[s] Of an experiment."""
+"""[s] Shortest experiment."""
 _PACES = (1, 2, 3, 5, 8, 14)
-"""How many times a block holds one of its pairs."""
+"""How many pairs of voltages a block holds one after the other."""
 TAIL = 0.4
-"""[s] After a block the resting voltages follow in the check: by then a joint has swung out."""
+"""[s] Rest after a block in the check of the limits: long enough for the joint to swing out."""
 STEP = 4e-3
-"""[s] Of the integration while designing; the errors that a plan promises are worked out in finer steps."""
+"""[s] Integration step of the design; the expected errors of a plan are computed with finer steps."""
 _POPULATION, _GENERATIONS = 16, 3
 FORBIDDEN = 1e6
-"""Merit of a block that leaves the limits, at least; the farther, the worse."""
+"""Least merit of a block that leaves the limits; it grows with the excess."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,9 @@ class Plan:
         period: [s].
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
-        limits: that it keeps.
+        limits: limits that it keeps.
         pressure: of both muscles at rest, where it begins and ends [Pa].
-        rest: voltages of both valves for that [V].
+        rest: voltages of both valves that hold this pressure [V].
     """
 
     voltage: Floats
@@ -115,7 +115,7 @@ def best_block(
 
     first = qmc.Sobol(5, rng=rng).random(_POPULATION)
     first[:, 1:] = low + (high - low) * first[:, 1:]
-    # To stay at rest is always allowed.
+    # Staying at rest is always allowed.
     first[0] = [0.0, *rest, *rest]
     found = differential_evolution(
         lambda choice: merit(block(choice)), [(0.0, 1.0), *[(low, high)] * 4], init=first, maxiter=_GENERATIONS,
@@ -136,7 +136,7 @@ class Design:
 
     Attributes:
         pressure: of both muscles at rest [Pa].
-        rest: voltages of both valves for that [V].
+        rest: voltages of both valves that hold this pressure [V].
         step: time between two rows of voltages [s].
 
     Raises:
@@ -154,7 +154,7 @@ class Design:
         self._rig, self._limits = rig, limits
         sought = unknowns(rig)
         self._count = len(sought)
-        further, self._open = uncertainty_of(rig, sought)
+        further, self._spread = uncertainty_of(rig, sought)
         self._work = Information(rig, (*sought, *further), joint, lock_angle, step=STEP)
         self._rng = np.random.default_rng(seed)
         self.pressure = 0.5 * (limits.pressure[0] + limits.pressure[1])
@@ -164,17 +164,17 @@ class Design:
         self._states = self._work.start((self.pressure, self.pressure), self._rest)
         self._information = np.eye(self._count)
         tail = self._work.along(self._states, held(self._rest[None], TAIL, self.step))
-        if limits.excess(tail.states, predicted_std(tail, self._open)) > 0.0:
+        if limits.excess(tail.states, predicted_std(tail, self._spread)) > 0.0:
             raise BadInput(
                 "the joint may leave the limits at rest already, by what the rig file leaves open: expected wider "
                 "limits, or a rig file that is known better (identify)"
             )
 
     def _merit(self, rows: Floats) -> float:
-        """What a block adds, negative, so that less is better; far above 0 where it leaves the limits."""
+        """Negative gain of a block, so that less is better; far above 0 if the block leaves the limits."""
         tail = held(self._rest[None], TAIL, self.step)
         course = self._work.along(self._states, np.concatenate([rows, tail]))
-        over = self._limits.excess(course.states, predicted_std(course, self._open))
+        over = self._limits.excess(course.states, predicted_std(course, self._spread))
         if over > 0.0:
             return FORBIDDEN * (1.0 + over)
         inside = self._work.matrix(replace(course, slopes=course.slopes[: len(rows)]), self._count)
@@ -233,16 +233,16 @@ def designed(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Plan:
-    """An excitation of a given length: a rest, blocks that tell most, and a rest.
+    """An excitation of a given length: a rest, blocks with most information, and a rest.
 
     Args:
         rig: what is known of the joint.
-        limits: that it keeps.
+        limits: limits that it keeps.
         seconds: length [s].
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
         seed: of the search.
-        progress: takes how many seconds more are designed.
+        progress: is called with the number of further seconds that are designed.
 
     Raises:
         BadInput: too short, or a joint that may leave the limits even at rest.
