@@ -1,4 +1,4 @@
-"""Force map and friction from the joint's balance of torques at measured pressures: no simulation is needed for them.
+"""Force map and friction from the joint's balance of torques at measured pressures, without a simulation.
 
 The steady-state characteristics depend on neither orifice areas nor polytropic indices (Proposition 1), so they can be
 identified first, with the measured pressures in place of those that the model would predict.
@@ -23,20 +23,20 @@ Floats = NDArray[np.float64]
 
 _LARGEST_POINTS = 4000
 _SLIDES = 0.03
-"""[rad/s] A joint whose angle moves at least as fast slides."""
+"""[rad/s] A joint that moves faster than this slides."""
 _FEWEST = 25
 
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """Points at which a torque is known, and what the model says of it.
+    """Points at which a torque is known, with the torque of the model.
 
     Attributes:
         time: of each point in its recording (K,) [s].
         trial: which recording it is from (K,).
         wanted: torque from the measurement (K,) [N m].
-        before: torque by the model with the values that the fit began with (K,) [N m].
-        after: with the fitted ones (K,) [N m].
+        before: torque of the model with the values at the fit's start (K,) [N m].
+        after: torque of the model with the fitted values (K,) [N m].
     """
 
     time: Floats
@@ -91,7 +91,7 @@ def fit_force_map(
 
 
 def _deviations(model, points: _Points, p: Floats, ways: Sequence[Variation]) -> Floats:  # type: ignore[no-untyped-def]
-    """What a deviation of one trial by the usual spread does to the torques, one column a trial and way (K, D)."""
+    """Change of the torques if one trial deviates by the usual spread, one column a trial and way (K, D)."""
     out = []
     trials = np.unique(points.trial)
     for way in ways if len(trials) > 1 else ():
@@ -104,7 +104,7 @@ def _deviations(model, points: _Points, p: Floats, ways: Sequence[Variation]) ->
 def fit_friction(
     trials: Sequence[Trial], p: Floats, free: Sequence[FreeParameter], torque_std: float
 ) -> tuple[dict[str, float], Balance] | None:
-    """Friction from what the balance of a sliding joint leaves: τ − k_s ψ − J ψ̈ = T_f, equation (8).
+    """Friction, the remainder of a sliding joint's balance of torques: τ − k_s ψ − J ψ̈ = T_f, equation (8).
 
     The torque of the muscles is the model's, at the measured pressures and angle.
 
@@ -137,7 +137,7 @@ def fit_friction(
 
 
 def _gather(trials, p, torque) -> _Points | None:  # type: ignore[no-untyped-def]
-    """Block means of all recordings, thinned to as many as are needed."""
+    """Block means of all recordings, thinned where there are more than needed."""
     parts = []
     for index, trial in enumerate(trials):
         if trial is None or (torque is not None and not trial.has(TORQUE)):
@@ -148,16 +148,16 @@ def _gather(trials, p, torque) -> _Points | None:  # type: ignore[no-untyped-def
         step = trial.block_s
         angle = means[:, ANGLE] if trial.joint == "free" else np.full(len(means), trial.lock_angle)
         velocity = np.gradient(angle, step)
-        bending = np.gradient(velocity, step)
+        acceleration = np.gradient(velocity, step)
         if trial.joint == "locked":
-            velocity, bending = np.zeros(len(means)), np.zeros(len(means))
+            velocity, acceleration = np.zeros(len(means)), np.zeros(len(means))
         states = np.column_stack([angle, velocity, sensor.pressures_behind(means[:, PRESSURE_1 : PRESSURE_2 + 1], p)])
         wanted = np.zeros(len(means)) if torque is None else torque(states, means)
         external = trial.blocks(trial.given[:, 2:])[:, 0]
         time = (np.arange(len(means)) + 0.5) * step
-        good = np.isfinite(states).all(axis=1) & np.isfinite(wanted) & np.isfinite(bending)
+        good = np.isfinite(states).all(axis=1) & np.isfinite(wanted) & np.isfinite(acceleration)
         parts.append(
-            (time[good], np.full(good.sum(), index), states[good], wanted[good], bending[good], external[good])
+            (time[good], np.full(good.sum(), index), states[good], wanted[good], acceleration[good], external[good])
         )
     if not parts or sum(len(part[0]) for part in parts) < _FEWEST:
         return None
@@ -167,7 +167,7 @@ def _gather(trials, p, torque) -> _Points | None:  # type: ignore[no-untyped-def
 
 
 def _solve(model, points: _Points, p: Floats, free: Sequence[FreeParameter], least: float, deviations: Floats):  # type: ignore[no-untyped-def]
-    """MAP of some parameters on a balance of torques; the residual's size is estimated with them."""
+    """MAP estimate of some parameters from a balance of torques; the residual's size is estimated with them."""
     names = [item.name for item in free]
     count, own = len(free), deviations.shape[1]
     start = np.array([p[par.INDEX[name]] for name in names])

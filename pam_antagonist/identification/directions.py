@@ -1,4 +1,4 @@
-"""What a fit does not know of the parameters, as the few directions that a filter considers (Schmidt-Kalman)."""
+"""The uncertainty of fitted parameters as the few directions that a filter considers (Schmidt-Kalman)."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 SETTLE_S = 1.0
-"""[s] after the start of the filter that are not judged: its first covariance is a guess."""
+"""[s] Time after the start of the filter that is not judged: its first covariance is a guess."""
 _PART_S = 20.0
 _APART_S = 0.01
-"""[s] between the estimates that count."""
+"""[s] Time between the estimates that are used."""
 _MOST_CONSIDERED = 10
-"""Directions, with the single parameters that were declared uncertain and not fitted: each is two sigma points more."""
+"""Most directions, with the parameters that are declared uncertain and not fitted: each adds two sigma points."""
 _EXPLAINED = 0.99
 _LEAST_SHARE = 1e-12
-"""Of the largest variance that a combination of parameters has: what is smaller is rounding."""
+"""Share of the largest variance of a combination of parameters: smaller variances are rounding errors."""
 _GRID = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
-"""Of what the supply has beyond the atmosphere: pressures at which the joint may come to rest."""
+"""Pressures at which the joint may come to rest, as shares of the supply's gauge pressure."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class ConsideredDirection(Direction):
     Attributes:
         angle: RMS effect on the estimated angle [rad].
         torque: RMS effect on the estimated torque [N m].
-        share: of the whole effect.
+        share: its share of the effect of all directions.
     """
 
     angle: float
@@ -67,19 +67,19 @@ def run_filter(rig: Rig, trial: Trial) -> EstimateRun:
 
 
 def short_part(trial: Trial) -> Trial:
-    """As much of a recording as is used to look for Q and for directions."""
+    """The part of a recording from which Q and the directions are found."""
     return trial.part(0.0, min(_PART_S, len(trial) * trial.dt))
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """How the estimate moves with the parameters, near one set of them.
+    """Derivatives of the estimate by the parameters, near one set of them.
 
     Attributes:
         free: the parameters (F).
         steps: combinations of them as columns (F, F), in units of the priors.
-        moves: for each trial, what a step of each does to angle [rad] and torque [N m] of some estimates (K, 2, F).
-        rests: likewise to angles of rest [rad] at other pressures (R, F).
+        moves: for each trial, change of estimated angle [rad] and torque [N m] by each step (K, 2, F).
+        rests: change of the angles of rest [rad] at other pressures by each step (R, F).
     """
 
     free: tuple[FreeParameter, ...]
@@ -91,17 +91,17 @@ class Sensitivity:
     def of(
         cls, rig: Rig, trials: Sequence[Trial], free: Sequence[FreeParameter], covariance: Floats, jobs: int
     ) -> Sensitivity:
-        """The estimate is run anew with each eigenvector of the parameters' covariance added.
+        """Run the estimator again with each eigenvector of the parameters' covariance added.
 
         Args:
             rig: with the fitted values and noise.
-            trials: recordings; parts of them will do.
+            trials: recordings, or parts of them.
             free: the parameters that were fitted.
-            covariance: theirs (F, F), in units of the priors.
+            covariance: of these (F, F), in units of the priors.
             jobs: threads.
         """
         values, vectors = np.linalg.eigh(covariance)
-        # No direction without a step: another covariance may have more in it.
+        # Every direction gets a step, however certain: it may be less certain in another covariance.
         roots = vectors * np.sqrt(np.maximum(values, _LEAST_SHARE * values[-1]))
         plain = _not_considering(rig)
         low, high = rig.value("atmosphere.pressure"), rig.value("supply.pressure")
@@ -114,16 +114,16 @@ class Sensitivity:
             rest = np.array([equilibrium.rest_angle(first, second, p) for first in grid for second in grid])
             return [_angle_and_torque(some_estimates(now, trial)) for trial in trials], rest
 
-        # A tenth of a standard deviation: far enough for the slope, near enough to stay with it.
+        # A tenth of a standard deviation: large enough for a derivative, small enough to stay linear.
         near = 0.1
         steps = [np.zeros(len(free)), *(near * roots.T)]
-        (before, stands), *others = Parallel(n_jobs=jobs, prefer="threads")(delayed(moved_by)(step) for step in steps)
+        (before, at_rest), *others = Parallel(n_jobs=jobs, prefer="threads")(delayed(moved_by)(step) for step in steps)
         moves = [np.stack([(other[k] - part) / near for other, _ in others], axis=2) for k, part in enumerate(before)]
-        rests = np.stack([(rest - stands) / near for _, rest in others], axis=1)
+        rests = np.stack([(rest - at_rest) / near for _, rest in others], axis=1)
         return cls(tuple(free), roots, tuple(moves), rests)
 
     def of_trial(self, index: int) -> Sensitivity:
-        """The same of one trial alone."""
+        """The derivatives of one trial alone."""
         return Sensitivity(self.free, self.steps, (self.moves[index],), self.rests)
 
 
@@ -132,7 +132,7 @@ def _not_considering(rig: Rig) -> Rig:
 
 
 def some_estimates(rig: Rig, trial: Trial) -> np.ndarray:
-    """Estimates of a trial, so far apart that they count: records of ``ESTIMATE_DTYPE``."""
+    """Estimates of a trial, as far apart as they are used: records of ``ESTIMATE_DTYPE``."""
     return run_filter(rig, trial).rows[trial.samples(SETTLE_S) :: trial.samples(_APART_S)]
 
 
@@ -143,18 +143,17 @@ def _angle_and_torque(rows: np.ndarray) -> Floats:
 def considered_directions(
     rig: Rig, trials: Sequence[Trial], known: Sensitivity, covariance: Floats
 ) -> tuple[ConsideredDirection, ...]:
-    """The combinations of parameters whose uncertainty moves the estimate most, beside what the filter does not know.
+    """The independent combinations of parameters whose uncertainty moves the estimate most, by their effect.
 
-    A singular value decomposition of what the parameters' uncertainty does to angle and torque, in standard deviations
-    of the estimate at that moment, gives independent combinations in the order of their effect. What they do to the
-    angle of rest at other pressures counts as much: a joint goes on to where it never was, and there other combinations
-    matter.
+    A singular value decomposition finds them. It takes the effect of the parameters' uncertainty on angle and torque,
+    in standard deviations of the estimate at that moment. The effect on the angle of rest at other pressures counts as
+    much: a joint will get to pressures that were not recorded, and other combinations matter there.
 
     Args:
         rig: with the fitted values and noise.
-        trials: recordings; parts of them will do.
-        known: how the estimate of these trials moves with the parameters. Values and noise of ``rig`` may be others, as
-            near as fits of the same recordings are.
+        trials: recordings, or parts of them.
+        known: derivatives of the estimate of these trials. They may belong to other values and another noise than
+            those of ``rig``, if these come from fits of the same recordings.
         covariance: of the parameters (F, F), in units of the priors.
     """
     values, vectors = np.linalg.eigh(covariance)
@@ -184,9 +183,9 @@ def considered_directions(
 
 
 def _relative(effect: Floats, variance: Floats) -> Floats:
-    """Effects (K, F) in standard deviations of what they make together with a variance (K,) beside them.
+    """Effects (K, F) over their total standard deviation, to which a further variance (K,) belongs.
 
-    The whole counts as one, however many rows it has.
+    The result has the norm 1, however many rows it has.
     """
     total = np.sqrt(variance + np.sum(effect**2, axis=1))
     known = np.isfinite(total) & (total > 0.0)

@@ -1,6 +1,6 @@
 """A regulator-driven joint from many short episodes: mechanics from measured pressures, regulators from commands.
 
-The measured pressures drive the mechanics, as everywhere where there are episodes
+The measured pressures drive the mechanics, as always with episodes
 (:mod:`pam_antagonist.inference.pressure_driven`). Where commands were recorded, the regulators are found from commands
 to measured pressures (:mod:`pam_antagonist.identification.regulators`). Whole episodes are held out.
 """
@@ -25,7 +25,7 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import unphysical
 
 _USED = 600
-"""Episodes in a fit: more tell hardly more and take longer."""
+"""Most episodes in a fit: more add little information and take longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class EpisodesIdentified:
     Attributes:
         start: the rig as given.
         rig: with the identified values.
-        values: what of them was fitted, with 95 % intervals by episode, by dotted path.
+        values: fitted values with 95 % intervals by episode, by dotted path.
         errors: RMSE [deg] on later and on interleaved episodes, of the rig as configured and as identified.
         regulators: of both muscles; None where no command was recorded.
         counts: episodes fitted, later and interleaved.
@@ -57,11 +57,11 @@ def identify(
 
     Args:
         joint: the episodes.
-        share: of them that is held out at the end; so is every fifth of the others.
+        share: of the episodes that is held out at the end; every fifth of the others is held out too.
         progress: is called with what is being done.
 
     Raises:
-        BadInput: a joint that does not move, or from which something comes that cannot be.
+        BadInput: a joint that does not move, or identified values that are physically impossible.
     """
     if not np.nanmax(joint.angle) > np.nanmin(joint.angle):
         raise BadInput(f"{joint.name}: the angle never changes; expected a joint that moves")

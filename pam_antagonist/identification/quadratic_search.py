@@ -1,9 +1,9 @@
-"""The minimum of a smooth function of one or two coordinates that takes seconds to work out.
+"""Minimum of a smooth function of one or two coordinates whose evaluation takes seconds.
 
-A quadratic is put through the values near the best one. Its minimum within a trust region is tried next, and the region
-shrinks where the quadratic promised too much. A simplex search (Nelder and Mead 1965) takes two to four times as many
-values to the same place. The method is that of UOBYQA (Powell 2002), for so few coordinates that the minimum of the
-quadratic is looked up on a grid.
+A quadratic is fitted to the values near the best one. Its minimum within a trust region is tried next. The region
+shrinks where the quadratic predicts too large a gain. The method is that of UOBYQA (Powell 2002). With so few
+coordinates the minimum of the quadratic is found on a grid. A simplex search (Nelder and Mead 1965) needs two to four
+times as many evaluations.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _GRID = np.linspace(-1.0, 1.0, 41)
-_KEPT, _BROKEN = 0.7, 0.25
-"""Shares of what was promised: above the first the region may grow, below the second it shrinks."""
+_GROWS_ABOVE, _SHRINKS_BELOW = 0.7, 0.25
+"""Shares of the predicted gain: above the first the region may grow, below the second it shrinks."""
 _LEAST = 0.5
 """Radius of the region, in first steps, at which a search may end."""
 
@@ -29,8 +29,8 @@ class Found(NamedTuple):
 
     Attributes:
         x: coordinates of the least value (n,).
-        value: there.
-        evaluations: how many values were worked out, that of the start included.
+        value: the least value.
+        evaluations: how often the function was evaluated, at the start included.
     """
 
     x: Floats
@@ -53,8 +53,8 @@ def minimum(
         start: first coordinates (n,), within the bounds.
         steps: first step along each coordinate (n,), signed.
         bounds: least and largest value of each coordinate.
-        enough: the search ends where the quadratic promises less than this.
-        most: values that may be worked out, once the first quadratic has those that it needs.
+        enough: the search ends where the predicted gain is less than this.
+        most: evaluations at most; the first quadratic always gets those that it needs.
     """
     search = _Search(function, np.asarray(steps, dtype=np.float64), bounds)
     search.begin(np.asarray(start, dtype=np.float64))
@@ -65,11 +65,11 @@ def minimum(
 
 
 class _Search:
-    """Values so far, and the region about the best of them.
+    """Values so far, and the trust region about the best of them.
 
     Attributes:
-        points: coordinates at which the function was worked out.
-        values: there.
+        points: coordinates at which the function was evaluated.
+        values: values at these points.
     """
 
     def __init__(
@@ -80,14 +80,14 @@ class _Search:
         self._function, self._steps = function, steps
         self._low, self._high = np.transpose(bounds)
         self._radius = 1.0
-        self._left = -1
+        self._last_retry = -1
 
     @property
     def _reach(self) -> Floats:
         return self._radius * np.abs(self._steps)
 
     def _value(self, x: Floats) -> float:
-        """The function's value at the nearest point within the bounds, worked out once."""
+        """The function's value at the nearest point within the bounds, evaluated once."""
         inside = np.clip(x, self._low, self._high)
         for known, value in zip(self.points, self.values, strict=True):
             if np.allclose(known, inside, rtol=0.0, atol=1e-9):
@@ -97,7 +97,7 @@ class _Search:
         return self.values[-1]
 
     def begin(self, start: Floats) -> None:
-        """Work out what the first quadratic needs: two more values along each coordinate, and one across."""
+        """Evaluate what the first quadratic needs: two more values along each coordinate, and one across."""
         at_start, corner = self._value(start), start.copy()
         for step in np.diag(self._steps):
             better = self._value(start + step) < at_start
@@ -108,41 +108,41 @@ class _Search:
         self._value(corner)
 
     def goes_on(self, enough: float) -> bool:
-        """Try what the quadratic promises; False where it promises less than enough, near the best value and far."""
+        """Evaluate the quadratic's minimum; False if its gain is too small in a small region and in a large one."""
         best = int(np.argmin(self.values))
-        trial, gain = self._promise(best)
+        trial, gain = self._predicted_minimum(best)
         if gain < enough:
-            # A quadratic through values further off may overlook what is near, and a gentle slope adds up.
+            # A quadratic through distant values may miss a near minimum, and a gentle slope adds up far away.
             if self._radius > _LEAST:
                 self._radius *= 0.5
                 return True
             if self._looks_around(self.points[best]):
                 return True
             self._radius = 1.0
-            trial, gain = self._promise(best)
-            if gain < enough or best == self._left:
+            trial, gain = self._predicted_minimum(best)
+            if gain < enough or best == self._last_retry:
                 return False
-            self._left = best
+            self._last_retry = best
         before, count = self.values[best], len(self.values)
         step = np.max(np.abs(trial - self.points[best]) / self._reach)
         share = (before - self._value(trial)) / gain
-        if share > _KEPT and step > 0.9:
+        if share > _GROWS_ABOVE and step > 0.9:
             self._radius *= 2.0
-        elif share < _BROKEN or len(self.values) == count:
+        elif share < _SHRINKS_BELOW or len(self.values) == count:
             self._radius *= 0.5
         return True
 
-    def _promise(self, best: int) -> tuple[Floats, float]:
-        """The quadratic's minimum in the region (n,), and how much less it promises there than the best value."""
+    def _predicted_minimum(self, best: int) -> tuple[Floats, float]:
+        """The quadratic's minimum in the region (n,), and the gain over the best value that it predicts there."""
         x = self.points[best][:, None]
         box = np.clip(x + self._reach[:, None] * _GRID, self._low[:, None], self._high[:, None])
         trials = np.array(list(itertools.product(*box)))
-        promised = _terms((trials - x[:, 0]) / self._reach) @ self._quadratic(best)
-        place = int(np.argmin(promised))
-        return trials[place], -float(promised[place])
+        predicted = _terms((trials - x[:, 0]) / self._reach) @ self._quadratic(best)
+        place = int(np.argmin(predicted))
+        return trials[place], -float(predicted[place])
 
     def _looks_around(self, x: Floats) -> bool:
-        """Work out a value along each coordinate that has none about the radius; whether there was one to work out."""
+        """Evaluate along each coordinate without a value at about the radius; whether there was such a coordinate."""
         count = len(self.values)
         for k in range(len(x)):
             offsets = np.abs(np.array(self.points) - x) / self._reach
@@ -156,7 +156,7 @@ class _Search:
         """Coefficients of the quadratic through the best value and near the others about it, in units of the region."""
         offsets = (np.delete(self.points, best, axis=0) - self.points[best]) / self._reach
         change = np.delete(self.values, best) - self.values[best]
-        # A quadratic is true nearby only; several values even out what is ragged.
+        # A quadratic holds only nearby; several values smooth a ragged function.
         weights = 1.0 / (0.5 + np.sum(offsets**2, axis=1))
         return np.asarray(np.linalg.lstsq(weights[:, None] * _terms(offsets), weights * change, rcond=1e-9)[0])
 

@@ -1,7 +1,7 @@
-"""The pressure regulators of a joint from episodes: from what they were asked for to what was measured.
+"""The pressure regulators of a joint from episodes: from commanded to measured pressures.
 
-The lag is fitted always. Dead time, dead zone, largest rate, threshold and range are looked for as the effects of a
-joint are, by the same search (:mod:`pam_antagonist.inference.episode_search`).
+The lag is always fitted. Dead time, dead zone, largest rate, threshold and range are found like the effects of a joint,
+by the same search (:mod:`pam_antagonist.inference.episode_search`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _USED = 300
-"""Episodes that are used: more tell hardly more and take longer."""
+"""Most episodes that are used: more add little information and take longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class RegulatorsFound:
         values: with 95 % intervals by episode, by dotted path.
         tried: what was tried beside the lag.
         errors: RMSE [Pa] of each muscle's pressure on later episodes.
-        command_errors: RMSE [Pa] by which the command itself differs from it.
+        command_errors: RMSE [Pa] of the command itself against each measured pressure.
         gains: measured over modelled pressure on fitted episodes, of each muscle; 1 where both are on one scale.
     """
 
@@ -79,12 +79,12 @@ def of_commands(joint: Episodes, held: Held, progress: Callable[[str], None]) ->
 
 
 def _all_of_them(fitted: Episodes, model: EpisodeModel, offered: Mapping[str, Sequence[Candidate]]) -> list[Begun]:
-    """All are fitted: to first order a lag that was fitted alone may hide them."""
+    """A start for every candidate: beside a lag that was fitted alone, first-order scores may miss them."""
     return [Begun(name, None, CommandDriven.like(fitted).starts(model, forms[0])) for name, forms in offered.items()]
 
 
 def pressures_of(found: RegulatorsFound, joint: Episodes) -> Floats:
-    """What the regulators make of the commands (N, 2) [Pa].
+    """Pressures that the regulators make of the commands (N, 2) [Pa].
 
     Args:
         found: the regulators.

@@ -1,11 +1,11 @@
 """Parameters and tuning of a joint whose muscles are sealed, from its motion, its pressures and the torque applied.
 
-No air flows, so what the staged identification of a valve-driven joint rests on is not there. Instead the chambers are
-closed: each pressure follows the muscle's volume alone (equation (4) without flow), and at the measured angle it tells
-how the volume changes. The torque that moves the joint from outside then tells what holds against it (equations (8) to
-(10)), wherever the joint slides. The muscles' volume at ψ = 0, the polytropic index and the force map stay as the rig
-file declares them: a sealed joint tells only their product, and nothing of how the force grows with pressure. Then
-the filter is tuned (:mod:`~pam_antagonist.identification.sealed_tuning`).
+No air flows, so the stages of a valve-driven joint do not apply. In a closed chamber the pressure depends on the
+muscle's volume alone (equation (4) without flow). With the measured angle it shows how the volume changes. The torque
+that moves the joint from outside shows stiffness and friction (equations (8) to (10)), wherever the joint slides. The
+muscles' volume at ψ = 0 and the polytropic index stay as declared in the rig file, since a sealed joint shows only
+their product. Of the force maps only the difference of both muscles is fitted: nothing shows how the force grows with
+pressure. Then the filter is tuned (:mod:`~pam_antagonist.identification.sealed_tuning`).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class SealedStage:
         std: their standard deviations.
         residual: RMS of what is left, in ``unit``.
         unit: Pa or N m.
-        note: what is to be known about it.
+        note: what a user should know about it.
     """
 
     name: str
@@ -86,8 +86,8 @@ class SealedStage:
 def sealed_trial(recording: Recording, name: str, share: float = 1.0) -> SealedTrial:
     """Prepare the first ``share`` of a recording.
 
-    Blocks are those of the stamps, not of the samples of an even grid as :class:`~pam_antagonist.inference.trial.Trial`
-    has them: nothing is simulated over time here, so that a gap is no harm.
+    Blocks follow the stamps. They need no even grid, as :class:`~pam_antagonist.inference.trial.Trial` has it, because
+    nothing is simulated over time here. So gaps do no harm.
 
     Args:
         recording: of a sealed joint.
@@ -132,7 +132,7 @@ def sealed_trial(recording: Recording, name: str, share: float = 1.0) -> SealedT
 def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> SealedStage:
     """How a muscle's volume changes with its length, and its pressure at ψ = 0.
 
-    The slope of the volume is moved about its value at ψ = 0, which stays as declared.
+    The slope of the volume is fitted. The volume at ψ = 0 stays as declared.
 
     Args:
         trials: recordings of one charge.
@@ -172,7 +172,7 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
 
 
 def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
-    """What holds against the torque from outside: stiffness, friction, and the difference of the muscles' forces.
+    """What acts against the torque from outside: stiffness, friction, and the difference of the muscles' forces.
 
     Args:
         trials: recordings; those without a torque from outside are left out.
@@ -204,7 +204,7 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
         for trial, mask in zip(used, sliding, strict=True):
             assert trial.external is not None
             rows = zip(trial.states[mask], trial.acceleration[mask], strict=True)
-            needed = np.array([dynamics.torque_needed(x, bending, np.sign(x[1]), p) for x, bending in rows])
+            needed = np.array([dynamics.torque_needed(x, acceleration, np.sign(x[1]), p) for x, acceleration in rows])
             parts.append(needed - trial.external[mask])
         return np.concatenate(parts)
 
@@ -228,7 +228,7 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
 
 
 def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
-    """Standard deviations that allow for residuals which depend on each other over a cluster of time."""
+    """Cluster-robust standard deviations: residuals may depend on each other within a cluster of time."""
     length = max(1, round(_CLUSTER_S / BLOCK_S))
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     scores = [
@@ -241,7 +241,7 @@ def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
 
 
 _LEAST_MOVE = 0.05
-"""[V] Valves that move more are not those of sealed chambers."""
+"""[V] If a voltage moves more, the chambers are not sealed."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,9 @@
 """The tuning of a sealed joint's filter: noise and drift of its pressures, Q, and the walk of the torque from outside.
 
-What the pressures do not follow is not the sensors' noise but a slow drift of the readings, which no white noise
-describes: it is a state of its own (effect ``pressure_sensor``). R is the sensors' noise as the pressures show it. The
-size of the drift, Q and the random walk of the unknown torque are those under which the filter's errors of the measured
-angle are most likely, on the part that is fitted, while the innovations are as large as the filter expects.
+The pressures deviate from the model by a slow drift of the readings, which white noise does not describe. So the drift
+is a state of its own (effect ``pressure_sensor``). R is the white noise of the recorded pressures. The drift, Q and the
+random walk of the unknown torque are tuned on the fitted part. The errors of the measured angle become most likely,
+while the innovations are as large as the filter expects.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _BOUNDS = ((0.0, 3.5), (-1.7, 1.5), (-2.0, 1.0), (-10.0, 1.0), (-3.0, 4.0))
 _DIFFERENCE, _GAIN = 6, 924.0
 """The sixth difference of white noise has 924 times its variance; of a motion of a few hertz it keeps nothing."""
 _LEAST_NOISE = 0.1
-"""[Pa] Least noise of a pressure: below it the filter's arithmetic would count."""
+"""[Pa] Least noise of a pressure: below it the filter's rounding errors would matter."""
 _BEGINS = (0.0, 0.5)
-"""Shares of the fitted part at which the filter is started. When it slips hangs on little things: one start more tells
-a tuning that was lucky from a good one."""
+"""Shares of the fitted part at which the filter is started. Small details decide when the joint slips. A second start
+distinguishes a good tuning from a lucky one."""
 _DRIFT = 100.0
 """[Pa] Where the search for the size of a drift begins."""
 
@@ -52,7 +52,7 @@ def tuned(
         evaluations: at most so many tunings are tried.
 
     Returns:
-        The rig with that tuning, what was maximised before and after, and how many tunings were tried.
+        The rig with that tuning, the objective before and after, and how many tunings were tried.
     """
     ends = [(recording, share * _duration(recording)) for recording, _ in recordings]
     parts = [recording.slice(begin * end, end) for recording, end in ends for begin in _BEGINS]
@@ -65,11 +65,11 @@ def tuned(
     time = rig.value("effects.pressure_sensor.drift_time")
 
     def with_values(logarithm: np.ndarray) -> Rig:
-        size, lasts, noise, velocity, pressure = (
+        size, time_constant, noise, velocity, pressure = (
             10.0 ** float(np.clip(v, *bound)) for v, bound in zip(logarithm, _BOUNDS, strict=True)
         )
-        driven = drift_noise(size, lasts)
-        now = {"pressure_sensor": {**drift, "drift_1": driven, "drift_2": driven, "drift_time": lasts}}
+        driven = drift_noise(size, time_constant)
+        now = {"pressure_sensor": {**drift, "drift_1": driven, "drift_2": driven, "drift_time": time_constant}}
         if walk:
             now["external_torque"] = {"noise": noise}
         new = tuning.replaced(process=(tuning.process[0], velocity, pressure, pressure))
@@ -114,7 +114,7 @@ def drift_size(noise: float, time: float) -> float:
 
 
 def pressure_noise(recordings: Sequence[Recording]) -> float:
-    """White noise of the recorded pressures, one standard deviation [Pa]; what moves slowly is not in it."""
+    """White noise of the recorded pressures, one standard deviation [Pa], without slow changes."""
     squares = [np.diff(recording.pressure, _DIFFERENCE, axis=0) ** 2 / _GAIN for recording in recordings]
     return max(float(np.sqrt(np.nanmean(np.concatenate(squares)))), _LEAST_NOISE)
 
@@ -126,7 +126,7 @@ def _duration(recording: Recording) -> float:
 def _likelihood(rig: Rig, recordings: Sequence[Recording]) -> float:
     """Mean logarithm of the likelihood of an angle's error [rad], less the square of ln(NIS/2); without constants.
 
-    The angle alone would let the innovations be anything. They alone would choose a drift that is rarely large, as
+    The angle alone would accept innovations of any size. The innovations alone would choose too small a drift, as it is
     while the joint sticks, and too small an interval of the angle.
     """
     noise = rig.sensors.error("angle") ** 2

@@ -1,4 +1,4 @@
-"""From recordings and a start to an identified rig: everything that ``identify`` computes, without its report."""
+"""From recordings and start values to an identified rig: everything that ``identify`` computes, without its report."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SEEN_IN_PRESSURES = (
     "valve_1", "valve_2", "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure", "effects.regulator_",
 )  # fmt: skip
 _START_STD = 0.5
-"""Standard deviations of the prior by which further starts lie about the first."""
+"""Scatter of further starts about the first one, in standard deviations of the prior."""
 _MOST_PROFILES = 6
 _WHAT_SHOWS = (
     ("joint.inertia", "a free joint that is made to move fast: large voltage steps in opposite directions"),
@@ -52,13 +52,13 @@ _WHAT_SHOWS = (
 
 @dataclass(frozen=True)
 class Options:
-    """What is asked.
+    """Options of an identification.
 
     Attributes:
-        free: names, or beginnings of names, that may move beside the usual ones.
-        frozen: names, or beginnings of names, that may not.
+        free: names, or beginnings of names, of parameters that may move beside the usual ones.
+        frozen: names, or beginnings of names, of parameters that may not move.
         holdout: share at the end of each recording that is not fitted.
-        starts: how many places the joint refinement begins from.
+        starts: how many starts the joint refinement has.
         seed: of the further starts.
         jobs: threads.
     """
@@ -73,12 +73,12 @@ class Options:
 
 @dataclass(frozen=True)
 class Start:
-    """One place that the joint refinement began from.
+    """One start of the joint refinement.
 
     Attributes:
-        name: where it is.
-        cost: with which the refinement ended.
-        best: whether it was the lowest.
+        name: what the start is.
+        cost: final cost of the refinement.
+        best: whether this cost was the lowest.
     """
 
     name: str
@@ -93,19 +93,19 @@ class Identified:
     Attributes:
         start: the rig as it was configured.
         fitted: with the fitted values, before noise and tuning.
-        tuned: with everything.
-        own: of several recordings, the rig with each one's own values in place of the common ones.
+        tuned: the result, with noise and tuning.
+        own: for each of several recordings, the rig with its own values in place of the common ones.
         trials: the recordings in full.
         held_from: for each, the time from which on it was held out [s].
         free: the parameters that could move.
         stages: steps of the identification.
         fit: the joint refinement.
         ways: in which recordings may deviate from each other.
-        differences: how they do.
-        profiles: of the parameters that matter.
+        differences: how recordings deviate from each other.
+        profiles: profile likelihoods of a few parameters.
         starts: of the joint refinement.
         warnings: what the user should know.
-        options: what was asked.
+        options: as given.
     """
 
     start: Rig
@@ -136,7 +136,7 @@ def identify(
     Args:
         recordings: each with its joint's condition and a name for reports.
         rig: start values, priors and bounds.
-        options: what is asked.
+        options: of the identification.
         progress: called with what is being done.
 
     Raises:
@@ -158,7 +158,7 @@ def identify(
         check(part)
         held_from.append(split)
         fitted.append(part)
-    free, warnings = _freedom(rig, fitted, options)
+    free, warnings = _chosen_parameters(rig, fitted, options)
     ways = variations(rig, free)
     stages, found = run_stages(rig, fitted, free, options.jobs, ways, progress)
     found, starts = _further_starts(found, ways, options, progress)
@@ -194,14 +194,14 @@ def identify(
 def _inner(
     found: JointFit, trials: Sequence[Trial], ways: tuple[Variation, ...], progress: Callable[[str], None]
 ) -> JointFit:
-    """The joint refinement of the first share of each part, from where the whole ended."""
+    """The joint refinement of the first share of each part, started at the result of the whole."""
     begin = [trial.part(0.0, round(INNER_SHARE * len(trial)) * trial.dt) for trial in trials]
     problem = dataclasses.replace(found.problem, trials=begin, between=None)
     own = deviations(ways, problem.free)
     return joint_fit(problem, found.theta, 2, own, progress=lambda text: progress(f"inner fit, {text}"))
 
 
-def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[FreeParameter], list[str]]:
+def _chosen_parameters(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[FreeParameter], list[str]]:
     free = free_parameters(rig, options.free, options.frozen)
     if any(trial.has(channel) for trial in trials for channel in (ANGLE, TORQUE)):
         return free, []
@@ -226,7 +226,7 @@ def _freedom(rig: Rig, trials: Sequence[Trial], options: Options) -> tuple[list[
 def _further_starts(
     found: JointFit, ways: tuple[Variation, ...], options: Options, progress: Callable[[str], None]
 ) -> tuple[JointFit, list[Start]]:
-    """The joint refinement again from scattered places; the best is kept."""
+    """The joint refinement again from scattered starts; the best result is kept."""
     rng = np.random.default_rng(options.seed)
     fits = [("from the steps", found)]
     plain = found.problem.with_between(None)
@@ -242,9 +242,9 @@ def _further_starts(
 
 
 def _worth_a_profile(found: JointFit) -> list[str]:
-    """The worst and the best determined parameters, and those that move furthest: a handful."""
-    deviations_ = np.sqrt(np.diag(found.covariance))
-    order = np.argsort(deviations_)
+    """Friction, force offset and polytropic index, then the least certain parameters: a handful."""
+    stds = np.sqrt(np.diag(found.covariance))
+    order = np.argsort(stds)
     names = [item.name for item in found.problem.free]
     # Friction and force offsets decide about angle and torque whatever else is free.
     first = [name for name in ("friction.shaft", "muscle_1.force.w2", "gas.polytropic_volume") if name in names]

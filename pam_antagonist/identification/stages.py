@@ -1,10 +1,13 @@
-"""The order in which a rig is identified: that of Proposition 1, then everything together.
+"""The stages in which a rig is identified: in the order of Proposition 1, then everything together.
 
 Steady-state characteristics do not depend on orifice areas and polytropic indices, and friction decides where the joint
-stops (Proposition 1). So the force map comes first, from torques at measured pressures; then the valve curve, where
-the recordings hold steady pressures; then friction, from the balance of the joint while it slides; then areas and
-indices, from the way pressures move; at last all of it by prediction error, which the single steps only have to bring
-near.
+stops (Proposition 1). So the order is:
+
+1. the force map, from torques at measured pressures;
+2. the valve curve, where the recordings hold steady pressures, or the regulators;
+3. friction, from the balance of the joint while it slides;
+4. areas and indices, from pressures in motion;
+5. everything together, by prediction error. The other stages only provide its start.
 """
 
 from __future__ import annotations
@@ -34,7 +37,7 @@ MEASURED = (
     "muscle_1.volume.d1", "muscle_1.volume.d2", "muscle_1.volume.d3",
     "muscle_2.volume.d1", "muscle_2.volume.d2", "muscle_2.volume.d3",
 )  # fmt: skip
-"""What Proposition 1 takes for measured directly, and the volume, which a graduated cylinder gives."""
+"""Parameters that Proposition 1 takes as directly measured, and the volume, which a graduated cylinder gives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +46,12 @@ class Stage:
 
     Attributes:
         name: what it identifies.
-        source: what it takes it from.
+        source: the data that it uses.
         values: parameters that it moved: value before and after; empty where it was skipped.
-        before: RMS residual of the simulated model by channel before it [rad, N m, Pa, Pa], None where a channel
-            says nothing.
+        before: RMS residual of the simulated model by channel before it [rad, N m, Pa, Pa], None where a channel has
+            no data.
         after: the same after it.
-        note: why it was skipped, or what is to be known about it.
+        note: why it was skipped, or what a user should know about it.
         balance: torques of a step that works on measured pressures.
         curves: what steady pressures say about the valves.
         traces: block residuals of the simulated model before and after, one pair of (B, 4) a trial.
@@ -72,7 +75,7 @@ class Stage:
 
 @dataclass
 class _Progress:
-    """Where the identification stands."""
+    """The state of the identification."""
 
     whole: JointProblem
     theta: Floats
@@ -86,7 +89,7 @@ class _Progress:
         return [k for k, item in enumerate(self.whole.free) if any(group in item.name for group in groups)]
 
     def put(self, values: dict[str, float]) -> dict[str, tuple[float, float]]:
-        """Take new values; what they were before and are now."""
+        """Take new values, and return each before and after."""
         old = self.whole.values(self.theta)
         for k, item in enumerate(self.whole.free):
             if item.name in values:
@@ -118,7 +121,8 @@ def run_stages(
         progress: called with what is being done.
 
     Returns:
-        The steps, the joint refinement last, and its fit; its problem holds the rig with the curves that were found.
+        The stages, the joint refinement last, and the fit of the latter. The fit's problem holds the rig with the
+        curves that were found.
     """
     progress = progress or (lambda text: None)
     whole = JointProblem(rig, trials, free, jobs=jobs)
@@ -175,11 +179,11 @@ def _regulators(state: _Progress) -> None:
     source = "measured pressures and commands, by stretches that begin where the commands had stood"
     earlier = padded(state.whole, state.theta)
     rig = state.whole.rig
-    told, note = beside_the_lag(rig, state.whole.trials, state.whole.jobs)
-    if not told:
+    found, note = beside_the_lag(rig, state.whole.trials, state.whole.jobs)
+    if not found:
         return state.end("regulators", source, earlier, {}, note)
-    state.whole = JointProblem(moved(rig, told), state.whole.trials, state.whole.free, jobs=state.whole.jobs)
-    return state.end("regulators", source, earlier, {path: (rig.value(path), told[path]) for path in told}, note)
+    state.whole = JointProblem(moved(rig, found), state.whole.trials, state.whole.free, jobs=state.whole.jobs)
+    return state.end("regulators", source, earlier, {path: (rig.value(path), found[path]) for path in found}, note)
 
 
 def _curves(state: _Progress) -> None:
@@ -233,7 +237,7 @@ def _from_here(item: FreeParameter, values: dict[str, float]) -> FreeParameter:
 
 
 def padded(problem: JointProblem, theta: Floats) -> list[Floats]:
-    """Block residuals of all four channels, one (B, 4) a trial; NaN where a channel says nothing."""
+    """Block residuals of all four channels, one (B, 4) a trial; NaN where a channel has no data."""
     out = []
     for trial, part in zip(problem.trials, problem.residuals(theta), strict=True):
         full = np.full((len(trial) // trial.block, len(CHANNELS)), np.nan)

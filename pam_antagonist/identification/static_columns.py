@@ -1,4 +1,4 @@
-"""Which column of a table of static measurements holds what, in which unit.
+"""The columns of a table of static measurements, with their quantities and units.
 
 Nothing is guessed: a column without a unit, and a pressure that is not said to be gauge or absolute, are refused.
 """
@@ -20,7 +20,7 @@ _WORDS = {
     "volume": ("volume", "v", "vol"),
 }
 QUANTITIES = tuple(_WORDS)
-"""What a column may hold; with ``_std`` behind it, its standard deviation."""
+"""Quantities that a column may hold; ``_std`` behind a quantity means its standard deviation."""
 _DEVIATION = ("std", "sigma", "sd")
 _REFERENCES = {"gauge": "gauge", "g": "gauge", "rel": "gauge", "relative": "gauge",
                "absolute": "absolute", "abs": "absolute", "a": "absolute"}  # fmt: skip
@@ -32,7 +32,7 @@ class Choice:
 
     Attributes:
         column: its name in the file's first line.
-        unit: its unit, empty where the name tells it.
+        unit: its unit, empty where the name contains it.
         reference: of a pressure: gauge, absolute or empty.
     """
 
@@ -48,8 +48,8 @@ def column_of(path: Path, header: Sequence[str], quantity: str, given: Choice | 
         path: the file, for messages.
         header: names of its columns.
         quantity: one of ``QUANTITIES``, or with ``_std`` behind it.
-        given: what the user said about it; what is missing there has to be in the column's name.
-        reference: gauge or absolute, for a pressure whose column does not tell.
+        given: what the user said about the column; the rest has to be in the column's name.
+        reference: gauge or absolute, for a pressure whose column does not say it.
 
     Raises:
         BadInput: no such column or several, no unit, or no reference of a pressure.
@@ -118,7 +118,7 @@ def candidates(header: Sequence[str], quantity: str) -> list[str]:
 
 
 def _unit(quantity: str, token: str) -> tuple[str, str] | None:
-    """Unit and, of barg and psia, reference that a word of a column's name tells."""
+    """The unit that a word of a column's name states, with the reference of barg or psia; None if it is no unit."""
     for text, reference in ((token, ""), (token[:-1], {"g": "gauge", "a": "absolute"}.get(token[-1:], "-"))):
         if reference == "-" or (reference and quantity != "pressure"):
             continue

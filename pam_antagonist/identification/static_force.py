@@ -1,7 +1,7 @@
 """Coefficients of a muscle's force map from a table of length, pressure and force.
 
-The forms are those of :func:`pam_antagonist.model.muscle.force`, which is asked for their values: nothing of them is
-written here but the names of their coefficients, and which of these is not linear.
+:func:`pam_antagonist.model.muscle.force` computes the forms. This module only has the names of their coefficients, and
+which of them is not linear.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ COEFFICIENTS = {
 }
 """Names under ``muscle_i.force`` of the coefficients of each form in ``parameters.FORCE_FORMS``."""
 _EXPONENT = {"sarosi": 2}
-"""Which coefficient the force is not linear in."""
+"""Index of the coefficient in which the force is not linear."""
 _FLATTEST, _STEEPEST, _TRIED = 0.02, 20.0, 16
-"""Exponents that are tried, over the range of the map's contractions: from nearly straight to a step."""
+"""Exponents that are tried, relative to the map's range of contractions: from nearly straight to a step."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What a fit without one length says there.
+    """What a fit without one length predicts there.
 
     Attributes:
         length: mean of the length [m].
@@ -74,11 +74,11 @@ class ForceFit:
         coefficients: (K,), pressures absolute.
         covariance: (K, K); values at one length count as dependent on each other.
         freedom: measured forces minus coefficients.
-        scale: standard deviation of the residuals [N], or over the declared deviations.
+        scale: standard deviation of the residuals [N], or its ratio to the declared deviations.
         rest_length: L_0 [m] that the contraction counts from.
         fitted_rmse: of the measured forces it was fitted to [N]; says little about others.
         fitted_largest: largest error of them [N].
-        left_out: for each length, what the fit without it says there.
+        left_out: for each length, what the fit without it predicts there.
         notes: sentences about what is odd.
     """
 
@@ -106,25 +106,25 @@ class ForceFit:
 
     @property
     def left_out_rmse(self) -> float:
-        """Root mean square [N] of all errors at lengths that were left out; NaN where one of them has no answer."""
+        """Root mean square [N] of all errors at lengths that were left out; NaN if one of them has no prediction."""
         return _rms(self._left_out_errors())
 
     @property
     def inner_rmse(self) -> float:
-        """The same without the shortest and the longest length that forces were measured at: no extrapolation."""
+        """``left_out_rmse`` [N] without the shortest and the longest measured length: no extrapolation."""
         known = [item for item in self.left_out if item.measured]
         errors = [np.array(item.errors) for item in known[1:-1]]
         return _rms(np.concatenate(errors)) if errors else np.nan
 
     @property
     def left_out_largest(self) -> float:
-        """Largest of these errors [N]."""
+        """Largest error at the lengths that were left out [N]."""
         errors = self._left_out_errors()
         return float(np.max(np.abs(errors))) if len(errors) else np.nan
 
     @property
     def overshoot(self) -> float:
-        """Largest force predicted at a length that was left out where the muscle was slack there [N]."""
+        """Largest force [N] predicted where the muscle was slack, at lengths that were left out."""
         known = [item.overshoot for item in self.left_out if np.isfinite(item.overshoot)]
         return max(known, default=np.nan)
 
@@ -198,7 +198,7 @@ def fit_force(table: ForceMap, form: str, rest_length: float) -> ForceFit:
 def compare_forms(
     table: ForceMap, rest_length: float, forms: Sequence[str] = par.FORCE_FORMS
 ) -> dict[str, ForceFit | Undetermined]:
-    """Every form, fitted to the same table; one that the table does not determine with the reason.
+    """Every form fitted to the same table, or the reason why the table does not determine it.
 
     Args:
         table: the measured forces.
@@ -215,7 +215,7 @@ def compare_forms(
 
 
 def _without_each(table: ForceMap, form: str, rest_length: float) -> tuple[list[LeftOut], list[Floats]]:
-    """Errors at each length of a fit without it, and the coefficients of those fits that there are."""
+    """Errors at each length of a fit without it, and the coefficients of the fits that succeed."""
     found, parts = [], []
     for group in range(table.lengths):
         inside = table.group == group
@@ -253,7 +253,7 @@ def _fitted(table: ForceMap, form: str, rest_length: float) -> tuple[Solution, l
         design = _slopes(form, held, table.length, table.pressure, rest_length)[:, straight]
         return solve(design, seen, others=1)
 
-    # Variable projection: for each exponent the others have one best answer, so that only a line has to be searched.
+    # Variable projection: each exponent has one best set of the other coefficients, so the search has one dimension.
     reach = float(np.ptp(table.length[~table.slack])) / rest_length
     if reach == 0.0:
         raise Undetermined("the measured forces are all at one length")
@@ -264,7 +264,7 @@ def _fitted(table: ForceMap, form: str, rest_length: float) -> tuple[Solution, l
     if not np.isfinite(costs[best]):
         with_exponent(float(tried[best]))  # says why
     if best in (0, len(tried) - 1):
-        # The likelihood rises to the very end: the bend lies between two lengths, and the map does not tell how sharp.
+        # The likelihood rises to an end: the bend lies between two lengths, and the map does not show its sharpness.
         exponent = float(tried[best])
         held = with_exponent(exponent)
         covariance = np.insert(np.insert(held.covariance, curved, 0.0, axis=0), curved, 0.0, axis=1)
@@ -278,7 +278,7 @@ def _fitted(table: ForceMap, form: str, rest_length: float) -> tuple[Solution, l
     exponent = float(minimize_scalar(lambda e: _cost(with_exponent, float(e)), bounds=(low, high), method="bounded").x)
     inner = with_exponent(exponent)
     coefficients = np.insert(inner.coefficients, curved, exponent)
-    # The exponent's error goes with the others': the covariance of all of them, linear about the answer.
+    # The exponent's error is correlated with the others': the covariance of all, linearised at the solution.
     slopes = _slopes(form, coefficients, table.length, table.pressure, rest_length)
     offset = map_force(form, coefficients, table.length, table.pressure, rest_length) - slopes @ coefficients
     around = solve(slopes, Observations(seen.value - offset, seen.censored, seen.spread, seen.declared))

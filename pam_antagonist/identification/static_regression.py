@@ -21,9 +21,9 @@ Bools = NDArray[np.bool_]
 _ROUNDS = 100
 _TOLERANCE = 1e-12
 _EXACT = 1e-7
-"""Share of the largest value below which residuals are rounding: keeps an exact fit from an infinite likelihood."""
+"""Share of the largest value below which residuals are rounding. It keeps the likelihood of an exact fit finite."""
 _SINGULAR = 1e-8
-"""Least share of a column that the columns before it may leave over."""
+"""Least share of a column that does not depend on the columns before it."""
 
 
 class Undetermined(Exception):
@@ -57,7 +57,7 @@ class Solution:
 
     Attributes:
         coefficients: (K,).
-        scale: standard deviation of what is left, over ``spread``; NaN where nothing is left over to tell it.
+        scale: standard deviation of the residuals over ``spread``; NaN where no degree of freedom is left.
         covariance: of the coefficients (K, K) for errors that do not depend on each other; NaN as ``scale``.
         freedom: measured values (not censored) minus coefficients.
         cost: negative logarithm of the likelihood, but for a constant.
@@ -95,7 +95,7 @@ def solve(design: Floats, seen: Observations, others: int = 0) -> Solution:
     triangle = np.linalg.qr(rows[measured] / norm, mode="r")
     if np.min(np.abs(np.diag(triangle))) < _SINGULAR:
         raise Undetermined("the measured values cannot tell its coefficients apart")
-    # Columns that are orthonormal where it was measured, values of size 1: every rig looks the same to the iteration.
+    # Columns orthonormal over the measured rows and values of size 1 give the iteration the same scale for every rig.
     to_plain = np.linalg.inv(triangle) / norm[:, None]
     unit = float(np.max(np.abs(values[measured]))) or 1.0
     basis, target = rows @ to_plain, values / unit
@@ -110,8 +110,8 @@ def solve(design: Floats, seen: Observations, others: int = 0) -> Solution:
     scale = unit / gamma * (np.sqrt(count / freedom) if freedom else 1.0)
     jacobian = np.column_stack([np.eye(size) / gamma, -delta / gamma**2])
     covariance = jacobian @ np.linalg.solve(information, jacobian.T) * unit**2
-    # What the likelihood takes for the scale leaves out that the coefficients were fitted to the same values. Where
-    # the sensor's own deviation is known, agreement better than that is luck.
+    # The scale by the likelihood leaves out that the coefficients were fitted to the same values. Where the sensor's
+    # own deviation is declared, a smaller scale is luck.
     wanted = max(scale, 1.0) if seen.declared else scale
     covariance *= (wanted * gamma / unit) ** 2
     covariance = to_plain @ covariance @ to_plain.T
@@ -186,7 +186,7 @@ def quantile(freedom: int) -> float:
 def jackknife(parts: Floats) -> Floats:
     """Covariance (K, K) from coefficients (G, K), each fitted without one of G groups.
 
-    Values at one length err together where the map's form is not quite right: this counts them as one, where
+    Values at one length have similar errors where the map's form is not quite right. The jackknife counts them as one;
     the covariance of :func:`solve` counts each of them.
     """
     groups, apart = len(parts), parts - parts.mean(axis=0)
@@ -214,10 +214,10 @@ def larger(first: Floats, second: Floats) -> Floats:
 
 
 def bands(values: Floats, most: int = 8) -> NDArray[np.int64]:
-    """Which values were meant to be the same: numbers (N,) of groups, from the lowest on.
+    """Group numbers (N,) of values, from the lowest on; values that were meant to be the same form a group.
 
-    Values closer than 2 % of the range belong together. Where that chains values that are not the same (a sweep), the
-    range is cut into ``most`` bands of equal width.
+    Values closer than 2 % of the range belong together. Where this chains different values (a sweep), the range is cut
+    into ``most`` bands of equal width.
     """
     order = np.argsort(values, kind="stable")
     span = float(np.ptp(values))

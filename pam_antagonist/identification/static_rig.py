@@ -1,4 +1,4 @@
-"""A muscle's static tables worked out for a rig: fits, comparison of the forms, doubts, and the rig with them in it."""
+"""A muscle's static tables evaluated for a rig: fits, comparison of the forms, doubts, and the resulting rig."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from pam_antagonist.rig.physical import unphysical
 Floats = NDArray[np.float64]
 
 _RANGE_WITHOUT_STOP = math.radians(25.0)
-"""[rad] What a rig without a stop is checked over, as where rig files are read."""
+"""[rad] Range over which a rig without a stop is checked, as for rig files."""
 _OFFSET = {"linear": "w2", "hildebrandt": "c4", "sarosi": "c6", "polynomial": "c1"}
-"""The coefficient of each form that is a force on its own: what is uncertain in a rig by default."""
+"""The coefficient of each form that is a force offset, which is uncertain in a rig by default."""
 _FEW_LENGTHS, _FEW_PRESSURES = 4, 4
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Where a rig's joint takes its muscles.
+    """Range of lengths and pressures of a rig's muscles.
 
     Attributes:
         shortest: length [m] of a muscle at one end of the joint's range.
@@ -165,7 +165,7 @@ def doubts_about_force(fit: ForceFit, rig: Rig) -> list[str]:
         )
     offsets = [name for name in rig.uncertainty if name.endswith(f".force.{_OFFSET[rig.model.force]}")]
     carried = min((rig.uncertainty[name] for name in offsets), default=math.inf)
-    # Means over a length, since a sensor's noise is the bench's and not the map's.
+    # Means over a length: the sensor's noise is no error of the map.
     shared = [float(np.mean(item.errors)) for item in fit.left_out if item.measured and np.isfinite(item.rmse)]
     missed = float(np.sqrt(np.mean(np.square(shared)))) if shared else math.nan
     if missed > 2.0 * carried:
@@ -187,7 +187,7 @@ def with_fits(rig: Rig, muscles: Sequence[int], volume: VolumeFit | None, force:
         source: what the rig's ``source`` says about it.
 
     Raises:
-        BadInput: the other muscle has no coefficients of the form, or the result is no rig that can be.
+        BadInput: the other muscle has no coefficients of the form, or the resulting rig is physically impossible.
     """
     found: dict[str, tuple[float, float]] = {}
     for number in muscles:
@@ -201,7 +201,7 @@ def with_fits(rig: Rig, muscles: Sequence[int], volume: VolumeFit | None, force:
         parts = {"volume": volume, "force": force}
         changes[f"muscle_{number}"] = own.replaced(
             **{
-                part: getattr(own, part).replaced(**_of(found, f"muscle_{number}.{part}."))
+                part: getattr(own, part).replaced(**_under(found, f"muscle_{number}.{part}."))
                 for part, fit in parts.items()
                 if fit is not None
             }
@@ -229,7 +229,7 @@ def _named(path: str, names: Sequence[str], values: Floats, std: Floats) -> dict
     return {f"{path}.{name}": (float(value), float(own)) for name, value, own in zip(names, values, std, strict=True)}
 
 
-def _of(found: dict[str, tuple[float, float]], start: str) -> dict[str, float]:
+def _under(found: dict[str, tuple[float, float]], start: str) -> dict[str, float]:
     return {name.removeprefix(start): value for name, (value, _) in found.items() if name.startswith(start)}
 
 
@@ -259,12 +259,12 @@ _FAINT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class StaticResult:
-    """What became of the tables.
+    """The results of static tables.
 
     Attributes:
-        rig: the rig that was started from, with the length that was given.
-        fitted: it with the fits, None where only a report was asked for.
-        muscles: numbers of the muscles that the tables were said to hold for.
+        rig: the start rig, with the length that was given.
+        fitted: that rig with the fits, None where only a report was requested.
+        muscles: numbers of the muscles that the tables hold for.
         volumes: table of volumes, or None.
         volume: its fit, or None.
         force_map: table of forces, or None.
@@ -308,10 +308,10 @@ def work_out(
         muscles: which the tables hold for, 1, 2 or both.
         form: of the force map, one of ``parameters.FORCE_FORMS``; default: the rig's.
         own_length: whether the rig's length was given with the tables.
-        report_only: make no rig; then the muscle need not fit its joint.
+        report_only: make no rig; then the muscle need not fit the joint.
 
     Raises:
-        BadInput: another muscle, a table that does not determine what it is for, or a rig that cannot be.
+        BadInput: another muscle, a table that does not determine its coefficients, or an impossible rig.
     """
     warnings: list[str] = []
     for table in (volumes, force_map):
@@ -356,7 +356,7 @@ def _about_volume(table: VolumeTable, fit: VolumeFit, rig: Rig, report_only: boo
 
 
 def _better_form(forms: dict[str, ForceFit | Undetermined], chosen: str) -> list[str]:
-    """A form that errs less than two thirds as much on lengths left out deserves a word."""
+    """A note on a form whose error at lengths left out is less than two thirds of the chosen form's."""
     own = forms[chosen]
     assert isinstance(own, ForceFit)
     known = {

@@ -33,11 +33,11 @@ _ADVICE = {
     "header": "the first line has to name the columns, with their units",
     "missing": "a cell without a value has to be empty",
 }
-"""What to do about a file, by the entry of a map that would say how it is written."""
+"""Advice on a file, by the entry of a column map that would describe its format."""
 
 
 def opening(path: Path) -> tuple[Layout, list[str]]:
-    """How a file is written, and the names of its columns.
+    """The format of a file, and the names of its columns.
 
     Raises:
         BadInput: no text file, or nothing in it but comments.
@@ -56,7 +56,7 @@ def opening(path: Path) -> tuple[Layout, list[str]]:
     if first.text.lstrip().startswith("#"):
         raise BadInput(f"{path}: no rows in it, only comments")
     delimiter: Delimiter = next((mark for mark in _DELIMITERS if mark in first.text), "space")
-    # Where commas do not part the cells, they may stand before the decimals.
+    # Commas that do not separate cells may be decimal commas.
     comma = delimiter != "," and re.search(r"\d,\d", after) and not re.search(r"\d\.\d", after)
     layout = Layout(comment="#", delimiter=delimiter, decimal="," if comma else ".")
     names = _names(path, layout, first)
@@ -74,10 +74,10 @@ def _names(path: Path, layout: Layout, line: Line) -> list[str]:
 
 @contextmanager
 def advised() -> Iterator[None]:
-    """Advice that fits a table: the reader's own is about maps of columns, which tables do not have.
+    """Replace the reader's advice, which is about column maps: tables have none.
 
     Raises:
-        BadInput: what the reader raised, with that advice.
+        BadInput: the reader's error with advice for tables.
     """
     try:
         yield
@@ -91,7 +91,7 @@ def advised() -> Iterator[None]:
 Floats = NDArray[np.float64]
 
 _PLAUSIBLE = {"length": (0.02, 2.0), "volume": (1e-7, 1e-2), "force": (1.0, 2e4)}
-"""In SI units: of a force the largest, of the others each; those that a rig may have."""
+"""Ranges that a rig may have, in SI units: of every length and volume, and of the largest force."""
 _USUAL = {"length": 0.2, "volume": 5e-5, "force": 300.0}
 _FEWEST_ROWS = 3
 
@@ -107,7 +107,7 @@ class _Rows:
         length: (N,) [m].
         group: number of the length that each row belongs to (N,), from the shortest on.
         spread: standard deviation of each value (N,) in its SI unit, ones where it was not given.
-        declared: whether it was given.
+        declared: whether the standard deviation was given.
     """
 
     name: str
@@ -134,7 +134,7 @@ class ForceMap(_Rows):
     Attributes:
         pressure: absolute (N,) [Pa].
         force: (N,) [N].
-        limit: [N]; of a slack muscle nothing is known but that its map lies below.
+        limit: [N] Upper limit of the map where the muscle is slack; nothing else is known there.
         slack: where the force is not above the limit (N,).
     """
 
@@ -174,7 +174,7 @@ def read_force_map(
         path: the CSV file.
         atmosphere: absolute pressure of the surroundings [Pa], which gauge pressures count from.
         columns: by quantity, those that the user named; the others are found by their names.
-        reference: gauge or absolute, for a pressure whose column does not tell.
+        reference: gauge or absolute, for a pressure whose column does not say it.
         slack_below: largest force [N] that is taken for a slack muscle or for no measurement.
 
     Raises:
@@ -232,7 +232,7 @@ def read_volumes(path: Path, columns: Mapping[str, Choice] | None = None) -> Vol
 def _read(
     path: Path, wanted: Sequence[str], columns: Mapping[str, Choice] | None, reference: str, atmosphere: float
 ) -> tuple[dict[str, Floats], dict[str, str], list[str], bool]:
-    """Columns in SI units (the last one's standard deviation as ``spread``), labels, issues, whether it was given."""
+    """Columns in SI units (the last one's standard deviation as ``spread``), labels, issues, whether that was given."""
     with advised():
         layout, header = opening(path)
     chosen = {name: column_of(path, header, name, (columns or {}).get(name), reference) for name in wanted}
@@ -280,7 +280,7 @@ def _complete(path: Path, table: Table, issues: list[str]) -> Table:
 
 
 def _check_range(path: Path, signal: Signal, quantity: str) -> None:
-    """Refuse what no muscle has, with the unit that it looks like."""
+    """Refuse values that no muscle has, and name the unit in which they would be plausible."""
     low, high = _PLAUSIBLE[quantity]
 
     def fits(unit: str) -> bool:

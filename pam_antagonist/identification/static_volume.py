@@ -32,9 +32,9 @@ class VolumeFit:
 
     Attributes:
         coefficients: d1, d2 and d3 (3,) [m, m², m³].
-        covariance: (3, 3); NaN where there is one value a coefficient and no declared deviation.
+        covariance: (3, 3); NaN where there are only three values and no declared deviation.
         freedom: values minus coefficients.
-        scale: standard deviation of the residuals [m³], or over the declared deviations.
+        scale: standard deviation of the residuals [m³], or its ratio to the declared deviations.
         fitted_rmse: of the values that it was fitted to [m³].
         lengths: mean of each length (G,) [m].
         left_out: error at each length of the fit without it (G,) [m³], root mean square where it has several values;
@@ -56,7 +56,7 @@ class VolumeFit:
 
     @property
     def left_out_rmse(self) -> float:
-        """Root mean square of the errors at lengths left out [m³]; NaN where one has no answer."""
+        """Root mean square of the errors at lengths left out [m³]; NaN if one has no prediction."""
         return float(np.sqrt(np.mean(self.left_out**2)))
 
     def volume(self, length: Floats) -> tuple[Floats, Floats]:
@@ -120,8 +120,8 @@ def fit_volume(table: VolumeTable) -> VolumeFit:
         parts.append(without.coefficients)
         errors.append(float(np.sqrt(np.mean((design[inside] @ without.coefficients - table.volume[inside]) ** 2))))
     covariance = whole.covariance
-    # Values at one length err together where the parabola is not quite right. Where each length has one value,
-    # the residuals' scatter over the lengths says that already.
+    # Values at one length have similar errors where the parabola is not quite right. Where each length has one value,
+    # the residuals' scatter over the lengths shows that already.
     if len(table) > table.lengths and len(parts) == table.lengths and np.all(np.isfinite(covariance)):
         covariance = larger(covariance, jackknife(np.array(parts)))
     residual = design @ whole.coefficients - table.volume

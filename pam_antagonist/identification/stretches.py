@@ -1,9 +1,8 @@
 """Range, dead zone and largest rate of pressure regulators from long recordings, by stretches between rests.
 
-Wherever both commands have stood for a while, the pressures are known to be what they were asked for: a stretch begins
-there, as an episode does. What the commands make of the pressures is then found as for episodes
-(:mod:`pam_antagonist.identification.regulators`): each number is freed where that explains enough of stretches that no
-fit has seen.
+A stretch begins where both commands have been constant for a while: there the pressures equal the commands. Stretches
+are used as episodes are (:mod:`pam_antagonist.identification.regulators`). A parameter is freed if that explains enough
+of stretches that no fit has seen.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from pam_antagonist.rig import Rig
 Indices = NDArray[np.intp]
 
 _REST_S = 0.25
-"""[s] So long a command has stood where a stretch begins: over ten time constants of a regulator."""
+"""[s] Time for which commands are constant before a stretch: over ten time constants of a regulator."""
 _LEAST_S, _LONGEST_S = 0.2, 1.0
-"""[s] Length of a stretch; later, a regulator shows nothing new."""
-_LEAST = 12
-"""Stretches with which something can be fitted, judged and told from chance."""
+"""[s] Shortest and longest stretch; after the latter a regulator shows nothing new."""
+_FEWEST = 12
+"""Fewest stretches that can be fitted, judged and distinguished from chance."""
 _PATHS = (
     "regulator_lag.dead_zone",
     "regulator_lag.largest_rate",
@@ -37,7 +36,7 @@ _SHARE = 1.0 / 3.0
 
 
 def beside_the_lag(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[dict[str, float], str]:
-    """What recordings tell of range, dead zone and largest rate of both regulators.
+    """Range, dead zone and largest rate of both regulators, as far as the recordings show them.
 
     Args:
         rig: whose pressures regulators hold.
@@ -48,16 +47,16 @@ def beside_the_lag(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[dict[s
         Values that differ from the rig's, by dotted path [Pa, Pa/s], and a sentence.
     """
     joint = _stretches(rig, trials, jobs)
-    if len(joint) < _LEAST:
-        return {}, f"skipped: both commands stand for {_REST_S:g} s before {len(joint)} stretches, expected {_LEAST}"
+    if len(joint) < _FEWEST:
+        return {}, f"skipped: both commands stand for {_REST_S:g} s before {len(joint)} stretches, expected {_FEWEST}"
     found = of_commands(joint, held_out(len(joint), _SHARE), lambda text: None)
-    told = {path: interval.value for path, interval in found.values.items()}
-    values = {path: told[path] for path in (f"effects.{name}" for name in _PATHS) if path in told}
+    known = {path: interval.value for path, interval in found.values.items()}
+    values = {path: known[path] for path in (f"effects.{name}" for name in _PATHS) if path in known}
     taken = [item.name for item in found.tried if item.taken]
     others = [name for name in taken if name in ("dead time", "threshold")]
     note = f"{len(joint)} stretches tell {', '.join(taken) if taken else 'nothing beside the lag'}"
     if others:
-        shown = {path: value for path, value in told.items() if path not in values and "regulator_lag" not in path}
+        shown = {path: value for path, value in known.items() if path not in values and "regulator_lag" not in path}
         listed = ", ".join(f"{path.removeprefix('effects.')}: {value:.3g}" for path, value in shown.items())
         note += f"; give the rig file {listed}"
     return values, note
@@ -91,7 +90,7 @@ def _stretches(rig: Rig, trials: Sequence[Trial], jobs: int) -> CommandDriven:
 
 
 def _begins(trial: Trial) -> Indices:
-    """Samples at which a stretch begins: the last ones before a command changes that had stood."""
+    """Samples at which a stretch begins: the last ones before the change of a command that was constant."""
     changes = np.flatnonzero(np.any(np.diff(trial.voltage, axis=0) != 0.0, axis=1))  # the next sample has another one
     stood = np.diff(changes, prepend=-1)
     return np.asarray(changes[stood >= trial.samples(_REST_S)])

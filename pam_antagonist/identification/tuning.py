@@ -1,11 +1,10 @@
 """Noise and tuning of the filter from the recordings that the parameters came from.
 
-- R: the sensors' noise is what of the measurements no model could follow, sample by sample.
-- Q: what is left in the innovations beyond that is process noise, of the size under which they are most likely.
-- Considered directions (Schmidt-Kalman): what a fit does not know of the parameters, as a few directions.
-- Scale of these directions: how wrong the estimate is where nothing was fitted, by the errors of the measured angle and
-  torque beyond the part that an inner fit had. A process noise of the angle was tried beside it: such errors gave it no
-  size.
+- R: the sensors' noise, which is what no model could follow from sample to sample.
+- Q: the process noise under which the innovations are most likely.
+- Considered directions (Schmidt-Kalman): the uncertainty of the fitted parameters as a few directions.
+- Scale of these directions: from errors of the measured angle and torque after the part that an inner fit used. These
+  errors gave no further process noise of the angle.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ Floats = NDArray[np.float64]
 def with_noise(rig: Rig, trials: Sequence[Trial]) -> Rig:
     """The rig with the sensors' noise and R of the tuning ``default`` as the recordings show them."""
 
-    def of(channel: int) -> float:
+    def noise_of(channel: int) -> float:
         stds = [white_std(trial.measured[:, channel], trial.dt) for trial in trials if trial.has(channel)]
         known = [std for std in stds if math.isfinite(std)]
         return float(np.sqrt(np.mean(np.square(known)))) if known else float("nan")
@@ -49,10 +48,10 @@ def with_noise(rig: Rig, trials: Sequence[Trial]) -> Rig:
         return float(np.sqrt(max(std**2 - step**2 / 12.0, 0.0)))
 
     sensors = rig.sensors
-    pressure = [max(of(PRESSURE_1 + i), sensors.pressure_step / np.sqrt(12.0), 10.0) for i in (0, 1)]
+    pressure = [max(noise_of(PRESSURE_1 + i), sensors.pressure_step / np.sqrt(12.0), 10.0) for i in (0, 1)]
     changes = {"pressure_std": max(less_step(float(np.hypot(*pressure)) / np.sqrt(2.0), sensors.pressure_step), 10.0)}
     for channel, name in ((ANGLE, "angle"), (TORQUE, "torque")):
-        std = of(channel)
+        std = noise_of(channel)
         if math.isfinite(std):
             seen = [converter_step(trial.measured[:, channel]) for trial in trials if trial.has(channel)]
             step = max(*seen, getattr(sensors, f"{name}_step"))
@@ -62,27 +61,27 @@ def with_noise(rig: Rig, trials: Sequence[Trial]) -> Rig:
 
 
 INNER_SHARE = 2.0 / 3.0
-"""Of the fitted part, what an inner fit gets; the rest tells how wrong such a fit is where it was not fitted."""
+"""Share of the fitted part that an inner fit gets; the rest shows how wrong such a fit is outside its data."""
 _SCALES = (1.0, 8.0)
-"""Not below 1: a handful of slow errors can show that the parameters' covariance is too small, but not that it is too
-large."""
+"""Bounds of the scale. A handful of slow errors can show that the parameters' covariance is too small, but not that it
+is too large. So the scale is never below 1."""
 _CALIBRATIONS = 12
 _LIKELIER_SCALE = 1e-3
-"""Gain of the mean log likelihood of a sample that is worth no other scale: errors of a second are one."""
+"""Least gain of the mean log likelihood of a sample that is worth another scale: errors of a second count as one."""
 
 
 def calibrate(
     rig: Rig, trials: Sequence[Trial], known: Sensitivity, covariance: Floats, jobs: int
 ) -> tuple[float, bool]:
-    """The scale under which the errors of measured angles and torques are most likely, and whether there were any.
+    """The scale under which the errors of measured angles and torques are most likely, and whether any were measured.
 
-    They are those after the part that an inner fit had: in that part a fit comes nearer to what was measured than to
-    the truth, by as much as it is uncertain.
+    Only errors after the part that the inner fit used are judged. Within it a fit follows the measurement more closely
+    than the truth.
 
     Args:
         rig: with the values of the inner fit, noise and Q.
-        trials: recordings beyond the part that the inner fit had.
-        known: how the estimate of these trials moves with the parameters.
+        trials: the parts that were fitted; their errors count after :data:`INNER_SHARE`.
+        known: derivatives of the estimate of these trials by the parameters.
         covariance: of the inner fit's parameters (F, F), in units of the priors.
         jobs: threads.
     """
@@ -114,7 +113,7 @@ def calibrate(
 
 _EVALUATIONS = 40
 _LIKELIER = 1e-4
-"""Gain of the mean log likelihood of a sample that is worth no other Q: where a joint sticks now and then, the
+"""Least gain of the mean log likelihood of a sample that is worth another Q. Where a joint sticks now and then, the
 likelihood is ragged by more than this."""
 _PROCESS = ((-12.0, 1.0), (-2.0, 8.0))
 """Bounds of log10 of the process noise of velocity [rad²/s²] and pressure [Pa²]."""
@@ -122,16 +121,16 @@ _PROCESS = ((-12.0, 1.0), (-2.0, 8.0))
 
 @dataclass(frozen=True)
 class Tuned:
-    """What came of it.
+    """The result of a tuning.
 
     Attributes:
         rig: with noise, tuning ``default`` and directions.
-        directions: what is carried as uncertain, before scaling.
+        directions: that the filter considers, before scaling.
         scale: factor of all directions; 1 where no reference was measured.
-        likelihood: mean logarithm of the innovations' likelihood a sample, with the start's Q and with the tuned one.
+        likelihood: mean log likelihood of the innovations per sample, with the start's Q and with the tuned one.
         evaluations: how many Q were tried.
         calibrated: whether the scale was taken from a measured reference.
-        sensitivity: how the estimates of the parts that were fitted move with the parameters.
+        sensitivity: derivatives of the estimates by the parameters, of the parts that were fitted.
     """
 
     rig: Rig
@@ -157,8 +156,8 @@ def tune(
         rig: with the fitted values.
         trials: the parts that were fitted.
         found: the fit.
-        inner: the same fit of the first share of these parts: what it makes of the rest tells how wrong a fit is
-            where it was not fitted.
+        inner: the same fit of the first share of these parts; its errors on the rest show how wrong a fit is outside
+            its data.
         jobs: threads.
         progress: called with what is being done.
     """
@@ -182,9 +181,9 @@ def tune(
 
 
 def own_tuning(tuned: Tuned, trial: Trial, found: JointFit, inner: JointFit, index: int, jobs: int = 1) -> Rig:
-    """The rig with one recording's own values, with what these are not known to in place of the common ones', and Q.
+    """The rig with one recording's own values, and with the directions and the Q that belong to them.
 
-    The Q of the common values covers what these miss in a single recording: for its own values it is too large.
+    The Q of the common values also covers their errors in a single recording. For its own values it is too large.
 
     Args:
         tuned: the rig with the common values and the tuning that was found for them.
@@ -204,7 +203,7 @@ def own_tuning(tuned: Tuned, trial: Trial, found: JointFit, inner: JointFit, ind
 
 
 def innovation_likelihood(run: EstimateRun, settle: int) -> tuple[float, int]:
-    """Sum of the logarithms of the innovations' likelihood, and of how many samples.
+    """Sum of the innovations' log likelihoods, and the number of samples in it.
 
     Args:
         run: of the filter.
@@ -223,7 +222,7 @@ def _tune_process(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[Rig, tu
 
     def with_process(logarithm: Floats) -> Rig:
         velocity, pressure = (float(10.0**value) for value in logarithm)
-        # The angle has no noise of its own but what that of the velocity makes of it within a step: white acceleration.
+        # The angle's noise is only what the velocity's noise causes within a step: white acceleration.
         angle = velocity * rig.sample_period**2 / 3.0
         process = (angle, velocity, pressure, pressure)
         return rig.replaced(tunings={**rig.tunings, "default": tuning.replaced(process=process)})

@@ -1,4 +1,4 @@
-"""κ(u) by the paper's three steps, and whether the recordings ask for another curve than the rig declares.
+"""The valve curve κ(u) by the paper's three steps, and whether the recordings contradict the declared curve.
 
 The steps are: open rate → steady pressure, voltage → steady pressure, the two combined. The paper draws the curve and
 describes the procedure (section on model parameters, figure "A procedure for obtaining the function κ(u)"): the first
@@ -22,7 +22,7 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _STEADY_S = 1.0
-"""[s] A pressure counts as steady when it and the voltage have kept still for so long."""
+"""[s] A pressure counts as steady if it and the voltage have been constant for this time."""
 _DRIFT = 300.0
 """[Pa/s] A pressure that moves less is steady."""
 _SAME_VOLTAGE = 0.01
@@ -48,9 +48,9 @@ class SteadyPoints:
 def steady_open_rate(pressure: Floats, p: Floats) -> Floats:
     """Step one: the open rate at which as much flows in as out, for each pressure.
 
-    In the steady state equation (5) is α m_in = (1 − α) m_out, in which neither the orifice areas nor the
-    polytropic indices stand (Proposition 1), so that α = m_out/(m_in + m_out). It is the relation that the paper
-    gets by simulating until the pressure stands.
+    In the steady state equation (5) is α m_in = (1 − α) m_out, so that α = m_out/(m_in + m_out). It contains neither
+    orifice areas nor polytropic indices (Proposition 1). The paper gets the same relation by simulating until the
+    pressure is constant.
 
     Args:
         pressure: (K,) [Pa], between atmosphere and supply.
@@ -116,9 +116,9 @@ def valve_curve(points: SteadyPoints, p: Floats) -> tuple[Floats, Floats]:
 
 
 _STEADY_STD = 1.5e3
-"""[Pa] How far a pressure that counts as steady may still be from where it ends: drift over its time constant."""
+"""[Pa] Distance of a steady pressure from its final value, at most: the drift over one time constant."""
 _DEVIATING = 2.0
-"""RMS of the deviations, in standard deviations, from which on the declared curve is replaced."""
+"""RMS deviation, in standard deviations, above which the declared curve is replaced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +127,12 @@ class CurveFinding:
 
     Attributes:
         valve: 0 or 1.
-        voltage: knots that were measured (K,) [V], offsets of the rig taken off; empty where there were too few.
+        voltage: knots that were measured (K,) [V], less the rig's offsets; empty where there were too few.
         open_rate: their open rates (K,) [-].
         declared: the declared curve there (K,) [-].
         std: standard deviations of the open rates (K,) [-].
         replaced: whether the declared curve was changed.
-        note: what there is to say.
+        note: the finding in words.
     """
 
     valve: int
@@ -147,8 +147,8 @@ class CurveFinding:
 def identify_curves(rig: Rig, trials: Sequence[Trial]) -> tuple[Rig, list[CurveFinding]]:
     """κ(u) of both valves by the paper's three steps, where the recordings hold steady pressures.
 
-    Between the measured voltages the correction of the declared curve is linear; beyond them the declared curve
-    stands, for nothing is known there.
+    Between the measured voltages the correction of the declared curve is linear. Beyond them the declared curve is
+    kept, since nothing is known there.
 
     Args:
         rig: the declared curves.
@@ -159,7 +159,7 @@ def identify_curves(rig: Rig, trials: Sequence[Trial]) -> tuple[Rig, list[CurveF
     """
     findings = []
     for valve in (0, 1):
-        finding = _one(rig, trials, valve)
+        finding = _curve_finding(rig, trials, valve)
         findings.append(finding)
         if finding.replaced:
             name = f"valve_{valve + 1}"
@@ -176,16 +176,16 @@ def identify_curves(rig: Rig, trials: Sequence[Trial]) -> tuple[Rig, list[CurveF
 
 
 def _knots(declared: Floats, measured: Floats) -> Floats:
-    """Voltages [V] of a curve that bends where it was measured as well, as many as a curve may have.
+    """Knots [V] of a curve, declared and measured ones, as many as a curve may have.
 
-    A guessed curve may have a point at either end only.
+    A guessed curve may have knots at its ends only.
     """
     most = par.MAX_KNOTS - len(declared)
     chosen = np.unique(np.linspace(0, len(measured) - 1, min(most, len(measured))).round().astype(int))
     return np.unique(np.concatenate([declared, measured[chosen]]).round(6))
 
 
-def _one(rig: Rig, trials: Sequence[Trial], valve: int) -> CurveFinding:
+def _curve_finding(rig: Rig, trials: Sequence[Trial], valve: int) -> CurveFinding:
     p = rig.parameters()
     found = [
         steady_points(trial.voltage[:, valve], trial.measured[:, PRESSURE_1 + valve], trial.dt) for trial in trials
@@ -196,7 +196,7 @@ def _one(rig: Rig, trials: Sequence[Trial], valve: int) -> CurveFinding:
         voltage, rates = valve_curve(points, p)
     except BadInput as reason:
         return CurveFinding(valve, none, none, none, none, False, f"valve {valve + 1}: {reason}; declared curve kept")
-    # The curve is what is left of the steady open rates when the offsets that the rig declares are taken off.
+    # The curve is the steady open rate less the offsets that the rig declares.
     shift, lift = flow.curve_shift(valve, p)
     voltage = voltage - shift
     rates = np.clip(rates - lift, 0.0, 1.0)
