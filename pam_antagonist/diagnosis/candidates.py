@@ -1,4 +1,4 @@
-"""Candidates beside a model: their evidence to first order (the score test), and what a full fit made of them.
+"""Candidates beside a model: their evidence to first order (the score test), and the results of full fits.
 
 A score test asks what a candidate would explain of a residual beside the base parameters with their priors. The
 residual is regressed on how a finite size of the effect changes it. That takes one simulation a size and shape, no fit.
@@ -44,10 +44,10 @@ class TriedCandidate:
         score: evidence to first order, over all recordings.
         delta_bic: evidence of the fitted part after a full fit; None where the score was too low for one.
         held_out_evidence: evidence of the held-out part, where no parameter has a price; None likewise.
-        shares: of the held-out and of the fitted excess, what it removes (:mod:`explained`); None likewise.
+        shares: of the held-out and of the fitted excess that it removes (:mod:`explained`); None likewise.
         model: the fitted model; None likewise.
         muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
-        share: of the excess without effects, fitted and held out together, what it removes; None likewise.
+        share: of the excess without effects, fitted and held out together, that it removes; None likewise.
         taken: whether it is in the final model.
     """
 
@@ -64,7 +64,7 @@ class TriedCandidate:
 
     @property
     def standing(self) -> float:
-        """Evidence of both parts, by which candidates are compared; without a full fit behind all others."""
+        """Evidence of both parts, by which candidates are compared; those without a full fit come last."""
         if self.delta_bic is None or self.held_out_evidence is None:
             return -np.inf
         return self.delta_bic + self.held_out_evidence
@@ -109,7 +109,7 @@ def evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
 
 
 def held_out_evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
-    """Evidence for a model on the held-out part of a recording: no parameter was fitted there, and none has a price.
+    """Evidence for a model on the held-out part of a recording. Nothing was fitted there, so no parameter has a price.
 
     Args:
         experiment: the recording.
@@ -120,7 +120,7 @@ def held_out_evidence(experiment: Experiment, before: Fitted, after: Fitted) -> 
 
 
 def likelier(scale: Scale, before: Floats, after: Floats) -> float:
-    """Twice the logarithm of how much likelier one residual is than another one, where nothing was fitted.
+    """Twice the log likelihood ratio of two residuals where nothing was fitted.
 
     Args:
         scale: of the model with fewer free parameters.
@@ -139,8 +139,8 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     Args:
         experiment: the recording.
         fitted: the model without the candidate, whose residual is to be explained.
-        at: model from which the steps are taken; default: the fitted one. From the model as configured, a large
-            effect is seen before the base parameters have bent to it.
+        at: model from which the steps are taken; default: the fitted one. The model as configured shows a large
+            effect to which the fitted base parameters have adapted.
     """
     here = fitted if at is None else at
     scale = fitted.scale

@@ -1,9 +1,9 @@
 """The part of a recording in which a model leaves more than noise: when something begins, and when it ends.
 
 A model is first fitted to parts of the recording. The one that explains most of the rest as well is at the noise where
-nothing has begun. The part that is above noise is then the most likely one: noise before and after it, another variance
-of each channel within. What is outside of it is fitted once more, which shows the part more clearly. Several things may
-begin and end: then there are several such parts.
+nothing has begun. The part above noise is then found by its likelihood: noise before and after it, another variance of
+each channel within. The model is fitted again to what is outside of it, which shows the part more clearly. There are
+several such parts if several things begin and end.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from pam_antagonist.inference.trial import Mask, Split
 Floats = NDArray[np.float64]
 
 _PARTS = (4, 8)
-"""A model that nothing has bent yet is looked for in quarters of a recording, and in eighths."""
+"""An undisturbed model is searched for in quarters of a recording, and in eighths."""
 _LEAST_PART = 5.0
-"""[s] Of a recording that is fitted by itself: a few independent errors."""
+"""[s] Shortest part that is fitted by itself: a few independent errors."""
 _WINDOW = 1.0
-"""[s] In which a model is at its noise or not: one independent error."""
+"""[s] Window in which a model is at its noise or not: one independent error."""
 _GROWTHS = 12
 _MOST_PARTS = 3
-"""More of them do not begin and end: the model is wrong in another way."""
+"""Most parts above noise. If there are more, the model is wrong in another way."""
 _BUFFER = 1.0
-"""[s] Next to the part above noise that is not fitted: one independent error."""
+"""[s] Time next to the part above noise that is not fitted: one independent error."""
 _LEAST_REST = 0.2
-"""Share of a recording that is at its noise, at least: the base parameters are fitted to it."""
+"""Least share of a recording at its noise: the base parameters are fitted to it."""
 _ROUNDS = 4
 
 
@@ -58,7 +58,7 @@ def is_noise(experiment: Experiment, residual: Floats) -> bool:
 
 
 def first_change(experiment: Experiment, fitted: Fitted) -> Change | None:
-    """Where a recording is above noise; None where it need not be, or where no quarter of it is at its noise.
+    """Where a recording is above noise; None if a fit to all data leaves only noise, or if no part is at its noise.
 
     Args:
         experiment: the recording.
@@ -96,10 +96,10 @@ def first_change(experiment: Experiment, fitted: Fitted) -> Change | None:
 
 
 def above_noise(residual: Floats, noise: Floats) -> tuple[int, int]:
-    """First block of the part of a residual that is most likely more than noise, and the first one behind it.
+    """First block of the most likely part of a residual above noise, and the first one behind it.
 
-    Outside of it the residual is noise; within, its variance is each channel's own. Begin and end are each found with
-    the other one held, in turn. An edge within the recording has to pay for having been looked for.
+    Outside of it the residual is noise; within, its variance is each channel's own. Begin and end are found in turn,
+    each with the other one held. An edge within the recording has a price for the search.
 
     Args:
         residual: (B, C).
@@ -135,8 +135,8 @@ def parts_above_noise(experiment: Experiment, fitted: Fitted) -> tuple[Span, ...
         fitted: its model, whose base and effects are fitted again.
 
     Returns:
-        Begin and end of each [s]; none where the model nowhere leaves noise alone, or where there are more parts than
-        of something that begins and ends.
+        Begin and end of each [s]; none if the model is nowhere at the noise, or if there are too many parts to be
+        things that begin and end.
     """
     quiet = _undisturbed(experiment, fitted, experiment.residual(fitted.point, whole=True))
     if quiet is None:
@@ -154,13 +154,13 @@ def parts_above_noise(experiment: Experiment, fitted: Fitted) -> tuple[Span, ...
 def _undisturbed(experiment: Experiment, fitted: Fitted, residual: Floats) -> tuple[Point, Mask] | None:
     """A model at the noise of a part of a recording, and the blocks (B,) where it is not; None where there is none.
 
-    It begins with a short part. What its model leaves at the noise elsewhere is fitted as well, so that the part grows.
-    Of several first parts that one serves which grows most; what a part has in it that is wrong explains nothing else.
+    The search begins with a short part. Blocks that its model leaves at the noise elsewhere are added, so the part
+    grows. Of several first parts the one that grows most is used: a disturbed part explains nothing else.
 
     Args:
         experiment: the recording.
         fitted: its model.
-        residual: it leaves of all of the recording (B, C).
+        residual: of that model in all of the recording (B, C).
     """
     count = len(residual)
     whole = _on(experiment, np.ones(count, dtype=bool))

@@ -1,8 +1,8 @@
 """Effects that begin or end during a recording: which, and when.
 
 Where a part of a recording is above noise (:mod:`change_point`), effects are selected that act in that part only. They
-are selected on blocks that are held out in turn, since what begins late lies where nothing would be fitted otherwise.
-The likelihood of all data then refines begin and end. What is still above noise gets the same again, beside them.
+are selected on blocks that are held out in turn, since a held-out end would hide what begins late from all fits. The
+likelihood of all data then refines begin and end. The same is repeated for what is still above noise.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from pam_antagonist.inference.starts import MAY_BE_NOISE
 _THIRDS = 3
 """Blocks of such a recording that are counted in turn; the last of each three is held out in the selection."""
 _HELD_LENGTH = 5.0
-"""[s] About so much is held out at once."""
+"""[s] Approximate length that is held out at once."""
 _BUFFER = 1.0
 """[s] Between what is fitted and what is held out: one independent error."""
 _STEP, _LEAST_STEP = 0.8, 0.02
-"""[s] Of the search for an edge: the first, and the last."""
+"""[s] First and last step of the search for an edge."""
 _WIDEST = 0.1
-"""Share of a recording: an edge is not known to less."""
+"""Largest uncertainty of an edge, as a share of the recording."""
 _SELECTIONS = 2
 _FAR = 1.0
-"""[s] Effects are selected once more where an edge turns out to be farther away than this: what was lost while an
-effect acted comes back slowly, so that its end looks late."""
+"""[s] Effects are selected once more if an edge turns out to be farther away than this. What was lost while an effect
+acted comes back slowly, so that its end looks late."""
 _ROUNDS = 4
 _SAME = 3.0
-"""Standard deviations: edges of two recordings that differ by less are one."""
+"""Edges of two recordings are the same if they differ by less than this, in standard deviations."""
 
 
 class Dated(NamedTuple):
@@ -97,7 +97,7 @@ def search(
     checkpoint: Checkpoint,
     to_noise: bool = False,
 ) -> Changing | None:
-    """Effects that begin or end during the recordings, where these explain what others do not; None where none do.
+    """Effects that begin or end during the recordings, if they explain what others do not; else None.
 
     Args:
         group: the recordings.
@@ -106,7 +106,8 @@ def search(
         jobs: threads.
         progress: is called with what is being done.
         checkpoint: keeps finished candidates.
-        to_noise: whether only those serve that leave nothing but noise; what stays far from it is not followed then.
+        to_noise: whether only effects are accepted that leave nothing but noise. A search that stays far above it is
+            ended early then.
     """
     experiments = group.experiments
     if not _can_change(group) or at_noise(experiments, chosen):
@@ -152,7 +153,7 @@ def _beside(
     checkpoint: Checkpoint,
     to_noise: bool,
 ) -> Changing | None:
-    """Effects that begin or end beside a model, one part of the recordings after the other; None where there are none.
+    """Effects that begin or end beside a model, one part of the recordings after the other; None if there are none.
 
     Args:
         group: the recordings.
@@ -341,7 +342,7 @@ def _with(span: Span, k: int, time: float) -> Span:
 def _best_of_recordings(own: _Refined, start: Point, others: Sequence[_Refined]) -> _Refined:
     """The better of a recording's own span and those that start from what other recordings show.
 
-    Edges and size may stand for one another, so that a search from the change can end beside the best.
+    Edges and size may compensate each other. So a search from the change can end beside the best.
 
     Args:
         own: the recording with the span of its own search.
@@ -385,11 +386,11 @@ def _better(experiments: Sequence[Experiment], chosen: Model, found: Changing) -
 
 
 def dated(judged: Judged, found: Changing) -> Judged:
-    """A verdict with begin and end of each effect; one that acts at several times is as many effects.
+    """A verdict with begin and end of each effect; one that acts at several times becomes several effects.
 
     Args:
         judged: the verdict on the recordings with their spans.
-        found: these.
+        found: the effects in recordings that change.
     """
     by_name = {e.trial.name: dates for e, dates in zip(found.group.experiments, found.dates, strict=True)}
     effects = [one for effect in judged.effects for one in _by_date(effect, by_name)]

@@ -91,8 +91,8 @@ def select(
         jobs: threads.
         progress: is called with what is being done.
         checkpoint: keeps finished candidates.
-        before: what was left before an effect that is in the experiments already, and is the first one then; default:
-            what the recalibrated model leaves.
+        before: residuals before an effect that the experiments already contain, which then counts as the first one;
+            default: residuals of the recalibrated model.
         calibrate: whether zeros, scales and late stamps may be found as well.
         most: effects at most, with those that are in the model already.
     """
@@ -165,10 +165,10 @@ def refitted_without(
 
 
 def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
-    """A model whose recordings have the effects of the others as well, where that costs them nothing.
+    """A model whose recordings also have the effects of the others, where that costs them nothing.
 
-    The rig has in both recordings what one shows and another hardly does. The other takes over its values, beside base
-    parameters that are fitted anew. A recording does not get what it rules out.
+    A rig has an effect in all recordings, even if one of them hardly shows it. That one takes over the values, with its
+    base parameters fitted anew. A recording does not get an effect that it rules out.
 
     Args:
         experiments: the recordings.

@@ -1,8 +1,8 @@
 """Stretches of a recording in which a model without effects leaves more than noise.
 
-The verdict `none` is said of all data: of the fitted and the held-out part, of every channel, of every stretch of
-seconds. The base parameters are therefore fitted to the whole recording before it is tested. What they cannot explain
-together is not a matter of where the recording was split.
+The verdict `none` is about all data: of the fitted and the held-out part, of every channel, of every stretch of
+seconds. The base parameters are therefore fitted to the whole recording before it is tested. So the result does not
+depend on where the recording was split.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pam_antagonist.inference.point import Point
 Floats = NDArray[np.float64]
 
 _ROUNDS = 6
-"""Of a fit that starts next to its end."""
+"""Rounds of a fit that starts near its end."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Stretch:
 def above_noise(experiments: Sequence[Experiment], points: Sequence[Point], jobs: int) -> tuple[Stretch, ...]:
     """The clearest stretch above noise of every recording that has one even with the base fitted to all of it.
 
-    The stretch is that of the model as it is, whose base has not bent to what is wrong.
+    The stretch is taken from the model as it is: the base fitted to all data may hide what is wrong.
 
     Args:
         experiments: the recordings.
