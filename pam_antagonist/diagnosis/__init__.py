@@ -1,26 +1,26 @@
 """From the residual of a recording to a physical effect that the model lacks.
 
-:mod:`pipeline` is the whole way, in five steps. Its modules, in the order in which they run:
+:mod:`pipeline` runs five steps. Their modules, in the order in which they run:
 
 1. Prepare. :mod:`preparation` makes experiments of the recordings and groups them.
 2. Recalibrate. :mod:`selection` fits the base parameters of each group; :mod:`splits` says which parts are held out.
    :mod:`agreement` refuses recordings of different rigs.
 3. Select. :mod:`selection` takes effects one by one: :mod:`candidates` scores and fits each, :mod:`explained` decides
-   how much it explains. :mod:`calibrations` and :mod:`far_calibrations` weigh zeros, scales and late stamps likewise.
+   how much it explains. :mod:`calibrations` and :mod:`far_calibrations` test zeros, scales and late stamps likewise.
 4. Judge. :mod:`judgement` has the verdict on a group. :mod:`stretches`, :mod:`change_point` and :mod:`onset` find
    effects that begin during a recording, :mod:`disturbance` and :mod:`disturbance_search` a torque that comes and goes,
    :mod:`sticking` friction of a joint that sticks. :mod:`findings` names the effects, with muscle and size, and
    :mod:`splits` says how firm they are.
 5. Describe. :mod:`description` makes the :class:`Diagnosis`: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
-   :mod:`found_calibrations` what to type.
+   :mod:`found_calibrations` the corrections that a user enters.
 
-All of them use :mod:`thresholds`. What is passed on stands in :mod:`result` and :mod:`errors`; :mod:`checkpoint` keeps
-finished candidates on disk.
+All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data that are passed on. :mod:`checkpoint`
+keeps finished candidates on disk.
 
-A regulator-driven joint with many short episodes goes another way: :mod:`episodes`, with
+A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
 :mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` and :mod:`episode_lines` for
-numbers that drift.
+parameters that drift.
 """
 
 from pam_antagonist.diagnosis.pipeline import diagnose

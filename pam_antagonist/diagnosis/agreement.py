@@ -1,9 +1,9 @@
-"""What recordings have in common, and where they contradict each other.
+"""One rig for all recordings, and contradictions between them.
 
-Every recording has base parameters and effects of its own. One rig for all of them weighs each by how well it knows
-them. Recordings of one rig may not differ by more than a rig does from day to day. The bound is wider than that of
-:func:`pam_antagonist.inference.joint_fit.check_same_rig`, which knows the spread between recordings. Here each was
-fitted by itself, before its effects are known.
+Every recording has base parameters and effects of its own. The common rig is their mean, weighted by how well each
+recording determines them. Recordings of one rig may not differ by more than a rig does from day to day. The bound is
+wider than that of :func:`pam_antagonist.inference.joint_fit.check_same_rig`, which knows the spread between recordings.
+Here each recording is fitted by itself, before its effects are known.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
-_OWN = 0.01
+_SCATTER = 0.01
 """Relative scatter between recordings that a weighted mean expects."""
 
 
@@ -49,7 +49,7 @@ def own_rig(experiment: Experiment, point: Point, start: Rig | None = None) -> R
 def common_rig(
     experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float], start: Rig | None = None
 ) -> Rig:
-    """The rig with base parameters that suit all recordings, each weighted by how well it knows them.
+    """The rig with base parameters for all recordings, each weighted by how well it determines them.
 
     Args:
         experiments: the recordings.
@@ -63,7 +63,7 @@ def common_rig(
 
 
 def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
-    """A rig with the estimator's tuning of another one, and with what its estimator finds that no law gives.
+    """A rig with the estimator's tuning of another one, and with that rig's effects that noise drives.
 
     Args:
         rig: the rig.
@@ -76,7 +76,7 @@ def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
 
 
 def common_point(experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float]) -> Point:
-    """The same as a point, of which a recording needs its own start only.
+    """The base parameters and effects of :func:`common_rig` as a point; a recording adds only its own start to it.
 
     Args:
         experiments: the recordings.
@@ -91,10 +91,10 @@ def common_point(experiments: Sequence[Experiment], model: Model, effects: Mappi
         return Point(theta, dict(model.fits[0].point.effects))
     information, pull = np.diag(first.prior[:count]), np.zeros(count)
     for fitted in model.fits:
-        covariance = fitted.covariance[:count, :count] + _OWN**2 * np.eye(count)
+        covariance = fitted.covariance[:count, :count] + _SCATTER**2 * np.eye(count)
         weight = np.linalg.inv(covariance)
         # The prior is in every recording's covariance; it counts once.
-        weight -= np.linalg.inv(np.diag(1.0 / first.prior[:count]) + _OWN**2 * np.eye(count))
+        weight -= np.linalg.inv(np.diag(1.0 / first.prior[:count]) + _SCATTER**2 * np.eye(count))
         information += weight
         pull += weight @ fitted.point.theta[:count]
     theta[:count] = np.linalg.solve(information, pull)
@@ -102,12 +102,12 @@ def common_point(experiments: Sequence[Experiment], model: Model, effects: Mappi
 
 
 def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, str] | None:
-    """Where two models of the same joint condition are of different rigs: name and difference in words, else None.
+    """Name and size of the largest difference between two models if it is too large for one rig; else None.
 
     Args:
-        experiment: one of the two, whose directions they share.
+        experiment: one of the two recordings, both of the same joint condition.
         one: its model.
-        other: that of the other.
+        other: the model of the other recording.
     """
     count = len(experiment.directions)
     apart = one.point.theta[:count] - other.point.theta[:count]
@@ -138,7 +138,7 @@ def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:
 def check_same_rig(group: Group, base: Model, jobs: int) -> None:
     """Refuse a held-out recording whose own base parameters are far from those of the fitted ones.
 
-    The fit that shows this serves nothing else.
+    The fits of this check are used for nothing else.
 
     Args:
         group: the recordings.
@@ -146,7 +146,7 @@ def check_same_rig(group: Group, base: Model, jobs: int) -> None:
         jobs: threads.
 
     Raises:
-        BadInput: one that seems to be of another rig.
+        BadInput: a recording that seems to be of another rig.
     """
 
     def own(other: Experiment) -> Fitted:
@@ -191,8 +191,8 @@ def effect_contradictions(
 ) -> list[str]:
     """Effects that some recordings show and others rule out.
 
-    An effect that a recording does not show may be one that it cannot show. It is ruled out where the recording loses
-    strong evidence when it is given the others' value, its base parameters fitted anew.
+    A recording that does not show an effect may be unable to show it. It rules the effect out if the others' value
+    costs it strong evidence, with its base parameters fitted anew.
 
     Args:
         experiments: the recordings.
@@ -210,7 +210,7 @@ def effect_contradictions(
         if experiment.trial.name not in effect.recordings
     ]
     losses = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(_loss)(experiments[r], model.fits[r], _of(effect.name, values)) for effect, r in tasks
+        delayed(_loss)(experiments[r], model.fits[r], _parameters_of(effect.name, values)) for effect, r in tasks
     )
     return [
         f"the recordings contradict each other: {' and '.join(effect.recordings)} shows {effect.name}, "
@@ -220,7 +220,7 @@ def effect_contradictions(
     ]
 
 
-def _of(effect: str, values: Mapping[str, float]) -> dict[str, float]:
+def _parameters_of(effect: str, values: Mapping[str, float]) -> dict[str, float]:
     return {path: value for path, value in values.items() if path.startswith(f"effects.{effect}.")}
 
 

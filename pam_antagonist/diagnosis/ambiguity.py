@@ -1,15 +1,15 @@
-"""What recordings cannot tell apart: candidates that do nearly as well as the chosen one, and rivals on equal terms.
+"""Effects that recordings cannot distinguish: candidates nearly as good as the chosen one, and rivals on equal terms.
 
-A candidate whose evidence is within strong evidence of the chosen one's is ambiguous with it. A joint that is driven by
-its angle hides more, which are compared on what its sensors resolve. Which effects these are stands in their own files
-(:class:`~pam_antagonist.model.effects.base.SealedJoint`):
+A candidate is ambiguous with the chosen one if its evidence is not smaller by strong evidence. An angle-driven joint
+has further ambiguities. They are compared on what its sensors resolve. The effects' own files say which effects these
+are (:class:`~pam_antagonist.model.effects.base.SealedJoint`):
 
-*A loop.* Coulomb friction and hysteresis differ in how the torque turns round: at once, or over a width. While the
-drive sticks the encoder shows no motion, so a loop that turns round within its step cannot be seen. Both are compared
-where the joint slides; the hysteresis may be as narrow as that.
+*A loop.* Coulomb friction and hysteresis differ in how the torque reverses: at once, or over a width. While the drive
+sticks, the encoder shows no motion. So it does not show a reversal within one of its steps. Both effects are compared
+where the joint slides. The hysteresis may be as narrow as one step.
 
-*A loss.* A leak goes on at a constant rate, as long as the pressure hardly falls. Gas that still cools from having been
-charged, and tubes that still give way, lose pressure at a rate that dies out.
+*A loss.* A leak has a constant rate, as long as the pressure hardly falls. Gas that cools after it was charged, and
+tubes that still stretch, lose pressure at a rate that decays.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _LOOPS = {name: effect.sealed.loop for name, effect in CATALOGUE.items() if effect.sealed.loop is not None}
-"""Effects that turn the torque round, with how they do it."""
-_RATES = (0.125, 0.25, 0.5, 1.0)
-"""Time constants of a loss that dies out, in durations of what was fitted."""
+"""Effects with a torque loop, and the form of the loop."""
+_TIME_CONSTANTS = (0.125, 0.25, 0.5, 1.0)
+"""Time constants of a loss that decays, in durations of the fitted part."""
 
 
 def near_candidates(selection: Selection) -> tuple[str, ...]:
@@ -104,13 +104,13 @@ def distinguishing_experiments(
 
 
 def with_compared_size(effect: FoundEffect, compared: Sequence[Ambiguity]) -> FoundEffect:
-    """An effect whose size has an error that holds the difference to its size where it was compared with a rival.
+    """An effect whose standard deviation covers the size that it had in the comparison with a rival.
 
-    Friction may have any torque up to its bound while the joint sticks, which moves its size there.
+    While the joint sticks, friction may have any torque up to its bound. This changes its size there.
 
     Args:
         effect: as it was found.
-        compared: with rivals.
+        compared: comparisons with rivals.
     """
     for item in compared:
         if item.found == effect.name and item.parameter in effect.parameters and np.isfinite(item.size):
@@ -121,32 +121,32 @@ def with_compared_size(effect: FoundEffect, compared: Sequence[Ambiguity]) -> Fo
 
 
 def _loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Sequence[str]) -> list[Ambiguity]:
-    """A found effect that turns the torque round beside the others that do, where the joint slides."""
+    """Compare a found effect that has a torque loop with the others that have one, where the joint slides."""
     here = next((name for name in found if name in _LOOPS), None)
     if here is None:
         return []
     clear = [replace(experiment, resolved=True) for experiment in experiments]
-    mine = [_with_loop(*pair, here) for pair in zip(clear, fits, strict=True)]
+    found_fits = [_with_loop(*pair, here) for pair in zip(clear, fits, strict=True)]
     slides = [np.isfinite(one.measured[: len(fit.residual), 0]) for one, fit in zip(clear, fits, strict=True)]
-    # Samples that have an error of their own.
+    # Samples with independent errors.
     values = [max(there.sum() / fit.scale.counted, np.e) for there, fit in zip(slides, fits, strict=True)]
     count = max(sum(int(there.sum()) for there in slides), 1)
     sizes = _LOOPS[here].sizes
     item = _item(here, sizes[0])
     out = []
     for other in (name for name in _LOOPS if name not in found):
-        theirs = [_with_loop(*pair, other) for pair in zip(clear, fits, strict=True)]
+        rival_fits = [_with_loop(*pair, other) for pair in zip(clear, fits, strict=True)]
         squares = np.array(
             [
                 [np.sum(one.residual[at, 0] ** 2) for one, at in zip(both, slides, strict=True)]
-                for both in (mine, theirs)
+                for both in (found_fits, rival_fits)
             ]
         )
-        price = len(theirs[0].free) - len(mine[0].free)
+        price = len(rival_fits[0].free) - len(found_fits[0].free)
         gains = [n * np.log(their / my) + price * np.log(n) for n, my, their in zip(values, *squares, strict=True)]
         rms = np.sqrt(squares.sum(axis=1) / count)
         widths = [fit.point.effects[parameter_path(n, _LOOPS[n].width)]
-                  for n, fit in ((here, mine[-1]), (other, theirs[-1])) if _LOOPS[n].width]  # fmt: skip
+                  for n, fit in ((here, found_fits[-1]), (other, rival_fits[-1])) if _LOOPS[n].width]  # fmt: skip
         out.append(
             Ambiguity(
                 found=here,
@@ -156,9 +156,9 @@ def _loops(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], found: Se
                 unit="N m",
                 shape=float(widths[-1]) if widths else np.nan,
                 about=_about_loops(experiments[0].rig, (here, other)),
-                size=float(np.mean([fit.point.effects[fit.free[0].path] for fit in mine])),
+                size=float(np.mean([fit.point.effects[fit.free[0].path] for fit in found_fits])),
                 size_unit=item.unit,
-                # Of several sizes that one value stands for, each has another one.
+                # One value cannot stand for several sizes that differ.
                 parameter=item.name if len(sizes) == 1 else "",
             )
         )
@@ -176,7 +176,7 @@ def _item(effect: str, name: str) -> EffectParameter:
 
 
 def _with_loop(experiment: AngleDriven, fitted: Fitted, name: str) -> Fitted:
-    """The best fit with one effect that turns the torque round in the place of all such effects."""
+    """The best fit with one effect that has a torque loop in place of all such effects."""
     loop, rig = _LOOPS[name], experiment.rig
     rest = {path: value for path, value in fitted.point.effects.items() if path.split(".")[1] not in _LOOPS}
     sizes, size = tuple(parameter_path(name, one) for one in loop.sizes), _item(name, loop.sizes[0])
@@ -193,7 +193,7 @@ def _with_loop(experiment: AngleDriven, fitted: Fitted, name: str) -> Fitted:
 
 
 def _losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: Sequence[str]) -> list[Ambiguity]:
-    """A found effect that takes pressure at a steady rate beside those whose rate fades, in the mean of the pressures.
+    """Compare a found loss of pressure at a steady rate with losses whose rate decays, by the mean of the pressures.
 
     Args:
         experiments: airs of the recordings.
@@ -207,13 +207,13 @@ def _losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: S
     tried = []
     counted = [len(fitted.residual) / fitted.scale.counted for fitted in base]
     steady = [_mean_square(fitted, _time(fitted)) for fitted in base]
-    for rate in _RATES:
-        fading = [_mean_square(fitted, np.exp(-_time(fitted) / rate)) for fitted in base]
+    for constant in _TIME_CONSTANTS:
+        fading = [_mean_square(fitted, np.exp(-_time(fitted) / constant)) for fitted in base]
         gain = sum(n * np.log(new / old) for n, old, new in zip(counted, steady, fading, strict=True))
-        # Its time constant is one more unknown.
-        tried.append((float(gain + np.log(max(sum(counted), np.e))), rate, fading))
-    evidence, rate, fading = min(tried, key=lambda one: one[0])
-    seconds = rate * np.mean([e.fitted * e.trial.dt for e in experiments])
+        # The time constant is one more unknown.
+        tried.append((float(gain + np.log(max(sum(counted), np.e))), constant, fading))
+    evidence, constant, fading = min(tried, key=lambda one: one[0])
+    seconds = constant * np.mean([e.fitted * e.trial.dt for e in experiments])
     rms = tuple(float(np.sqrt(np.mean(part))) / 1e3 for part in (steady, fading))
     return [
         Ambiguity(
@@ -230,12 +230,12 @@ def _losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: S
 
 
 def either_muscle(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], effect: str) -> int | None:
-    """The muscle that alone would do nearly as well as both alike; None where both are needed, or are not alike.
+    """The muscle that alone explains nearly as much as both with one size; None if both are needed or differ in size.
 
     Args:
         experiments: airs of the recordings.
         fits: their models.
-        effect: one of both muscles.
+        effect: name of an effect of both muscles.
     """
     lost = {1: 0.0, 2: 0.0}
     for experiment, fitted in zip(experiments, fits, strict=True):
@@ -263,7 +263,7 @@ def _time(fitted: Fitted) -> Floats:
 
 
 def _mean_square(fitted: Fitted, course: Floats) -> float:
-    """Mean square of the mean pressure's residual that base parameters and a course in time leave."""
+    """Mean square of the mean pressure's residual after a fit of the base parameters and a course in time."""
     columns = np.column_stack([fitted.base[:, 0, :], course, np.ones(len(course))])
     used = columns[:, np.any(columns != 0.0, axis=0)]
     scaled = used / np.sqrt(np.mean(used**2, axis=0))

@@ -1,4 +1,4 @@
-"""Which calibrations of their sensors and clocks recordings need: weighed as effects are, and named apart from them."""
+"""Calibrations of sensors and clocks that recordings need: tested as effects are, and reported separately."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from pam_antagonist.inference.standard_errors import settled, well_known
 from pam_antagonist.inference.starts import best_of_starts
 
 _IMITATED = ("torque_scale",)
-"""Calibrations that base parameters imitate exactly: muscles, inertia and friction that are as much larger."""
+"""Calibrations that base parameters imitate exactly: muscles, inertia and friction larger by the same factor."""
 _STAMP_STD = 12.0**-0.5
-"""[sample periods] A stamp tells within which sample something was: its error is uniform over one."""
+"""[sample periods] Standard deviation of a stamp's error, which is uniform over one sample period."""
 
 
 def tried(
     experiments: Sequence[Experiment], first: Sequence[explained.Residuals], model: Model, number: int, jobs: int
 ) -> list[TriedCandidate]:
-    """Calibrations beside a model, the best first: each is one number, and fitted in every recording above its noise.
+    """Calibrations fitted beside a model, in every recording above its noise; the best first. Each is one number.
 
     Args:
         experiments: the recordings.
@@ -71,10 +71,10 @@ def tried(
 
 
 def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: int) -> list[TriedCandidate]:
-    """Calibrations that the parameters of a model at the noise have bent to, the best first.
+    """Calibrations that biased parameters of a model at the noise hide, the best first.
 
-    The residual is noise, so that every block of it counts, or as many as its memory leaves. The evidence is that of
-    the posterior: base parameters that need not bend gain what their priors charged.
+    The residual is noise, so every block of it counts, or as many as its memory leaves. The evidence includes the
+    priors: with the calibration, base parameters move back to them.
 
     Args:
         experiments: the recordings.
@@ -83,7 +83,7 @@ def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: i
         jobs: threads.
 
     Returns:
-        Those that are certain, have strong evidence in all, and hold on the held-out parts.
+        Those that are certain, and have enough evidence on the fitted and on the held-out parts.
     """
     pairs = list(zip(experiments, model.fits, strict=True))
     tasks = [
@@ -104,9 +104,9 @@ def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: i
             experiment, point, (*now.free, *more), renewals=3, blocks_per_error=now.scale.blocks_per_error, beside=now
         )  # fmt: skip
 
-    # What a further fit gains without any calibration speaks for none.
+    # The gain of a further fit without a calibration is no evidence for one.
     noted = list(dict.fromkeys(r for r, _ in tasks))
-    settled = dict(zip(noted, in_threads(delayed(fitted)(r, None) for r in noted), strict=True))
+    plain = dict(zip(noted, in_threads(delayed(fitted)(r, None) for r in noted), strict=True))
     done = dict(zip(((c.effect, r) for r, c in tasks), in_threads(delayed(fitted)(*t) for t in tasks), strict=True))
     out = []
     for name in dict.fromkeys(name for name, _ in done):
@@ -115,7 +115,7 @@ def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: i
             new = done.get((name, r))
             if new is None or not _is_certain(new, name):
                 continue
-            gain, later = _posterior_gain(experiment, settled[r], new)
+            gain, later = _posterior_gain(experiment, plain[r], new)
             if gain > 0.0:
                 fits[r], total, held = new, total + gain, held + later
         if total + held >= thresholds.TAKEN and min(total, held) >= thresholds.POSITIVE:
@@ -137,7 +137,7 @@ def _first_order(experiment: Experiment, fitted: Fitted, candidate: Candidate) -
 
 
 def _posterior_gain(experiment: Experiment, before: Fitted, after: Fitted) -> tuple[float, float]:
-    """Evidence at the noise, where a block counts as many times as the residual's memory says: fitted, held out."""
+    """Evidence of the fitted and of the held-out part at the noise, with blocks weighted by the residual's memory."""
     scale = before.scale
     length = float(scale.length.max())
     old, new = (cost_of(experiment, f.point, f.residual, scale) for f in (before, after))
@@ -167,7 +167,8 @@ def taken(
 ) -> tuple[Model, Model]:
     """The model without effects and the chosen one, both with a calibration that is worth taking.
 
-    Recordings that do not show it get its value, where that costs them nothing: the sensors are the same.
+    The sensors are the same in all recordings. So recordings that do not show the calibration get its value too, where
+    that costs nothing.
 
     Args:
         experiments: the recordings.
@@ -205,7 +206,7 @@ def taken(
 
 
 def needed(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> tuple[Model, Model]:
-    """The model without effects and the chosen one, without calibrations and effects that do not pay beside the others.
+    """Both models without the calibrations and effects that are not significant beside the others.
 
     Args:
         experiments: the recordings.
@@ -231,7 +232,7 @@ def needed(experiments: Sequence[Experiment], base: Model, model: Model, jobs: i
 
 
 def _lost(experiments: Sequence[Experiment], smaller: Model, model: Model) -> float:
-    """Evidence for a model against one without a calibration: that of the posterior where both leave only noise."""
+    """Evidence for a model against one without a calibration; it includes the priors where both leave only noise."""
     if not (explained.at_noise(experiments, smaller) and explained.at_noise(experiments, model)):
         return explained.evidence_of(experiments, smaller, model)
     total = 0.0
@@ -242,7 +243,7 @@ def _lost(experiments: Sequence[Experiment], smaller: Model, model: Model) -> fl
 
 
 def carried_on(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
-    """A model with calibrations, fitted to its end: their values are known so well that the fit's last steps show.
+    """A model fitted to convergence: calibrations are so certain that the last steps of a fit matter.
 
     Args:
         experiments: the recordings.
@@ -259,7 +260,7 @@ def carried_on(experiments: Sequence[Experiment], model: Model, jobs: int) -> Mo
 
 
 def without(experiments: Sequence[Experiment], model: Model, prefix: str, jobs: int) -> Model:
-    """A model without the parameters whose dotted paths begin like this, everything else fitted anew.
+    """A model without the parameters whose dotted paths have a prefix, everything else fitted anew.
 
     Args:
         experiments: the recordings.
@@ -302,13 +303,13 @@ def found(
     weighed: Sequence[TriedCandidate],
     rivals: Mapping[str, tuple[str, ...]],
 ) -> tuple[FoundCalibration, ...]:
-    """The calibrations that recordings need, each with its value; none that is not certain.
+    """The calibrations that recordings need, each with its value; uncertain ones are left out.
 
     Args:
         experiments: the recordings.
-        models: of the recordings, the last one that of the selection; the first with a calibration free has its value.
+        models: of the recordings, the selection's model last; the first in which a calibration is free has its value.
         weighed: all calibrations that were tried.
-        rivals: for each that was taken, what the recordings cannot tell from it.
+        rivals: for each that was taken, what the recordings cannot distinguish from it.
     """
 
     @cache
@@ -323,14 +324,14 @@ def found(
         # A stamp is off by a part of a sample, whatever a fit says.
         stamped = {r: experiments[r].trial.dt * _STAMP_STD if name.startswith("delay_") else 0.0 for r in seen}
         value, std = _mean([(own, float(np.hypot(error, stamped[r]))) for r, (own, error) in seen.items()])
-        # One that was taken before an effect was found that begins late may turn out to have been a part of that.
+        # A calibration may turn out to be a part of an effect that begins late and was found afterwards.
         if abs(value) < thresholds.CERTAIN_CALIBRATION * std:
             continue
         errors = {r: float(np.hypot(_value(well(number, r), calibration.path(name))[1], stamped[r])) for r in seen}
         by_recording = {experiments[r].trial.name: (own, errors[r]) for r, (own, _) in seen.items()}
-        # What is not known of the rig is the same in all recordings: they are not better together than one of them.
+        # The rig's uncertainty is common to all recordings: their mean is not better than the best of them.
         std = max(_mean(list(by_recording.values()))[1], min(errors.values()))
-        # The same by its whole standard deviation: beside an effect whose law is another on this rig, it may be a part.
+        # The same test with the whole standard deviation: it may be a part of an effect whose law differs on this rig.
         if abs(value) < thresholds.CERTAIN_CALIBRATION * std:
             continue
         unit = calibration.CALIBRATIONS[name].unit
@@ -351,7 +352,7 @@ def _value(fitted: Fitted, dotted: str) -> tuple[float, float]:
 
 
 def _mean(seen: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean, and its standard deviation; where values differ by more than theirs, what they scatter."""
+    """Weighted mean and its standard deviation, enlarged where the values scatter by more than their own."""
     values, stds = np.array(seen).T
     weights = 1.0 / np.maximum(stds, 1e-12) ** 2
     mean, std = float(weights @ values / weights.sum()), float(weights.sum() ** -0.5)

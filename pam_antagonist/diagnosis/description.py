@@ -1,4 +1,4 @@
-"""From the verdicts on all groups to the whole answer: a sentence, errors before and after, rigs, what is left."""
+"""From the verdicts on all groups to the diagnosis: a sentence, errors before and after, rigs, remaining residuals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from pam_antagonist.rig import Rig
 
 _T = TypeVar("_T")
 _TUNINGS = 25
-"""Tunings of the estimator that are tried for each model, from the rig file's."""
+"""Tunings of the estimator that are tried for each model, beginning with the rig file's."""
 
 
 def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, timings: Timings) -> Diagnosis:
@@ -49,7 +49,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         timings: what took how long.
     """
     jobs, progress = settings.jobs, settings.progress
-    ended = [_with_an_end(prepared, j, jobs) for j in judged]
+    ended = [_with_held_out_end(prepared, j, jobs) for j in judged]
     compared = tuple(c for end, j in zip(ended, judged, strict=True) for c in held_out.compare(*end, j.values))
     rivals = tuple(
         rival
@@ -142,8 +142,8 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     )
 
 
-def _with_an_end(prepared: Prepared, judged: Judged, jobs: int) -> tuple[Group, Model, Model]:
-    """A group as it was prepared, with its models; those that were fitted to all data are fitted again."""
+def _with_held_out_end(prepared: Prepared, judged: Judged, jobs: int) -> tuple[Group, Model, Model]:
+    """A group with its end held out, as prepared; models that were fitted to all data are fitted again to the rest."""
     if not any(experiment.splits for experiment in judged.group.experiments):
         return judged.group, judged.base, judged.model
     group = next(group for group in prepared.groups if group.name == judged.group.name)
@@ -157,7 +157,7 @@ def _with_an_end(prepared: Prepared, judged: Judged, jobs: int) -> tuple[Group, 
 
 
 def _as_judged(prepared: Prepared, judged: Sequence[Judged]) -> Prepared:
-    """The recordings as they were split in the end, with all effects throughout."""
+    """The recordings with their final splits, and all effects throughout."""
     groups = (
         replace(j.group, experiments=tuple(replace(experiment, spans={}) for experiment in j.group.experiments))
         for j in judged
@@ -184,7 +184,7 @@ def _effects(prepared: Prepared, judged: Sequence[Judged], rivals: Sequence[Ambi
 
 
 def _own_names(prepared: Prepared, group: Group, values: Mapping[str, _T]) -> dict[str, _T]:
-    """Values by the names of the recordings, of values by the names of a group's experiments."""
+    """Values by the recordings' names instead of the names of a group's experiments."""
     numbers = {e.trial.name: number for e, number in zip(group.experiments, group.numbers, strict=True)}
     return {prepared.trials[numbers[name]].name: value for name, value in values.items()}
 
@@ -195,7 +195,7 @@ def _named(prepared: Prepared, judged: Judged, item: FoundCalibration) -> FoundC
 
 
 def _in_words(prepared: Prepared, judged: Sequence[Judged], effects: Sequence[FoundEffect]) -> list[str]:
-    """Each found effect; where not every recording that could shows one, those that do are named."""
+    """Each found effect in words, with the recordings that show it if one of them does not."""
     counts = [len(j.group.experiments) for j in judged for _ in j.effects]
     everywhere = all(len(effect.recordings) == count for effect, count in zip(effects, counts, strict=True))
     return [
@@ -217,14 +217,14 @@ def _ambiguous(judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[s
 
 
 def _ranked(judged: Judged, tried: TriedCandidate) -> TriedCandidate:
-    """A candidate with whether it is in the final model."""
+    """A candidate that says whether it is in the final model."""
     chosen = judged.selection.model.effects
     selected = tried.model is not None and tried.model.effects == chosen[: tried.round]
     return replace(tried, taken=judged.verdict == "effect" and selected and tried.effect in judged.model.effects)
 
 
 def _either_muscle(judged: Sequence[Judged]) -> list[str]:
-    """Effects that both muscles have alike, and that one alone would explain nearly as well."""
+    """Warnings of effects with one size in both muscles that one muscle alone would explain nearly as well."""
     out = []
     for j in judged:
         driven = [e for e in j.group.experiments if isinstance(e, AngleDriven) and e.part == AIR]
@@ -248,10 +248,10 @@ def _common_rig(prepared: Prepared, judged: Sequence[Judged], extended: bool) ->
 
 
 def _tunings(prepared: Prepared, common: Mapping[str, Rig], has_effects: bool, settings: Settings) -> dict[str, Rig]:
-    """Rigs whose tuning the estimator has, by model.
+    """Rigs whose tuning the estimator uses, by model.
 
-    Where the angle is the input, no fit knows the muscles' slow strays, which are most of what the estimator sees. So
-    its tuning is fitted for each model.
+    In an angle-driven joint most of the innovations come from slow deviations of the muscles, which no fit knows. So
+    the tuning is fitted for each model.
     """
     if not (prepared.angle_driven and settings.estimator):
         return {}
@@ -283,7 +283,7 @@ def _own_rigs(
 
 
 def in_words(effect: FoundEffect, sealed: bool = False) -> str:
-    """What an effect means.
+    """An effect in words.
 
     Args:
         effect: that was found.
@@ -324,8 +324,8 @@ def sentence(
         share: of the held-out excess that the effects remove.
         errors: of the three models.
         ranking: all candidates.
-        reference: errors of maps that know no physics.
-        mean_pressure: whether the mean of the pressures is what the model is compared by, not each of them.
+        reference: errors of maps without physics.
+        mean_pressure: whether the model is compared by the mean of the pressures, not by each of them.
         along_motion: whether the verdict rests on the model along the measured motion, not on the one that runs by
             itself.
     """

@@ -1,9 +1,9 @@
 """A disturbance torque that comes and goes, in one recording.
 
-No law gives such a torque, so it is estimated and judged by its course. The model of a free joint is made to follow the
-measured angle by a torque. What that takes, beyond the friction that holds the joint anyway, is the disturbance. A law
-that the model lacks asks for such a torque whenever the joint moves. A disturbance is there at some times and not at
-others. A locked joint, one whose angle was not measured, and one that is driven by its angle show none.
+No law gives such a torque, so it is estimated and judged by its course. An observer finds the torque that makes the
+model of a free joint follow the measured angle. The disturbance is what exceeds the usual size of that torque. A law
+that the model lacks needs such a torque whenever the joint moves. A disturbance acts at some times only. It cannot show
+in a locked joint, without a measured angle, or where the angle is the input.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from pam_antagonist.model import equilibrium, integration
 Floats = NDArray[np.float64]
 
 _STIFF = 30.0
-"""[N m/rad] of the observer: a hundredth of a radian pulls the model with a muscle's torque."""
+"""[N m/rad] Stiffness of the observer: an error of 0.01 rad gives as much torque as a muscle."""
 _DAMPING = 0.1
-"""[N m s/rad] of the observer."""
+"""[N m s/rad] Damping of the observer."""
 _ROUNDS = 4
-_LIKE = 0.02
-"""Share of a torque (RMS) that another round has to change."""
-_LOOK = 0.24
-"""[s] Shorter than a push by hand."""
+_SAME = 0.02
+"""Least change of a torque (RMS) that is worth another round, as a share of it."""
+_SMOOTHED = 0.24
+"""[s] Time over which torques are smoothed: shorter than a push by hand."""
 _MARGIN = 0.24
-"""[s] Before and after what stands out, an episode goes on."""
+"""[s] An episode begins and ends this much outside of what stands out."""
 _OF_LARGEST = 0.1
-"""Share of the largest torque that an episode has at least."""
+"""Least torque of an episode, as a share of the largest one."""
 _SAME_ANGLE = float(np.deg2rad(0.5))
-"""[rad] Angles that are the same for a torque that depends on the angle."""
+"""[rad] Angles in a bin of this width are the same, for a torque that depends on the angle."""
 _APART = 1.0
-"""[s] So far from an episode is another time."""
-_OFTEN = 5
-"""[blocks] A torque at an angle is averaged over so many at least."""
+"""[s] Least distance from an episode that counts as another time."""
+_FEWEST = 5
+"""[blocks] Fewest over which the torque at an angle is averaged."""
 _STEP = 2e-3
-"""Relative step of the base directions' differences."""
-_BENT_BACK, _REWEIGHTED = 2, 30
+"""Step of the differences along the base directions."""
+_LINEARISATIONS, _REWEIGHTINGS = 2, 30
 _LEAST_TORQUE = 1e-4
 """[N m]"""
-_ABOUT_NONE = 0.3
-"""Torques of less than this share of the median count as squares: absolute values have no weight at 0."""
+_SMALL = 0.3
+"""Torques of less than this share of the median count as squares: absolute values have no finite weight at 0."""
 _step, _STAGES = integration.rk4_step_within, integration.STAGES
 
 
@@ -82,12 +82,12 @@ class Disturbance:
         experiment: the recording with that torque as its input.
         fitted: the base parameters beside it.
         torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the episodes.
-        active: share of the time with one.
+        active: share of the time in episodes.
         recurring: share of its square that the torque at the same angle at other times predicts.
-        shares: share of the held-out excess, and of all of it, that goes with it, in hindsight; the latter twice
-            where all of it was fitted.
-        squares: share of all squares beyond the noise's that goes with it.
-        noise: size of the random walk that it looks like [N m/s^0.5].
+        shares: of the held-out and of all excess that it removes; the first is 0 where nothing is held out. The torque
+            was estimated from all data, held out or not.
+        squares: share of all squares above noise that it removes.
+        noise: size of a random walk with the same steps [N m/s^0.5].
     """
 
     experiment: Experiment
@@ -115,10 +115,9 @@ class Disturbance:
 def estimate(experiment: Experiment, fitted: Fitted) -> Disturbance | None:
     """The disturbance in a recording; None where a disturbance cannot show.
 
-    The torque that the observer asks for beyond friction is taken for a disturbance, and the base parameters are fitted
-    beside it. Both are repeated: a disturbance that was taken for the model's error has bent the parameters. A second
-    start has parameters that are bent back. A right model needs the least sum of absolute torques, since most of the
-    time nothing acts.
+    The episodes of the observer's torque are taken for a disturbance, and the base parameters are fitted beside it.
+    Both steps are repeated, because the disturbance has biased the parameters at first. A second start has the
+    parameters with the least sum of absolute torques: with a right model, nothing acts most of the time.
 
     Args:
         experiment: the recording.
@@ -127,15 +126,15 @@ def estimate(experiment: Experiment, fitted: Fitted) -> Disturbance | None:
     trial = experiment.trial
     if trial.joint == "locked" or ANGLE not in experiment.channels:
         return None
-    # Another recording has episodes of its own, which are not known there.
+    # Other recordings have episodes of their own, which are not known here.
     experiment = replace(experiment, judged=())
     found = []
-    for start in (fitted.point, _bent_back(experiment, fitted.point)):
+    for start in (fitted.point, _least_torque_point(experiment, fitted.point)):
         point, before = start, None
         for _ in range(_ROUNDS):
             found.append(_estimated(experiment, fitted, point))
             torque = found[-1].torque
-            # Beside no torque, or beside the same, the fit ends where it ended.
+            # With no torque, or with the same one, the fit would end where it ended.
             if not torque.any() or (before is not None and _is_like(before, torque)):
                 break
             point, before = found[-1].fitted.point, torque
@@ -145,7 +144,7 @@ def estimate(experiment: Experiment, fitted: Fitted) -> Disturbance | None:
 
 def _is_like(before: Floats, after: Floats) -> bool:
     """Whether two torques (B,) differ by no more than a share of the second one."""
-    return float(np.sum((after - before) ** 2)) <= _LIKE**2 * float(np.sum(after**2))
+    return float(np.sum((after - before) ** 2)) <= _SAME**2 * float(np.sum(after**2))
 
 
 def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturbance:
@@ -163,13 +162,13 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
     disturbed = replace(experiment, trial=replace(trial, external=known + samples))
-    beside = refit(_between(disturbed, torque), point, fitted.free, renewals=2)
+    beside = refit(_without_angle_in_episodes(disturbed, torque), point, fitted.free, renewals=2)
     before = explained.remaining_residuals([experiment], [fitted])
     left = disturbed.residual(beside.point, whole=True)
     after = [explained.Residuals(disturbed.held(left), disturbed.fitted_rows(left[: disturbed.fitted // trial.block]))]
     squares = [in_mean_squares(*pair, experiment.noise) for pair in zip(before[0], after[0], strict=True)]
-    look = trial.block_count(_LOOK)
-    steps = np.diff(torque[::look])
+    width = trial.block_count(_SMOOTHED)
+    steps = np.diff(torque[::width])
     return Disturbance(
         experiment=disturbed,
         fitted=beside,
@@ -178,28 +177,28 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
         recurring=_recurring(seen, torque != 0.0, _angle(experiment), trial.block_count(_APART)),
         shares=(explained.held_share([experiment], before, after), explained.whole_share([experiment], before, after)),
         squares=explained.share_of(squares),
-        noise=float(np.sqrt(np.mean(steps**2) / (look * trial.block_s))),
+        noise=float(np.sqrt(np.mean(steps**2) / (width * trial.block_s))),
     )
 
 
-def _bent_back(experiment: Experiment, point: Point) -> Point:
-    """The point whose observer asks for the least torque, in absolute values, that the base parameters' prior allows.
+def _least_torque_point(experiment: Experiment, point: Point) -> Point:
+    """The point whose observer needs the least sum of absolute torques, given the base parameters' prior.
 
-    By iteratively reweighted least squares; a torque counts once a second, as an error does in a fit.
+    It is found by iteratively reweighted least squares. A torque counts once a second, as an error does in a fit.
     """
     directions = len(experiment.directions)
     prior, theta, trial = experiment.prior[:directions], point.theta.copy(), experiment.trial
-    for _ in range(_BENT_BACK):
+    for _ in range(_LINEARISATIONS):
         torque, columns = _smooth(_observed(experiment, Point(theta, point.effects)), trial), []
         for k in range(directions):
             moved = Point(theta + _STEP * np.eye(len(theta))[k], point.effects)
             columns.append((_smooth(_observed(experiment, moved), trial) - torque) / _STEP)
         matrix = np.stack(columns, axis=1)
         step: Floats = np.zeros(directions)
-        for _ in range(_REWEIGHTED):
+        for _ in range(_REWEIGHTINGS):
             size = np.abs(torque + matrix @ step)
             usual = max(float(np.median(size)), _LEAST_TORQUE)
-            weights = 1.0 / (np.maximum(size, _ABOUT_NONE * usual) * usual * experiment.blocks_per_error)
+            weights = 1.0 / (np.maximum(size, _SMALL * usual) * usual * experiment.blocks_per_error)
             information = (matrix * weights[:, None]).T @ matrix + np.diag(prior)
             slope = matrix.T @ (weights * torque) + prior * theta[:directions]
             step = np.asarray(-np.linalg.solve(information, slope))
@@ -207,8 +206,8 @@ def _bent_back(experiment: Experiment, point: Point) -> Point:
     return Point(theta, point.effects)
 
 
-def _between(experiment: Experiment, torque: Floats) -> Experiment:
-    """The recording with its angle unknown during episodes: where the model was made to follow, it always fits."""
+def _without_angle_in_episodes(experiment: Experiment, torque: Floats) -> Experiment:
+    """The recording without its angle during episodes, where the observer makes every model fit."""
     measured = experiment.trial.measured.copy()
     during = np.repeat(torque != 0.0, experiment.trial.block)
     measured[: len(during)][during, ANGLE] = np.nan
@@ -243,7 +242,7 @@ def _recurring(seen: Floats, active: NDArray[np.bool_], angle: Floats, apart: in
         seen: torque (B,) [N m] that makes the model follow the measured angle.
         active: when there is an episode (B,).
         angle: measured (B,) [rad].
-        apart: so many blocks from an episode are another time.
+        apart: least distance from an episode that counts as another time [blocks].
     """
     places = np.rint(angle / _SAME_ANGLE).astype(int)
     places -= places.min()
@@ -259,7 +258,7 @@ def _recurring(seen: Floats, active: NDArray[np.bool_], angle: Floats, apart: in
     for begin, end in edges.reshape(-1, 2):
         near, times = sums(slice(max(begin - apart, 0), end + apart))
         elsewhere = often - times
-        predicted = np.where(elsewhere >= _OFTEN, (total - near) / np.maximum(elsewhere, 1), 0.0)
+        predicted = np.where(elsewhere >= _FEWEST, (total - near) / np.maximum(elsewhere, 1), 0.0)
         left += float(np.sum((seen[begin:end] - predicted[places[begin:end]]) ** 2))
     squares = float(np.sum(seen[active] ** 2))
     return 1.0 - left / squares if squares > 0.0 else 0.0
@@ -276,5 +275,5 @@ def _episodes(torque: Floats, trial: Trial) -> NDArray[np.bool_]:
 
 
 def _smooth(torque: Floats, trial: Trial) -> Floats:
-    look = trial.block_count(_LOOK)
-    return np.asarray(np.convolve(torque, np.ones(look) / look, mode="same"))
+    width = trial.block_count(_SMOOTHED)
+    return np.asarray(np.convolve(torque, np.ones(width) / width, mode="same"))

@@ -31,10 +31,10 @@ class Explanation:
     """A disturbance as an explanation of all recordings, with effects beside it where there are any.
 
     Attributes:
-        model: with the effects, and with a torque that is not known beforehand where the disturbance acted.
+        model: with the effects, and with an unknown torque where the disturbance acted.
         effects: what was found, the strongest first.
         values: of the effects, for one rig.
-        share: of the held-out excess that the disturbance takes away.
+        share: of the held-out excess that the disturbance removes.
         warnings: what the user should know.
     """
 
@@ -52,9 +52,9 @@ class _Disturbed:
     Attributes:
         experiments: with the torque.
         fits: their models beside it.
-        noises: size of the random walk that it looks like, one a recording; 0 where there was none.
+        noises: size of a random walk like the disturbance, one a recording; 0 where there was none.
         effect: the disturbance.
-        left: which recordings have more than noise though no disturbance can show there.
+        left: recordings above noise in which no disturbance can show.
     """
 
     experiments: tuple[Experiment, ...]
@@ -69,8 +69,8 @@ def explain(
 ) -> Explanation | None:
     """Explain all recordings by a disturbance, if it comes and goes and leaves little; else None.
 
-    It is looked for beside the base model first, then beside effects: those that explain a recording in which no
-    disturbance can show, fitted to it alone, or else those that were chosen. With the disturbance as an input, effects
+    The disturbance is searched for beside the base model first, then beside effects. These are the effects that explain
+    the recordings in which no disturbance can show, or else the chosen ones. With the disturbance as an input, effects
     may show that it had hidden.
 
     Args:
@@ -82,14 +82,14 @@ def explain(
     """
     disturbed = _find(experiments, base, jobs)
     if disturbed is not None and not disturbed.left:
-        quiet = Model((), disturbed.fits)
+        recalibrated = Model((), disturbed.fits)
         first = explained.remaining_residuals(experiments, base.fits)
-        model = select(disturbed.experiments, quiet, jobs, progress, Checkpoint(), first).model
-        return _explanation(disturbed, quiet, model, jobs)
+        model = select(disturbed.experiments, recalibrated, jobs, progress, Checkpoint(), first).model
+        return _explanation(disturbed, recalibrated, model, jobs)
     apart = None if disturbed is None else _effects_elsewhere(experiments, base, disturbed.left, jobs, progress)
     effects, known = (chosen, ()) if disturbed is None or apart is None else (apart, disturbed.left)
     disturbed = _find(experiments, effects, jobs) if effects.effects else None
-    if disturbed is None or not all(r in known or _explain(experiments, base, effects, r) for r in disturbed.left):
+    if disturbed is None or not all(r in known or _explains(experiments, base, effects, r) for r in disturbed.left):
         return None
     return _beside_effects(disturbed, effects, jobs)
 
@@ -137,12 +137,12 @@ def _beside_effects(disturbed: _Disturbed, effects: Model, jobs: int) -> Explana
     )
 
 
-def _explanation(disturbed: _Disturbed, quiet: Model, model: Model, jobs: int) -> Explanation:
+def _explanation(disturbed: _Disturbed, recalibrated: Model, model: Model, jobs: int) -> Explanation:
     """A disturbance, and the effects of a model beside it that are needed.
 
     Args:
         disturbed: the recordings with the disturbance.
-        quiet: the recalibrated model beside it.
+        recalibrated: the recalibrated model beside it.
         model: likewise, with effects.
         jobs: threads.
     """
@@ -150,8 +150,8 @@ def _explanation(disturbed: _Disturbed, quiet: Model, model: Model, jobs: int) -
     values: dict[str, float] = {}
     warnings: list[str] = []
     if model.effects:
-        model = findings.backward_elimination(disturbed.experiments, quiet, model, jobs)
-        (effects, values, warnings), _ = findings.found(disturbed.experiments, quiet, model, jobs)
+        model = findings.backward_elimination(disturbed.experiments, recalibrated, model, jobs)
+        (effects, values, warnings), _ = findings.found(disturbed.experiments, recalibrated, model, jobs)
     fits = tuple(
         _with_noise(fitted, noise) if noise else fitted
         for fitted, noise in zip(model.fits, disturbed.noises, strict=True)
@@ -170,21 +170,21 @@ def _effects_elsewhere(
 ) -> Model | None:
     """Effects that explain the recordings in which no disturbance can show, for all recordings; None if none do."""
     apart = [experiments[r] for r in still]
-    quiet = Model((), tuple(base.fits[r] for r in still))
-    effects = select(apart, quiet, jobs, progress, Checkpoint()).model
-    if not explained.explains(apart, quiet, effects):
+    recalibrated = Model((), tuple(base.fits[r] for r in still))
+    effects = select(apart, recalibrated, jobs, progress, Checkpoint()).model
+    if not explained.explains(apart, recalibrated, effects):
         return None
     fits = dict(zip(still, effects.fits, strict=True))
-    shows = max(zip(apart, quiet.fits, effects.fits, strict=True), key=lambda seen: evidence(*seen))[2]
+    shows = max(zip(apart, recalibrated.fits, effects.fits, strict=True), key=lambda seen: evidence(*seen))[2]
     for r, experiment in enumerate(experiments):
         if r not in fits:
-            # A disturbance bends a fit of the effects as well: their values are taken over until it is known.
+            # A disturbance biases a fit of the effects too. So their values are taken over until it is known.
             point = Point(base.fits[r].point.theta, shows.point.effects)
             fits[r] = refit(experiment, point, shows.free, rounds=0)
     return Model(effects.effects, tuple(fits[r] for r in range(len(experiments))))
 
 
-def _explain(experiments: Sequence[Experiment], base: Model, effects: Model, r: int) -> bool:
+def _explains(experiments: Sequence[Experiment], base: Model, effects: Model, r: int) -> bool:
     """Whether effects explain one recording by itself."""
     return explained.explains(
         experiments[r : r + 1], Model((), base.fits[r : r + 1]), Model(effects.effects, effects.fits[r : r + 1])
@@ -192,8 +192,8 @@ def _explain(experiments: Sequence[Experiment], base: Model, effects: Model, r: 
 
 
 def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Disturbed | None:
-    """A disturbance in every recording that has more than noise and can show one, if it explains that; else None."""
-    noisy = [r for r, (e, f) in enumerate(zip(experiments, model.fits, strict=True)) if _leaves(e, f)]
+    """A disturbance in every recording above noise that can show one, if it explains all of them; else None."""
+    noisy = [r for r, (e, f) in enumerate(zip(experiments, model.fits, strict=True)) if _is_above_noise(e, f)]
     found = Parallel(n_jobs=jobs, prefer="threads")(delayed(estimate)(experiments[r], model.fits[r]) for r in noisy)
     seen, left, gained = {}, [], 0.0
     now, fits = list(experiments), list(model.fits)
@@ -213,7 +213,7 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Distur
         return None
     noise = float(np.sqrt(np.mean([one.noise**2 for one in seen.values()])))
     spread = float(np.ptp([one.noise for one in seen.values()])) / 2.0
-    # A root of a mean square over so many episodes is known to its inverse root.
+    # Relative error of a root mean square over n episodes: 1/√(2 n).
     std = max(spread, noise / np.sqrt(2.0 * sum(one.episodes for one in seen.values())))
     effect = FoundEffect(
         DISTURBANCE,
@@ -228,10 +228,10 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Distur
     return _Disturbed(tuple(now), tuple(fits), noises, effect, tuple(left))
 
 
-def _leaves(experiment: Experiment, fitted: Fitted) -> bool:
+def _is_above_noise(experiment: Experiment, fitted: Fitted) -> bool:
     return float(np.max(experiment.times_noise(fitted.residual))) >= thresholds.CLEAN
 
 
 def _with_noise(fitted: Fitted, noise: float) -> Fitted:
-    """A model with a torque that is not known beforehand: an estimator's model."""
+    """A model with an unknown torque as a random walk, as an estimator has it."""
     return replace(fitted, point=Point(fitted.point.theta, {**fitted.point.effects, _NOISE: noise}))

@@ -1,4 +1,4 @@
-"""How the numbers of a joint drift over many episodes, and from how many of the last ones a model is best fitted."""
+"""Drift of a joint's parameters over many episodes, and the best number of last episodes to fit a model to."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from pam_antagonist.inference.pressure_driven import PressureDriven
 Indices = NDArray[np.intp]
 
 WINDOWS = (1.0, 0.5, 0.25, 0.125, 0.0625)
-"""Shares of the fitted episodes, the last ones, from which a model for later episodes may be fitted."""
+"""Windows for a model of later episodes: shares of the fitted episodes, the last of them."""
 PARTS = 8
 _FITTED, _JUDGED, _ROUNDS = 150, 100, 8
-"""Episodes of a part that are fitted, that judge a forecast, and simulations of a fit at most."""
+"""Most episodes of a part that are fitted, most that judge a forecast, and most simulations of a fit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """A model over a recording.
+    """Parameters and errors of a model over a recording.
 
     Attributes:
-        values: its numbers in each part of the recording, fitted to the part alone, with 95 % intervals by episode, by
-            dotted path.
+        values: its parameters in each part of the recording, fitted to the part alone, with 95 % intervals by
+            episode, by dotted path.
         changes: of each from the first to the last part along a straight line, with an interval that is corrected for
-            how many numbers there are.
+            the number of parameters.
         errors: error [deg] in each part, of the model fitted to all that may be fitted, and of that fitted to the part.
     """
 
@@ -40,11 +40,11 @@ class Drift:
 
 
 def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift:
-    """The model's numbers and errors over the recording, each part fitted by itself.
+    """The model's parameters and errors over the recording, each part fitted by itself.
 
     Args:
         joint: the episodes.
-        held: the interleaved ones of which stay out.
+        held: which episodes are held out; the interleaved ones are not used.
         everything: the model, fitted to all that may be fitted.
     """
     best: list[dict[str, float]] = []
@@ -68,7 +68,7 @@ def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift
 
 
 def forecast(joint: PressureDriven, pool: Indices, model: EpisodeModel, window: float) -> float:
-    """Error [deg] on the fitted episodes that follow a window, at three places of the pool; each eighth is one.
+    """Error [deg] on the episodes that follow a window: the last three eighths of the pool, one after the other.
 
     Args:
         joint: the episodes.

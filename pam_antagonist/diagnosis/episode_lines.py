@@ -1,7 +1,7 @@
-"""A model whose numbers go along straight lines over a recording: what drift costs a model of all episodes.
+"""A model whose parameters follow straight lines over a recording: it shows what drift costs a constant model.
 
-Each number is its value at the last fitted episode, and a slope over the episodes. Behind the last fitted episode the
-numbers stay: nothing says that they go on.
+Each parameter has a value at the last fitted episode and a slope over the episodes. After the last fitted episode it
+stays constant, since nothing says that the drift goes on.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _USED, _GROUPS = 600, 12
-"""Episodes that are fitted, and groups of neighbouring ones that have the same numbers."""
+"""Most episodes that are fitted, and groups of neighbouring ones with the same parameters."""
 _ROUNDS, _ENOUGH = 15, 1e-4
 
 
 class StraightLines:
-    """Such a model, fitted to all episodes that may be fitted.
+    """A model with straight lines, fitted to all episodes that may be fitted.
 
     Args:
         joint: the episodes.
         held: which of them may be fitted.
-        model: with constant numbers, fitted to the same episodes.
+        model: with constant parameters, fitted to the same episodes.
     """
 
     def __init__(self, joint: PressureDriven, held: Held, model: EpisodeModel) -> None:
@@ -73,10 +73,10 @@ class StraightLines:
         return Squares(np.concatenate(sums), np.concatenate(counts))
 
     def later(self, unseen: PressureDriven) -> Squares:
-        """Squared errors of episodes behind the fitted ones.
+        """Squared errors of episodes after the fitted ones.
 
         Args:
-            unseen: these.
+            unseen: the later episodes.
         """
         return self._squares(unseen, 0.0)
 

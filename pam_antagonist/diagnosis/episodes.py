@@ -2,8 +2,8 @@
 
 Episodes are held out whole, in two ways: the last part of the recording (*later*), and every fifth episode of what
 comes before (*interleaved*). No fit and no choice sees either. Of the rest one half is fitted, the other half decides
-which effect is taken. An episode is one independent value, and neighbouring ones may err alike, so that all intervals
-come from a bootstrap of blocks of episodes.
+which effect is taken. An episode is one value, and neighbouring episodes may have similar errors. So all intervals come
+from a bootstrap of blocks of episodes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _USED = 600
-"""Episodes in a final fit: more tell hardly more and take longer."""
+"""Most episodes in a final fit: more add little information and take longer."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,13 @@ class EpisodeDiagnosis:
         values: its parameters that differ from the rig file, with 95 % intervals by episode, by dotted path.
         window: share of the fitted episodes from which a model for later ones is fitted.
         forecasts: error [deg] of each window of ``WINDOWS`` on fitted episodes that follow it.
-        drift: numbers of the extended model over the recording, fitted to each part of it anew.
+        drift: parameters of the extended model over the recording, fitted to each part of it anew.
         counts: episodes fitted, later and interleaved.
-        lines: errors of the extended model with numbers that go along straight lines over the fitted episodes.
-        others: errors of the extended model with an effect in the place of one that it was not told apart from, each
-            with the names of both: the one, and the one whose place it takes.
-        ratio: squared error of the extended model on interleaved episodes by that of the model with Coulomb friction
-            alone; None where that is not known.
+        lines: errors of the extended model with parameters that follow straight lines over the fitted episodes.
+        others: names of a rival and of the effect that it replaces, with the errors of the extended model then; for
+            rivals that the episodes do not distinguish from the effect.
+        ratio: squared error on interleaved episodes of the extended model over that of the model with Coulomb
+            friction alone; None if there is no such model.
         left: squared error of the extended model over what the noise of the readings alone would leave.
         longest_step: of the integration [s].
     """
@@ -96,8 +96,8 @@ def diagnose(
     Args:
         joint: the episodes.
         share: of them that is held out at the end, where no other recording is.
-        later: a recording that is held out as a whole, of the same rig with the same further signals; then all of the
-            other one may be fitted.
+        later: a recording of the same rig with the same further signals, held out as a whole. All episodes of
+            ``joint`` may be fitted then.
         progress: is called with what is being done.
     """
     held = held_out(len(joint), 0.0 if later is not None else share)
@@ -155,9 +155,9 @@ def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Ro
 def _row(
     joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, start: EpisodeModel, window: float
 ) -> tuple[Row, Floats, EpisodeModel, EpisodeModel]:
-    """Errors of a model that is fitted for each way of holding out, squares of the interleaved, and the fits.
+    """Errors of a model, its squared errors on interleaved episodes, and two fits of it.
 
-    The first fit is to all that may be fitted, the second one, for later episodes, to the last of them.
+    The first fit takes all episodes that may be fitted. The second one, for later episodes, takes the last of them.
     """
     pool = joint.take(thinned(held.pool, _USED))
     everything = pool.fit(start)

@@ -96,7 +96,7 @@ def further_share(
 
 
 def share_of(parts: Sequence[tuple[float, float]]) -> float:
-    """Share that is gone, from what is gone and what was there in each part."""
+    """Share of the excess that is gone, from the removed and the original excess of each part."""
     gone, there = np.sum(parts, axis=0)
     return float(gone) / float(there) if there > 0.0 else 0.0
 
@@ -110,7 +110,7 @@ def with_fits(
     effects: tuple[str, ...],
     fits: Sequence[Fitted | None],
 ) -> TriedCandidate:
-    """A candidate with what its fits came to. A recording in which it does not pay keeps its model.
+    """A candidate with the results of its fits. A recording without positive evidence for it keeps its model.
 
     Args:
         candidate: that was fitted.
@@ -118,8 +118,8 @@ def with_fits(
         first: what the model without effects leaves.
         before: what the model without the candidate leaves.
         model: that model.
-        effects: names of the effects of the model with it.
-        fits: of that, None for a recording in which it was not fitted.
+        effects: names of the effects of the model with the candidate.
+        fits: of that model, None for a recording in which the candidate was not fitted.
     """
     chosen, total, held_out = [], 0.0, 0.0
     for (experiment, old), new in zip(zip(experiments, model.fits, strict=True), fits, strict=True):
@@ -166,7 +166,7 @@ def is_worth_taking(tried: TriedCandidate) -> bool:
 def ends_at_noise(experiments: Sequence[Experiment], tried: TriedCandidate) -> bool:
     """Whether a fitted candidate has enough evidence, and with it the model is at the sensors' noise.
 
-    It may remove little then: what an effect of the model left was little.
+    Such a candidate may remove little of the excess, since the model has left little.
 
     Args:
         experiments: the recordings.
@@ -233,10 +233,10 @@ def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bo
 
 
 def leader(tried: Sequence[TriedCandidate]) -> TriedCandidate | None:
-    """The effect of the first round that has all others far behind, though it may leave most of the excess.
+    """The effect of the first round that leads all others clearly, even if it leaves most of the excess; else None.
 
-    What no effect of the catalogue is, several imitate about as well. An effect of another form than its law has no
-    rival. None where there is no such effect.
+    Physics outside of the catalogue is imitated by several effects about equally well. An effect whose form differs
+    from its law has no such rival.
 
     Args:
         tried: the candidates of all rounds.

@@ -1,8 +1,8 @@
 """Fits of large calibrations, which start with the base parameters as configured.
 
-Base parameters that were fitted without a zero of 2° or a clock that is 50 ms early have bent to it. A fit that begins
-there may not find the way back. So each calibration is tried in several sizes beside the base as configured, and the
-best of them are fitted from there.
+A zero of 2°, or a clock that is 50 ms early, biases base parameters that are fitted without it. A fit that begins there
+may not find the way back. So each calibration is tried in several sizes beside the base as configured, and the best of
+them are fitted from there.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pam_antagonist.inference.starts import best_of_starts
 _SIZES = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Values that are tried, in scales of the calibration, in either direction."""
 _NEAR = 0.05
-"""How well the best value is found before a fit begins there, in scales."""
+"""Tolerance of the best value at which a fit begins, in scales of the calibration."""
 _FITTED = 2
 """Calibrations of a recording that are fitted, those with the best scores."""
 
@@ -58,7 +58,7 @@ def fits(experiment: Experiment, fitted: Fitted, candidates: Sequence[Candidate]
 
 
 def _score(experiment: Experiment, start: Fitted, candidate: Candidate) -> _Score:
-    """The best of the values that are tried of a calibration."""
+    """The best of the tried values of a calibration."""
     (number,) = candidate.free
     values = [way * size * number.item.scale for size in _SIZES for way in (-1.0, 1.0)]
     points = {

@@ -24,11 +24,11 @@ from pam_antagonist.model.effects import DISTURBANCE
 
 @dataclass(frozen=True)
 class Sized:
-    """A number of an effect in one recording.
+    """A parameter of an effect in one recording.
 
     Attributes:
-        recording: which of the experiments.
-        value: of the number.
+        recording: index of the experiment.
+        value: of the parameter.
         std: its standard deviation.
     """
 
@@ -56,7 +56,7 @@ class Findings(NamedTuple):
 
 
 def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) -> Fitted:
-    """A model without the sizes of an effect that do not pay for themselves.
+    """A model without the sizes of an effect whose gain is less than their price.
 
     Args:
         experiment: the recording.
@@ -97,7 +97,7 @@ def _strength(fitted: Fitted, free: FreeEffectParameter, std: float) -> float:
 
 
 def backward_elimination(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Model:
-    """A model without effects and sizes that do not pay beside the others.
+    """A model without the effects and sizes that are not significant beside the others.
 
     Args:
         experiments: the recordings.
@@ -111,7 +111,7 @@ def backward_elimination(experiments: Sequence[Experiment], base: Model, model: 
         unneeded = [evidence_of(experiments, smaller, model) < thresholds.STRONG for smaller in without]
         if not any(unneeded):
             break
-        # What was tried after the first unneeded one still had it.
+        # The later models still contain the first unneeded effect.
         first = unneeded.index(True)
         model, names = without[first], names[first + 1 :]
 
@@ -207,7 +207,7 @@ def _sizes_and_shapes(model: Model, effect: str) -> tuple[dict[int | None, _Numb
     free = free_of(model, effect)
     sized = {one: _sizes(model, one) for one in free}
     if not any(seen for one, seen in sized.items() if one.item.is_size):
-        # Size and shape may stand for one another, so that neither is certain and both together are.
+        # Size and shape may compensate each other: neither is certain then, but both together are.
         sized = {one: _sizes(model, one, certain=False) for one in free}
     by_muscle: dict[int | None, _Numbers] = {}
     for one, seen in sized.items():
@@ -229,18 +229,18 @@ def _differences(
 
 
 def free_of(model: Model, effect: str) -> tuple[FreeEffectParameter, ...]:
-    """Numbers of an effect that are free in any recording, in the order of the catalogue and its sizes first."""
+    """Parameters of an effect that are free in any recording, in the order of the catalogue, sizes first."""
     path = f"effects.{effect}."
     return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.free if u.path.startswith(path)))
 
 
 def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> list[Sized]:
-    """Value of a number in every recording in which it is free, not 0, and not small beside its sibling.
+    """Value of a parameter in every recording in which it is free, not 0, and not small beside the other muscle's.
 
     Args:
         model: the recordings' models.
-        free: the number.
-        certain: whether a size must be more than two standard deviations.
+        free: the parameter.
+        certain: whether a size must be more than two standard deviations from 0.
     """
     seen = []
     for r, fitted in enumerate(model.fits):
@@ -301,7 +301,7 @@ def profile_sizes(
         for parameter in free_of(model, effect.name):
             if not parameter.item.is_size or parameter.path.split(".")[2] not in effect.parameters:
                 continue
-            r = _where(model, parameter, [names.index(name) for name in effect.recordings])
+            r = _first_recording(model, parameter, [names.index(name) for name in effect.recordings])
             if r is None:
                 continue
             progress(f"profile of {parameter.path}")
@@ -321,7 +321,7 @@ def profile_sizes(
     return tuple(result)
 
 
-def _where(model: Model, parameter: FreeEffectParameter, recordings: Sequence[int]) -> int | None:
+def _first_recording(model: Model, parameter: FreeEffectParameter, recordings: Sequence[int]) -> int | None:
     """The first recording that shows a size."""
     shown = (r for r in recordings if parameter in model.fits[r].free)
     return next((r for r in shown if model.fits[r].point.effects.get(parameter.path)), None)

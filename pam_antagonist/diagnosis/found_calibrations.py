@@ -1,4 +1,4 @@
-"""A calibration that recordings need: its value, how it is said, and what undoes it."""
+"""A calibration that recordings need: its value, its description in words, and the corrections that undo it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class FoundCalibration:
     Attributes:
         name: in :data:`~pam_antagonist.inference.calibration.CALIBRATIONS`.
         value: in SI units.
-        std: its standard deviation, with that of the rig's parameters.
+        std: its standard deviation, including the uncertainty of the rig's parameters.
         unit: of both.
         delta_bic: evidence for it.
         by_recording: value and standard deviation in each recording that shows it, by its name.
-        rivals: effects and calibrations that the recordings cannot tell from it.
+        rivals: effects and calibrations that the recordings cannot distinguish from it.
     """
 
     name: str
@@ -56,7 +56,7 @@ def differences(found: Sequence[FoundCalibration]) -> list[str]:
 
 
 def corrections(values: Mapping[str, float]) -> Corrections:
-    """What undoes calibrations, to be typed.
+    """Corrections that undo calibrations, as a user enters them.
 
     Args:
         values: by name.
@@ -73,7 +73,7 @@ def corrections(values: Mapping[str, float]) -> Corrections:
 
 
 def in_words(found: FoundCalibration) -> str:
-    """What a calibration means.
+    """A calibration in words.
 
     Args:
         found: the calibration.
@@ -88,7 +88,7 @@ def in_words(found: FoundCalibration) -> str:
 
 
 def experiment(name: str) -> str:
-    """What to do to know a calibration without a model.
+    """How to measure a calibration without a model.
 
     Args:
         name: of the calibration.
@@ -108,7 +108,7 @@ def alternative(name: str) -> str:
 
 
 class _Words(NamedTuple):
-    """How a calibration is said: of what, with which verb, in which unit, and how a negative and a positive one are."""
+    """Words for a calibration: subject and verb, adjectives of a negative and a positive value, and unit."""
 
     who: str
     ways: tuple[str, str]

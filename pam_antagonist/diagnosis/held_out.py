@@ -1,6 +1,6 @@
-"""What was held out judges the three models: their errors there, alone and in the estimator.
+"""Errors of the three models on held-out data, of the model alone and of the estimator.
 
-The torque of a joint that is driven by its angle is the torque from outside.
+In an angle-driven joint the torque is the torque from outside.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ Floats = NDArray[np.float64]
 
 
 def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float]) -> tuple[HeldOutComparison, ...]:
-    """Every recording of a group with the three models, those that were held out as a whole behind the others.
+    """Every recording of a group with the three models; recordings that were held out as a whole come last.
 
-    A recording that was held out as a whole has the parameters that suit the fitted ones together. Its start alone is
-    fitted to itself.
+    A recording that was held out as a whole has the common parameters of the fitted ones. Only its start is fitted to
+    its own data.
 
     Args:
         group: the recordings.
@@ -66,7 +66,7 @@ def rig_of(prepared: Prepared, parts: Sequence[HeldOutComparison], model: str) -
 
     Args:
         prepared: the recordings.
-        parts: what was compared of this one.
+        parts: what was compared of this recording.
         model: one of ``MODELS``.
     """
     if model == "as_configured":
@@ -89,7 +89,7 @@ def by_recording(
     Args:
         prepared: the recordings.
         compared: the same, or parts of them, with their models.
-        tuned: rigs whose tuning the estimator has, by model; default: the configured tuning.
+        tuned: rigs whose tuning the estimator uses, by model; default: the configured tuning.
         estimator: whether to run the estimator as well.
         jobs: threads.
     """
@@ -187,7 +187,7 @@ def errors_of_one_rig(models: Sequence[tuple[Group, Model, Mapping[str, float]]]
 
     Args:
         models: each group of recordings, its extended model, and values of its effects for one rig, by dotted path.
-        rig: that rig.
+        rig: the common rig.
     """
     found: dict[int, tuple[Errors, int]] = {}
     for group, model, effects in models:
@@ -217,7 +217,7 @@ class EstimatorErrors:
     Attributes:
         errors: of all channels.
         time: of each sample since the recording's first (M,) [s].
-        innovation: what the pressures were beside the prediction, in its standard deviations (M, 2).
+        innovation: of the pressures, in its standard deviations (M, 2).
     """
 
     errors: Errors
@@ -238,7 +238,7 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
 
 
 def _calibrated(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
-    """A recording as the sensors of a model, once calibrated, would have shown it; as read, and on its even grid."""
+    """A recording corrected by the calibrations of a model: as read, and on its even grid."""
     point = part.points[model]
     corrections = found_calibrations.corrections(calibration.values_of(point.effects))
     return corrections.applied(recording), part.experiment.corrected(point)[0]
@@ -305,7 +305,7 @@ def deciding_evidence(
 
 
 def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison], jobs: int) -> float:
-    """Twice the logarithm of how much likelier the innovations on the held-out parts are with the extended model.
+    """Twice the log likelihood ratio of the innovations on the held-out parts, extended over recalibrated model.
 
     Both filters have the tuning of the rig as configured. No parameter has a price: nothing was fitted there.
 
@@ -315,7 +315,7 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
         jobs: threads.
     """
 
-    def of(part: HeldOutComparison, model: str) -> float:
+    def likelihood(part: HeldOutComparison, model: str) -> float:
         rig = own_rig(part.experiment, part.points[model])
         recording, experiment = _calibrated(prepared.recordings[part.number], part, model)
         run, late = _estimated(recording, rig, experiment)
@@ -327,15 +327,15 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
         if part.judges
         for sign, model in ((1.0, "extended"), (-1.0, "recalibrated"))
     ]
-    found = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*task) for _, *task in tasks)
+    found = Parallel(n_jobs=jobs, prefer="threads")(delayed(likelihood)(*task) for _, *task in tasks)
     return 2.0 * sum(sign * value for (sign, *_), value in zip(tasks, found, strict=True))
 
 
 def static_map(prepared: Prepared) -> dict[str, float] | None:
-    """Errors of what knows no physics: the torque as a straight line of the angle, and of angle and pressures.
+    """Errors of maps without physics: the torque as a linear function of the angle, and of angle and pressures.
 
-    Fitted by least squares to what may be fitted, judged on the rest. None for a joint that is not driven by its angle,
-    and where no torque from outside was recorded.
+    They are fitted by least squares to what may be fitted, and judged on the rest. None for a joint that is not driven
+    by its angle, and where no torque from outside was recorded.
 
     Args:
         prepared: the recordings.

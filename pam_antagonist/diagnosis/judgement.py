@@ -47,68 +47,68 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
     jobs, progress = settings.jobs, settings.progress
     verdict, share = _verdict(group, selection)
     models, store = (selection.recalibrated, selection.model), settings.checkpoint
-    late = onset.search(group, *models, jobs, progress, store, to_noise=_explained_well(group, selection))
-    if late is not None and _verdict(late.group, late.selection)[0] == "effect":
-        group, selection = late.group, late.selection
+    changing = onset.search(group, *models, jobs, progress, store, to_noise=_explained_well(group, selection))
+    if changing is not None and _verdict(changing.group, changing.selection)[0] == "effect":
+        group, selection = changing.group, changing.selection
         verdict, share = _verdict(group, selection)
     else:
-        late = None
+        changing = None
     experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
     stretches = _above_noise(group, base, settings) if verdict == "none" else ()
     if stretches:
         verdict = "unexplained"
-    about_base = (
+    base_warnings = (
         *warnings.above_noise(stretches),
         *warnings.implausible(experiments, base),
         *agreement.base_contradictions(experiments, base),
     )
     found = None
-    if late is None:
+    if changing is None:
         found = disturbance_search.search(experiments, base, chosen, verdict, jobs, progress)
     if found is not None:
-        # A law that foretells what no fit has seen goes before a torque that may do anything at any time.
-        stuck = _stuck(prepared, group, selection, about_base, settings) if verdict == "unexplained" else None
+        # A law that predicts held-out data has priority over a torque that may have any course.
+        stuck = _stuck(prepared, group, selection, base_warnings, settings) if verdict == "unexplained" else None
         if stuck is not None and not explained.explains_in_part(stuck.group.experiments, stuck.base, stuck.model):
             return stuck
         share = share if verdict == "effect" else found.share
-        notes = (*about_base, *found.warnings)
+        notes = (*base_warnings, *found.warnings)
         return Judged(group, base, selection, "effect", share, found.model, found.effects, found.values, notes)
     if verdict == "effect":
-        judged = _by_effects(prepared, group, selection, share, about_base, settings)
-        return judged if late is None else onset.dated(judged, late)
+        judged = _by_effects(prepared, group, selection, share, base_warnings, settings)
+        return judged if changing is None else onset.dated(judged, changing)
     if verdict == "unexplained":
-        stuck = _stuck(prepared, group, selection, about_base, settings)
+        stuck = _stuck(prepared, group, selection, base_warnings, settings)
         if stuck is not None:
             return stuck
         parts = onset.parts_above_noise(group, base, jobs)
-        about_base = (*warnings.changes(parts), *about_base)
+        base_warnings = (*warnings.changes(parts), *base_warnings)
         first = explained.leader(selection.tried)
         if first is not None and first.model is not None:
             one = replace(selection, model=first.model)
-            judged = _by_effects(prepared, group, one, _share(group, one), about_base, settings)
+            judged = _by_effects(prepared, group, one, _share(group, one), base_warnings, settings)
             if judged.verdict == "effect":
                 return judged
-    return Judged(group, base, selection, verdict, share, base, warnings=about_base)
+    return Judged(group, base, selection, verdict, share, base, warnings=base_warnings)
 
 
 def _stuck(
-    prepared: Prepared, group: Group, selection: Selection, about_base: Sequence[str], settings: Settings
+    prepared: Prepared, group: Group, selection: Selection, base_warnings: Sequence[str], settings: Settings
 ) -> Judged | None:
-    """Friction of a joint that sticks, where it explains what no effect does in a free run; None where it does not."""
-    along = sticking.search(group, selection, settings)
-    if along is None:
+    """The verdict by friction of a joint that sticks, if it explains what no effect does in a free run; else None."""
+    found = sticking.search(group, selection, settings)
+    if found is None:
         return None
-    moving, there = along
-    note = warnings.along_motion(moving.experiments, there.recalibrated, there.model)
-    judged = _by_effects(prepared, moving, there, _share(moving, there), (note, *about_base), settings)
+    moving, tried = found
+    note = warnings.along_motion(moving.experiments, tried.recalibrated, tried.model)
+    judged = _by_effects(prepared, moving, tried, _share(moving, tried), (note, *base_warnings), settings)
     return judged if judged.verdict == "effect" else None
 
 
 def _explained_well(group: Group, selection: Selection) -> bool:
     """Whether effects that act throughout explain the recordings well.
 
-    Those that begin or end are the explanation then only if they leave nothing but noise: what an effect of another
-    form leaves may come and go as well.
+    If so, effects that begin or end are accepted only if they leave nothing but noise. The residual of an effect of
+    another form may come and go as well.
     """
     models = selection.recalibrated, selection.model
     explains = explained.explains(group.experiments, *models)
@@ -132,7 +132,7 @@ def _share(group: Group, selection: Selection) -> float:
 
 
 def _above_noise(group: Group, base: Model, settings: Settings) -> tuple[Stretch, ...]:
-    """Where in any recording, in which part soever, the model without effects leaves more than noise."""
+    """Stretches of any recording, fitted or held out, in which the model without effects leaves more than noise."""
     settings.progress("whether all data are at their noise")
     points = [fitted.point for fitted in base.fits]
     found = above_noise(group.experiments, points, settings.jobs)
@@ -144,10 +144,10 @@ def _by_effects(
     group: Group,
     selection: Selection,
     share: float,
-    about_base: Sequence[str],
+    base_warnings: Sequence[str],
     settings: Settings,
 ) -> Judged:
-    """The effects that are needed, unless the estimator's innovations are against them where they have to decide."""
+    """The verdict by the effects that are needed. Where pressures alone were measured, the innovations must agree."""
     experiments, base, jobs = group.experiments, selection.recalibrated, settings.jobs
     settings.progress("which effects are needed")
     needed = findings.backward_elimination(experiments, base, selection.model, jobs)
@@ -157,20 +157,20 @@ def _by_effects(
         before, after = (explained.remaining_residuals(experiments, m.fits) for m in (base, model))
         share = explained.held_share(experiments, before, after)
     if not found.effects or (dropped and not explained.explains(experiments, base, model)):
-        return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *about_base))
+        return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *base_warnings))
     notes += found.contradictions
     gained = held_out.deciding_evidence(prepared, group, base, model, found.values, jobs)
     if gained is not None:
         taken = gained >= thresholds.STRONG
         notes.append(warnings.decided_by_innovations(selection.model.effects, gained, taken))
         if not taken:
-            return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *about_base))
+            return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *base_warnings))
     if explained.explains_in_part(experiments, base, model):
         notes.insert(0, warnings.explained_in_part([effect.name for effect in found.effects]))
     contradictions = agreement.effect_contradictions(experiments, model, found.effects, found.values, jobs)
     return Judged(
         group, base, selection, "effect", share, model, found.effects, found.values,
-        (*notes, *about_base, *contradictions), firm,
+        (*notes, *base_warnings, *contradictions), firm,
     )  # fmt: skip
 
 

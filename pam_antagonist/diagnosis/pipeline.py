@@ -33,7 +33,7 @@ def diagnose(
     estimator: bool = True,
     store: Checkpoint | None = None,
 ) -> Diagnosis:
-    """Trace what a model lacks to a physical effect, if it can be.
+    """Trace what a model lacks to a physical effect, if possible.
 
     Args:
         recordings: of one rig; a free and a locked one show most. Of a sealed rig, its joint driven to and fro.

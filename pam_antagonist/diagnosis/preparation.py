@@ -36,7 +36,7 @@ from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
 
 START = 5.0
-"""[s] At the beginning of a recording that is held out, to which its first state is fitted; its errors count later."""
+"""[s] Beginning of a held-out recording, to which its first state is fitted; errors count after it."""
 WHOLE = "joint"
 """Name of a group that shows all of the joint."""
 DRIVEN = "driven"
@@ -77,7 +77,7 @@ class Settings:
 
 
 class Timings:
-    """A stopwatch; ``seconds`` holds what took how long, all groups together, by name."""
+    """A stopwatch; ``seconds`` holds the time of each step over all groups, by name."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -140,7 +140,7 @@ class Prepared:
 
 
 def prepare(recordings: Sequence[Recording], held_out: Sequence[Recording], rig: Rig, settings: Settings) -> Prepared:
-    """Make recordings ready to be explained.
+    """Prepare recordings for a diagnosis.
 
     Args:
         recordings: that are fitted.
@@ -198,7 +198,7 @@ def _check_duration(trial: Trial, least: float, what: str) -> None:
 
 
 def check_distinct(recordings: Sequence[Recording], others: Sequence[Recording], names: Sequence[str]) -> None:
-    """Refuse to judge a fit by what was fitted.
+    """Refuse held-out recordings that are also fitted, or given twice.
 
     Args:
         recordings: that are fitted.
@@ -305,9 +305,9 @@ def base_without_friction(
 ) -> Rig:
     """A sealed rig with the base parameters that ``identify`` finds in what may be fitted, without Coulomb friction.
 
-    ``identify`` calls the loop of the torque "friction of the shaft". But friction of the drive, dry friction of the
-    muscles and hysteresis make such a loop all alike. A base model that had it would decide before anything is tested.
-    So Coulomb friction is taken out, and whatever makes the loop must prove itself.
+    ``identify`` explains the loop of the torque by friction of the shaft. But friction of the drive, dry friction of
+    the muscles and hysteresis all cause such a loop. A base model with friction would choose between them before
+    anything is tested. So Coulomb friction is removed, and the cause of the loop is found by the tests.
 
     Args:
         recordings: each with its name.
@@ -321,11 +321,11 @@ def base_without_friction(
     if rig.model.friction != "kikuuwe":
         raise BadInput(f"model.friction of rig {rig.name}: {rig.model.friction}; expected kikuuwe of a sealed rig")
     trials: list[SealedTrial] = [sealed_trial(recording, name, 1.0 - holdout) for recording, name in recordings]
-    # What the estimator finds stays; the other effects that a sealed rig declares are to be found.
+    # Effects that noise drives stay. Other effects that a sealed rig declares have to be found.
     kept = random_part(rig.effects)
-    # Viscous friction that is free would imitate what was taken out.
+    # Free viscous friction would imitate the Coulomb friction that is removed.
     without = {"friction.shaft": 0.0, "friction.muscle": 0.0, "joint.viscous_friction": 0.0}
-    # What is not there is not uncertain either.
+    # A parameter that is removed is not uncertain either.
     uncertain = {name: std for name, std in rig.uncertainty.items() if name not in without}
     now = moved(rig.replaced(effects=kept, uncertainty=uncertain), without)
     progress("recalibrating: closed chambers")

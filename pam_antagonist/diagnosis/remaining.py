@@ -1,4 +1,4 @@
-"""What is not explained: where it is, on what it depends, and which form a sparse regression suggests.
+"""The remaining residual: where it is, what it depends on, and which form a sparse regression suggests.
 
 Every residual above the sensors' noise is described: those of the sensors and, of a model that runs by itself, the
 errors of its equations (:mod:`residual_statistics`). A description rests on the fitted part; the suggested form is
@@ -25,7 +25,7 @@ from pam_antagonist.inference.point import Channel, Point
 Floats = NDArray[np.float64]
 
 _SLOW = 0.02
-"""[rad/s] Slower than this, a motion has hardly a direction."""
+"""[rad/s] A slower motion has no clear direction."""
 _TERMS = 3
 _BINS = 12
 EDGES = (0.1, 0.3, 1.0, 3.0, 10.0)
@@ -34,7 +34,7 @@ EDGES = (0.1, 0.3, 1.0, 3.0, 10.0)
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What was there when a residual was: (N,) each.
+    """Pressures, voltages and motion at the time of each value of a residual: (N,) each.
 
     Attributes:
         pressure: (N, 2) [Pa].
@@ -55,7 +55,7 @@ class Surroundings:
         return self._each(lambda values: values[rows])
 
     def windows(self, begin: NDArray[np.int64], span: int) -> Surroundings:
-        """Means over windows of so many rows that begin there."""
+        """Means over windows, by their first rows and their number of rows."""
         return self._each(lambda values: np.array([values[b : b + span].mean(axis=0) for b in begin]))
 
     def _each(self, what: Callable[[Floats], Floats]) -> Surroundings:
@@ -114,12 +114,12 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Form:
-    """A sum of few terms that looks like a residual.
+    """A sum of few terms that approximates a residual.
 
     Attributes:
         terms: name and coefficient of each.
         share: of the residual's variance that it explains where it was fitted.
-        held_out: of the residual's squares on what was held out, NaN where nothing was.
+        held_out: share of the residual's squares that it explains on held-out data, NaN where there are none.
     """
 
     terms: tuple[tuple[str, float], ...]
@@ -150,7 +150,7 @@ class RemainingResidual:
         period: about which its power lies [s].
         form: what a sparse regression suggests.
         values: the residual (N,) where it was fitted.
-        around: what was there.
+        around: pressures, voltages and motion there.
     """
 
     recording: str
@@ -193,7 +193,7 @@ def _between(band: str) -> str:
 
 
 def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingResidual]:
-    """What is above the noise: of the equations of each recording, then of its sensors."""
+    """All residuals above the noise: of the equations of each recording, then of its sensors."""
     out = []
     for judged, fitted in zip(experiments, model.fits, strict=True):
         recorded = judged.free_run
@@ -214,7 +214,7 @@ def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingR
 
 
 def surroundings(experiment: Experiment, point: Point) -> Surroundings:
-    """What was there in each block; pressures and motion are the model's, which have no noise."""
+    """Surroundings of each block. Pressures and motion are the model's, which have no noise."""
     given = experiment.signals(point)
     pressure = np.column_stack([given["pressure 1"], given["pressure 2"]])
     voltage = np.column_stack([given["voltage 1"], given["voltage 2"]]) if "voltage 1" in given else None
@@ -262,24 +262,24 @@ def _described(
 def shares(residual: Floats, around: Surroundings) -> dict[str, float]:
     """Share of a residual's variance that each kind of dependence explains alone, less what chance would, 0 to 1.
 
-    Chance explains one part in as many as there are independent values, for each column.
+    By chance, each column explains a share of 1/n of n independent values.
 
     Args:
         residual: (N,).
-        around: what was there.
+        around: its surroundings.
     """
     count = len(residual) / correlation_length(residual - residual.mean())
     total = float(np.sum((residual - residual.mean()) ** 2)) or 1.0
     out = {}
     for name, columns in around.groups().items():
-        rank, left = _left(residual, columns)
+        rank, left = _regression_residual(residual, columns)
         chance = rank / max(count - 1.0, rank + 1.0)
         share = 1.0 - float(left @ left) / total
         out[name] = float(np.clip((share - chance) / (1.0 - chance), 0.0, 1.0)) if chance < 1.0 else 0.0
     return out
 
 
-def _left(residual: Floats, columns: Floats) -> tuple[int, Floats]:
+def _regression_residual(residual: Floats, columns: Floats) -> tuple[int, Floats]:
     spread = columns.std(axis=0)
     varying = columns[:, spread > 1e-9 * (np.abs(columns).max() or 1.0)]
     scaled = (varying - varying.mean(axis=0)) / varying.std(axis=0)
@@ -321,7 +321,7 @@ def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundin
 
     Args:
         residual: (N,).
-        around: what was there.
+        around: its surroundings.
         later: residual (M,) and surroundings of what was held out, for judging.
     """
     library = around.library()
@@ -363,7 +363,7 @@ def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundin
 
 
 def means(residual: Floats, over: Floats, which: Sequence[bool] | NDArray[np.bool_] | None = None) -> Floats:
-    """Means of a residual in bins of equal numbers over something else (b, 2): there, residual.
+    """Means over bins of equal counts (b, 2): of the quantity that defines the bins, and of a residual.
 
     Args:
         residual: (N,).

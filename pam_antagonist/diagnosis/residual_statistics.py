@@ -1,18 +1,19 @@
-"""What residuals are like: how far above the sensors' noise, how white, and which signal goes before them.
+"""Statistics of residuals: how far above the sensors' noise, how white, and which signals precede them.
 
 *Signals.* A residual is compared with each signal at *positive* lags: the signal first, the residual later. A
-controller makes commands from what the sensors show, so at other lags a residual goes with commands that it caused.
+controller makes commands from what the sensors show. So at other lags a residual correlates with commands that it
+caused itself.
 
 *Whitening.* Residuals have a memory, and two slow series look alike by chance. So each residual is whitened by an
 autoregression of its own (order by BIC), and the signal is filtered likewise. Correlations of a white series with an
 unrelated one scatter by 1/√N (Box and Jenkins, Time Series Analysis, section 11.2). The p-value counts every lag and
 every signal that was tried (Bonferroni).
 
-*Equations.* A simulation carries every error along. An equation that starts from the measured state shows its own error
-only. From each fifth of a second the model runs for as long, from the measured angle and pressures on; states that
-nobody measures are the simulation's. How much more the pressures and the joint have moved than it says is the error of
-the flows and of the motion. Measurement and model are averaged alike, so that smoothing cannot look like a lag. The
-torque's error is taken at the measured state.
+*Equations.* A simulation accumulates all errors. An equation that starts from the measured state shows its own error
+only. So the model is restarted every 0.2 s from the measured angle and pressures; states that are not measured come
+from the simulation. The measured minus the predicted change of pressures and angle is the error of the flows and of the
+motion. Measurement and model are averaged alike, so that smoothing cannot look like a lag. The torque's error is taken
+at the measured state.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ EQUATIONS = (
 _SPAN = 0.2
 """[s] How long the model runs from a measurement."""
 _NEAR = 0.04
-"""[s] To either side, from which the velocity is taken."""
+"""[s] Half of the interval over which the velocity is taken."""
 _PROBES = 12
 _REACH = 2.0
 """[s] Largest lag: pressures and joint have answered a command by then."""
@@ -58,7 +59,7 @@ class Relation:
     """Correlation of a residual with a signal that comes before it.
 
     Attributes:
-        lag_s: by which the signal comes before [s]: where the whitened series go together best.
+        lag_s: by which the signal precedes the residual [s]: where the whitened series correlate most.
         correlation: at that lag.
         z: the same in standard deviations.
         limit: size of z that chance alone exceeds once in twenty times.
@@ -86,12 +87,12 @@ class ResidualRow:
         kind: ``sensor``, ``equation`` or ``innovation``.
         unit: of the residual.
         rms: root mean square.
-        noise: that of the sensors' noise.
+        noise: root mean square of the sensors' noise.
         above_noise: share of the mean square that the sensors' noise does not explain.
         memory_s: time between independent values [s].
         independent: number of independent values.
         whiteness_p: probability of such an autocorrelation in white noise; NaN where there are too few values.
-        relations: by signal.
+        relations: correlations with signals, by signal.
     """
 
     channel: str
@@ -132,7 +133,7 @@ def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
     if experiment.runs_by_itself:
         equations = equation_errors(experiment, point)
         late = equations.begin >= first
-        # A window's error is due to what was there while it lasted: the signals' means over it.
+        # A window's error is compared with the signals' means over the window.
         over = {
             name: np.array([values[b : b + equations.span].mean() for b in equations.begin[late]])
             for name, values in given.items()
@@ -151,7 +152,7 @@ def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
 
 
 def of_innovations(experiment: Experiment, point: Point, time: Floats, innovation: Floats) -> list[ResidualRow]:
-    """The same for the estimator's innovations, in their own standard deviations.
+    """Statistics of the estimator's innovations, in their own standard deviations.
 
     Args:
         experiment: the recording.
@@ -182,7 +183,7 @@ def of_innovations(experiment: Experiment, point: Point, time: Floats, innovatio
 def row_of(
     what: tuple[str, str, str], values: Floats, noise: float, given: Mapping[str, Floats], step: float
 ) -> ResidualRow:
-    """Figures of a residual.
+    """Statistics of a residual.
 
     Args:
         what: its channel, kind and unit.
@@ -208,7 +209,7 @@ def row_of(
 
 
 def cross_correlations(residual: Floats, given: Mapping[str, Floats], step: float) -> dict[str, Relation]:
-    """How a residual goes with what was there before it.
+    """Correlations of a residual with signals before it.
 
     Args:
         residual: (N,), at a constant step.
@@ -247,7 +248,7 @@ def whitener(series: Floats) -> Floats:
         return np.ones(1)
     best, chosen = len(e) * np.log(gamma[0]), np.ones(1)
     for order in range(1, _MOST_ORDER + 1):
-        # A trace of white noise keeps what is all but singular solvable.
+        # A trace of white noise keeps a nearly singular system solvable.
         column = gamma[:order] + np.eye(1, order)[0] * 1e-9 * gamma[0]
         phi = solve_toeplitz(column, gamma[1 : order + 1])
         left = float(gamma[0] - phi @ gamma[1 : order + 1])

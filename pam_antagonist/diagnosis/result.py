@@ -1,4 +1,4 @@
-"""What a diagnosis says."""
+"""The result of a diagnosis, and its parts."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class FoundEffect:
         delta_bic: evidence for it: what the model loses without it, the price of its parameters paid.
         holdout_gain: share of the held-out excess over noise (:mod:`explained`) that goes with it.
         recordings: names of the recordings that show it.
-        notes: what is to be known about it.
+        notes: what a user should know about it.
         onset_s: since when it acts [s]; None: throughout.
         onset_std_s: standard deviation of that [s].
         end_s: until when it acts [s]; None: to the end of every recording that shows it.
@@ -101,12 +101,12 @@ class Ambiguity:
         found: the one in the model.
         other: the one that could take its place.
         evidence: for the found one against it, as a ΔBIC.
-        residual: what each leaves (found, other), root mean square, where they were compared.
+        residual: root mean square of what each leaves (found, other) where they were compared.
         unit: of these.
         shape: the other's width [m] or time constant [s].
         about: where and how they were compared.
-        size: of the found one there, in `size_unit`; NaN where it has none of its own there.
-        parameter: the found one's parameter that this size belongs to, where its error should hold the difference.
+        size: of the found effect in the comparison, in `size_unit`; NaN if it has none of its own.
+        parameter: of the found effect, whose standard deviation should cover the difference to `size`; or empty.
         ambiguous: whether the recordings leave open which it is.
         size_unit: of the size.
     """
@@ -157,7 +157,7 @@ class Judged:
         effects: that were found, with the experiments' names as recordings.
         values: of their parameters for one rig, by dotted path.
         warnings: what the user should know.
-        firmness: what the splits say of each effect, by its name; empty where they were not asked.
+        firmness: what the splits say of each effect, by its name; empty where there were no splits.
         calibrations: of sensors and clocks, that the recordings need.
     """
 
@@ -179,7 +179,7 @@ class HeldOutComparison:
     """A recording, or a part of it, with the three models; what was held out of it judges them.
 
     Attributes:
-        experiment: the recording; what is behind its ``fitted`` samples was held out.
+        experiment: the recording; its ``held_samples`` were held out.
         points: of the three models on it, by name (``MODELS``).
         role: ``fitted`` to its end, ``held out`` as a whole, or ``both``: its end was held out.
         number: of the recording, in the order in which they were given.
@@ -202,7 +202,7 @@ Residuals = Mapping[str, tuple[ResidualRow, ...]]
 
 @dataclass(frozen=True)
 class RecordingEntry:
-    """A recording and what the models make of it.
+    """A recording with the errors of the models on it.
 
     Attributes:
         recording: its name.
@@ -251,7 +251,7 @@ class SizeProfile:
         unit: of the parameter.
         values: at which it was held, in `unit`.
         rise: of −2 log posterior there.
-        flat: whether the recording would as well do with half of it.
+        flat: whether half of the size would explain the recording as well.
     """
 
     parameter: str
@@ -266,15 +266,15 @@ class SizeProfile:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The answer.
+    """The result of a diagnosis.
 
     Attributes:
         verdict: ``effect``, ``none`` or ``unexplained``.
         sentence: the verdict with its evidence, for people.
-        effects: what was found; empty but for ``effect``.
+        effects: what was found; empty unless the verdict is ``effect``.
         calibrations: of sensors and clocks, that the recordings need; they are no effects.
-        ambiguous_with: effects and calibrations that the recordings cannot tell from the found ones.
-        experiment: what would tell them apart, by effect.
+        ambiguous_with: effects and calibrations that the recordings cannot distinguish from the found ones.
+        experiment: what would distinguish them, by effect.
         ambiguities: comparisons of found effects with others on equal terms.
         ranking: all candidates of all rounds, with their models.
         share: share of the held-out excess over noise (:mod:`explained`) that the extended model removes.
@@ -282,7 +282,7 @@ class Diagnosis:
         errors: of the three models, on each recording with its own values.
         errors_of_one_rig: of ``rig_extended`` on all of several recordings; None where nothing was found in several.
         by_recording: errors of the three models and more, for each recording.
-        reference: errors of maps that know no physics, by name [N m]; None where there is none to compare with.
+        reference: errors of maps without physics, by name [N m]; None where there is none to compare with.
         remaining: what is not explained, described.
         unseen: what these recordings cannot show.
         warnings: what the user should know.
@@ -295,7 +295,7 @@ class Diagnosis:
         recalibrated: the model without effects.
         extended: the model with them.
         compared: the recordings with the three models on each, those that were held out as a whole as well.
-        seconds: what took how long.
+        seconds: time of each step [s], by name.
     """
 
     verdict: Verdict

@@ -1,9 +1,9 @@
-"""How firm a found effect is: whether it is supported wherever a recording is split.
+"""Firmness of a found effect: whether several splits of a recording support it.
 
-The recording is held out in five parts in turn. In each split the model with the effect and the model without it are
-fitted again to what is not held out, from where they were and with the derivatives there. What is held out then decides
-between them. Between the two lies a buffer as long as the memory of the residual: what is next to a fitted block is no
-prediction (Burman, Chow and Nolan 1994).
+The recording is held out in five parts in turn. In each split the models with and without the effect are fitted again
+to the rest, from their earlier fits and with the derivatives there. The held-out part then decides between them. A
+buffer as long as the memory of the residual separates it from the rest: values next to a fitted block are no prediction
+(Burman, Chow and Nolan 1994).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ Floats = NDArray[np.float64]
 
 SPLITS = 5
 _LENGTH = 10.0
-"""[s] About so much of a long recording is held out at once."""
+"""[s] Approximate length that is held out at once in a long recording."""
 _MOST_BUFFER = 3.0
-"""[s] Between what is fitted and what is held out, however long the residual's memory is."""
+"""[s] Longest buffer between fitted and held-out data, however long the residual's memory is."""
 
 
 def in_turn(
@@ -81,7 +81,7 @@ class Firmness:
         return self.agree >= thresholds.SPLITS_AGREE
 
     def in_words(self) -> str:
-        """What a reader should know."""
+        """The number of splits that agree, and those that do not."""
         against = [
             f"{begin:.0f} to {end:.0f} s"
             for value, (begin, end) in zip(self.evidence, self.held_s, strict=True)
@@ -92,7 +92,7 @@ class Firmness:
 
 
 def in_words(firm: Mapping[str, Firmness]) -> str:
-    """What a reader should know of all effects; empty where no splits were asked.
+    """What the splits say of all effects, in words; empty where there were no splits.
 
     Args:
         firm: what the splits say of each, by its name.
@@ -106,9 +106,8 @@ def in_words(firm: Mapping[str, Firmness]) -> str:
 def recalibrated(group: Group, jobs: int) -> tuple[Group, Model]:
     """A group with what is held out of it, and its model without effects.
 
-    A joint that is driven by its angle shows few sweeps, so that its last part alone would decide by one or two of
-    them. Its recordings are fitted as a whole and judged by all splits together. Errors in a report stay those of the
-    last part.
+    An angle-driven joint shows few sweeps. Its last part alone would decide by one or two of them. So its recordings
+    are fitted as a whole and judged by all splits together. Errors in a report stay those of the last part.
 
     Args:
         group: the recordings.

@@ -1,7 +1,8 @@
 """Friction of a joint that sticks, judged along its measured motion.
 
-A joint that sticks and slips goes another way than any model of it after seconds. What no effect explains in a free run
-is therefore asked again in :mod:`~pam_antagonist.inference.measured_motion`, where all effects compete on equal terms.
+The motion of a joint that sticks and slips differs from that of any model after seconds. So what no effect explains in
+a free run is tested again along the measured motion, where all effects compete on equal terms
+(:mod:`~pam_antagonist.inference.measured_motion`).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _RIVALS = 4
 
 
 def search(group: Group, selection: Selection, settings: Settings) -> tuple[Group, Selection] | None:
-    """Friction that explains what no effect explains in a free run; None where it does not, or where no joint sticks.
+    """Friction that explains what no effect explains in a free run; None if it does not, or if no joint sticks.
 
     Args:
         group: the recordings.
@@ -73,15 +74,16 @@ def search(group: Group, selection: Selection, settings: Settings) -> tuple[Grou
 
 
 def _along_motion(experiment: Experiment, fitted: Fitted) -> Experiment:
-    """A recording of a joint that sticks, as calibrated sensors would have shown it, along its motion; others as is."""
+    """A recording along its measured motion, with its calibrations corrected, if the joint sticks; others as is."""
     calibrated = along_motion(experiment.corrected(fitted.point)[0])
     return calibrated if isinstance(calibrated, MeasuredMotion) else experiment
 
 
 def _without_effects(experiment: Experiment) -> Fitted:
-    """The base parameters at their most probable values, at the pace of a model that lacks something.
+    """The base parameters at their most probable values, with the usual blocks per independent error.
 
-    At the pace of one that is right, a base parameter that is bent by many standard deviations could take its place.
+    If every block counted, as for a model that is right, the data could move a base parameter by many standard
+    deviations, and it would imitate the effect.
     """
     return relinearised(experiment, refit(experiment, experiment.origin))
 
@@ -90,6 +92,6 @@ def _with_effect(experiment: Experiment, base: Fitted, score: Score) -> Fitted:
     """An effect beside the base parameters; friction without the numbers that do not pay."""
     start = Point(base.point.theta, {**base.point.effects, **score.start})
     fitted = refit(experiment, start, (*base.free, *score.candidate.free), base.base, renewals=2, beside=base)
-    # At the pace of the model without it: what another pace makes of the base parameters' priors is no evidence.
+    # With as many blocks per error as without the effect: else the weight of the priors would look like evidence.
     fitted = best_of_starts(experiment, fitted, STARTS, finer=False)
     return findings.pruned(experiment, base, fitted, score.candidate.effect)

@@ -1,9 +1,9 @@
 """Every threshold of a decision that a diagnosis makes, with its reason and the data on which it was set.
 
 Evidence is twice a log likelihood ratio less the price of the further unknowns (ΔBIC); on held-out data, where nothing
-was fitted, nothing has a price. Its thresholds are Kass and Raftery's (1995). The shares have no reason but experience:
-they were set on the simulated development joints of the battery (seeds 703, 811 and 929), whose effects have other
-forms than the catalogue's laws. All of them hold for valve-driven and for angle-driven joints alike: on the measured
+was fitted, nothing has a price. Its thresholds are Kass and Raftery's (1995). The shares are empirical: they were set
+on the simulated development joints of the battery (seeds 703, 811 and 929), whose effects have other forms than the
+catalogue's laws. All of them hold for valve-driven and for angle-driven joints alike: on the measured
 sealed joint the two effects have evidence of 22 and 15 and remove 0.80 and 0.71 of the excess. Only the measure of the
 excess differs (:meth:`~pam_antagonist.inference.angle_driven.AngleDriven.excess_removed` says why). Numerical
 tolerances of an algorithm stand in its own module. Thresholds of many short episodes stand in
@@ -22,7 +22,7 @@ STRONG = 6.0
 """Evidence that Kass and Raftery (1995) call strong."""
 TAKEN = 2.0 * STRONG
 """Evidence of the fitted and the held-out part together for an effect with strong held-out evidence. A slow effect
-shows few times in each part, and pays for its parameters in the fitted part only."""
+shows few times in each part, and its parameters have a price in the fitted part only."""
 TAKEN_WITHOUT_STRONG_HELD_OUT = 4.0 * STRONG
 """Likewise where the held-out evidence is only positive: something else that the model lacks hides it there."""
 LEAST_SCORE = 2.0
@@ -39,7 +39,7 @@ nothing was fitted, in each split anew."""
 # Excess over noise.
 
 AT_NOISE = starts.AT_NOISE
-"""Multiples of the noise. A residual below it is the noise's: 60 s tell the noise to a few per cent."""
+"""Multiples of the noise below which a residual is noise: 60 s give the noise to a few per cent."""
 
 STRETCHES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """[s] Lengths of the stretches that are tested for more than noise, each in steps of half its length, and the whole. A
@@ -83,11 +83,11 @@ CERTAIN_SIZE = 2.0
 SIZES_DIFFER = 0.25
 """Relative difference above which sizes in two recordings are reported as a contradiction."""
 SIZES_DIFFER_STD = 3.0
-"""Standard deviations that the same difference has at least."""
+"""Least size of that difference, in its standard deviations."""
 OTHER_RIG_PRIORS = 5.0
 """Standard deviations of the prior: base parameters of one rig do not differ by so much between recordings."""
 OTHER_RIG_STD = 5.0
-"""Standard deviations of the fits that the same difference has at least."""
+"""Least size of that difference, in standard deviations of the fits."""
 IMPLAUSIBLE = 5.0
 """Standard deviations of its prior that a base parameter moves before a warning says so."""
 ESTIMATOR_WORSE = 1.5
@@ -116,7 +116,7 @@ may come and go as well."""
 PARAMETERS_OF_EPISODE = 3
 """Begin, end and height: the price of each episode."""
 CLEAN = 2.0
-"""Multiples of the noise. Above it, a recording has something that a disturbance would have to explain."""
+"""Multiples of the noise above which a recording has something that a disturbance would have to explain."""
 
 # Recordings.
 

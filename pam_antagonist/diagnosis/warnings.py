@@ -1,4 +1,4 @@
-"""What the user should know: what recordings cannot show, what looks wrong in them or in the rig file."""
+"""Warnings for the user: what recordings cannot show, and what looks wrong in them or in the rig file."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _WITH_VALVES = tuple(effect for effect in CATALOGUE.values() if "valve" in effec
 
 
 _OF_STEADY_PRESSURES = {"voltage_shift", "open_rate_shift", "supply_change", "mass_loss", "sensor_reading"}
-"""Hooks of effects that give a voltage another steady pressure, as another valve curve does."""
+"""Hooks of effects that change the steady pressure of a voltage, as another valve curve does."""
 
 
 def like_a_curve(rig: Rig, effects: Iterable[str]) -> tuple[str, ...]:
-    """Effects that a valve curve of another slope would look like, where the rig file calls its curves guessed.
+    """Effects that look like a valve curve of another slope, if the rig file calls its curves guessed.
 
-    The prior of a guessed curve is that of its shift; nothing moves its slope.
+    The prior of a guessed curve covers its shift only, so no fit moves its slope.
 
     Args:
         rig: as configured.
@@ -48,7 +48,7 @@ def like_a_curve(rig: Rig, effects: Iterable[str]) -> tuple[str, ...]:
 
 
 def guessed_curves(rig: Rig, effects: Iterable[str]) -> list[str]:
-    """What to say where a guessed curve may be taken for an effect.
+    """A warning if a guessed curve may look like a found effect.
 
     Args:
         rig: as configured.
@@ -77,7 +77,7 @@ def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
 
 
 def explained_in_part(effects: Sequence[str]) -> str:
-    """What to say of effects that explain much of the excess and not all."""
+    """A warning of effects that explain much of the excess and not all."""
     which = " and ".join(dict.fromkeys(effects))
     return (
         f"{which} does not explain all: much of the residual is still above the sensors' noise; the effect may have "
@@ -86,7 +86,7 @@ def explained_in_part(effects: Sequence[str]) -> str:
 
 
 def at_bounds(experiments: Sequence[Experiment], model: Model) -> list[str]:
-    """Numbers of effects that ended at a bound: the recording asks for more than makes sense.
+    """Parameters of effects that ended at a bound: the recording asks for more than makes sense.
 
     Args:
         experiments: the recordings.
@@ -99,7 +99,7 @@ def at_bounds(experiments: Sequence[Experiment], model: Model) -> list[str]:
             # In the number's own scale: a leak of 1e-9 m² is not next to 0.
             near = 1e-5 * free.item.scale
             ends = any(np.isclose(value, bound, atol=near) for bound in (free.item.low, free.item.high))
-            # A size that is 0 is none.
+            # An effect of size 0 is not there.
             if not ends or value == 0.0:
                 continue
             name = free.path.split(".", 1)[1]
@@ -144,7 +144,7 @@ def _edges(span: Span) -> list[tuple[str, float]]:
 
 
 def along_motion(experiments: Sequence[Experiment], base: Model, model: Model) -> str:
-    """What to say of a verdict that rests on the model along the measured motion.
+    """The note on a verdict that rests on the model along the measured motion.
 
     Args:
         experiments: the recordings, those of a joint that sticks along their motion.
@@ -164,7 +164,7 @@ def along_motion(experiments: Sequence[Experiment], base: Model, model: Model) -
 
 
 def not_firm(effect: str, firm: Firmness) -> str:
-    """What to say of an effect that was selected and that most splits do not support."""
+    """A warning of an effect that was selected and that most splits do not support."""
     return (
         f"{effect} was selected, but only {firm.in_words()}: it depends on which part of the recording is held out and "
         "is not called found"
@@ -176,7 +176,7 @@ def decided_by_innovations(effects: Sequence[str], evidence: float, taken: bool)
 
     Args:
         effects: that the pressures call for.
-        evidence: twice the logarithm of how much likelier the held-out innovations are with them.
+        evidence: twice the log likelihood ratio of the held-out innovations with and without them.
         taken: whether that was enough.
     """
     which = " and ".join(effects)
@@ -218,7 +218,7 @@ def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
 
 
 def few_sweeps(prepared: Prepared) -> list[str]:
-    """A warning where a joint that is driven by its angle slides too seldom: samples of a sweep have one error."""
+    """A warning where a joint that is driven by its angle slides too seldom: all samples of a sweep share one error."""
     if not prepared.angle_driven:
         return []
     cuts = {number: e.fitted for g in prepared.groups for number, e in zip(g.numbers, g.experiments, strict=True)}
@@ -333,7 +333,7 @@ def _shown(names: Iterable[str], experiment: Experiment, fitted: Fitted) -> set[
     scale, none = fitted.scale, np.zeros((*fitted.residual.shape, 0))
     out = set()
     for name, change in zip(there, experiment.differences(fitted.point, fitted.residual, points), strict=True):
-        # As a fit would see it, were the rest noise.
+        # As a fit would see it if all else were noise.
         step = Equations.of(change, fitted.base, none).solved(
             scale, experiment.prior, np.zeros(experiment.size), rounds=1, first=scale.noise**2,
             length=np.full(len(scale.noise), counted),
