@@ -15,13 +15,32 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-from numba.core import cgutils, types
+from numba.core import cgutils, codegen, config, types
 from numba.core.typing import signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model, type_callable
 
 # numba's own writer of LLVM's language.
 ir: Any = cgutils.ir
-LANES = 8
+
+
+def width(features: str) -> tuple[int, int]:
+    """How many numbers a step in lanes takes, and from how many on it is quicker than one number after another.
+
+    Two registers for eight numbers take as long a number as one for four, and need more models that run side by side.
+
+    Args:
+        features: what the processor can do, in LLVM's words, separated by commas.
+
+    Returns:
+        Both, as measured; the second one is out of reach where registers hold two numbers only.
+    """
+    each = features.split(",")
+    if "+avx512f" in each:
+        return 8, 3
+    return (4, 2) if "+avx2" in each else (4, 5)
+
+
+LANES, FEWEST = width(config.CPU_FEATURES or codegen.get_host_cpu_features())
 CHUNK = 64
 """Samples of all lanes that are kept until they are given to each model: as many as stay in the processor's cache."""
 _DOUBLE, _BIT, _INDEX = ir.DoubleType(), ir.IntType(1), ir.IntType(32)

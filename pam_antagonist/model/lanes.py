@@ -13,14 +13,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba.core import codegen, config
 
 from pam_antagonist.model import composition, integration, lane_form
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.lane_values import CHUNK, LANES
-
-_FEWEST = {"+avx512f": 3, "+avx2": 4}
-"""Models that are worth a step of eight, by what the processor has: so many one by one take as long (measured)."""
+from pam_antagonist.model.lane_values import CHUNK, FEWEST, LANES
 
 
 def courses(
@@ -39,9 +35,8 @@ def courses(
         States (N, n) and torques (N,) [N m] of each model.
     """
     out: list[Any] = [None] * len(vectors)
-    fewest = _fewest()
     for group in groups([[p] for p in vectors]):
-        run = _side_by_side() if len(group) >= fewest else None
+        run = _side_by_side() if len(group) >= FEWEST else None
         if run is None:
             for k in group:
                 out[k] = integration.course(starts[k], voltage, vectors[k], dt, substeps)
@@ -79,7 +74,7 @@ def step(plain: bool) -> Any:
         :func:`~pam_antagonist.model.integration.rk4_step_within`, for states (n, 8), parameters (P, 8) and scratch
         (STAGES + 1, n, 8).
     """
-    if _fewest() > LANES:
+    if FEWEST > LANES:
         return None
     if plain:
         text = lane_form.lane_module((integration.plain_step,))
@@ -107,13 +102,6 @@ def _structure(p: np.ndarray) -> bytes:
     behind = p[par.LOCKED :].copy()
     behind[[place - par.LOCKED for place in (*par.FLOW_CONSTANTS, par.PLAIN, par.STATELESS_EFFECTS)]] = 0.0
     return behind.tobytes()
-
-
-@lru_cache(maxsize=1)
-def _fewest() -> int:
-    """How many models are worth a step of eight on this machine: with numbers in pairs only, none are."""
-    features = (config.CPU_FEATURES or codegen.get_host_cpu_features()).split(",")
-    return next((count for feature, count in _FEWEST.items() if feature in features), LANES + 1)
 
 
 @lru_cache(maxsize=1)

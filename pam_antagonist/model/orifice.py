@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from pam_antagonist._jit import inlined
-from pam_antagonist.model.numeric import power
-from pam_antagonist.model.parameters import CHOKED_FLOW, CRITICAL_RATIO, FLOW_EXPONENT, SUBSONIC_FLOW
+from pam_antagonist.model.parameters import CHOKED_FLOW, CRITICAL_RATIO, SUBSONIC, SUBSONIC_FLOW
 
 
 @inlined
@@ -28,6 +27,17 @@ def orifice_flow(upstream, downstream, p):
         sign = -1.0
     if downstream <= upstream * p[CRITICAL_RATIO]:
         return sign * upstream * p[CHOKED_FLOW]
-    # With w = r^((1−k)/k), r^(2/k) − r^((k+1)/k) = r² w (w − 1): one power instead of two, and upstream r = downstream.
-    w = power(upstream / downstream, p[FLOW_EXPONENT])
-    return sign * downstream * p[SUBSONIC_FLOW] * math.sqrt(max(w * (w - 1.0), 0.0))
+    gap = (upstream - downstream) / upstream
+    return sign * upstream * p[SUBSONIC_FLOW] * math.sqrt(gap * _h(gap, p))
+
+
+@inlined
+def _h(s, p):
+    """The polynomial of :mod:`pam_antagonist.model.subsonic`; pairs of terms need not wait for one another."""
+    s2 = s * s
+    s4 = s2 * s2
+    first = (p[SUBSONIC] + s * p[SUBSONIC + 1]) + s2 * (p[SUBSONIC + 2] + s * p[SUBSONIC + 3])
+    second = (p[SUBSONIC + 4] + s * p[SUBSONIC + 5]) + s2 * (p[SUBSONIC + 6] + s * p[SUBSONIC + 7])
+    third = (p[SUBSONIC + 8] + s * p[SUBSONIC + 9]) + s2 * (p[SUBSONIC + 10] + s * p[SUBSONIC + 11])
+    fourth = (p[SUBSONIC + 12] + s * p[SUBSONIC + 13]) + s2 * (p[SUBSONIC + 14] + s * p[SUBSONIC + 15])
+    return (first + s4 * second) + (s4 * s4) * (third + s4 * fourth)

@@ -14,6 +14,7 @@ import numpy as np
 
 from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
 from pam_antagonist.model.effects.base import SIGNALS
+from pam_antagonist.model.subsonic import TERMS, series
 
 MAX_KNOTS = 24
 """The most points that a valve curve may have."""
@@ -104,18 +105,19 @@ LOCKED = len(_NAMES)
 CRITICAL_RATIO = LOCKED + 1
 CHOKED_FLOW = LOCKED + 2
 SUBSONIC_FLOW = LOCKED + 3
-FLOW_EXPONENT = LOCKED + 4
-FLOW_CONSTANTS = (CRITICAL_RATIO, CHOKED_FLOW, SUBSONIC_FLOW, FLOW_EXPONENT)
-PULLEY = LOCKED + 5
-FORCE_FORM = LOCKED + 6
-FRICTION_LAW = LOCKED + 7
-STATELESS_EFFECTS = LOCKED + 8
+FLOW_CONSTANTS = (CRITICAL_RATIO, CHOKED_FLOW, SUBSONIC_FLOW)
+PULLEY = LOCKED + 4
+FORCE_FORM = LOCKED + 5
+FRICTION_LAW = LOCKED + 6
+STATELESS_EFFECTS = LOCKED + 7
 """1 where an effect that adds no state is at work, so that a rig without any pays for one comparison."""
-STATES = LOCKED + 9
+STATES = LOCKED + 8
 """How many states there are."""
-PLAIN = LOCKED + 10
+PLAIN = LOCKED + 9
 """1 for the paper's own model and no effect: what most rigs run, and the quickest."""
-SIGNAL = LOCKED + 11
+SUBSONIC = LOCKED + 10
+"""Where the coefficients of the subsonic flow begin (:mod:`pam_antagonist.model.subsonic`)."""
+SIGNAL = SUBSONIC + TERMS
 """Where the further signals begin, by which effects may go; 0 where a signal is not measured."""
 SLOT = SIGNAL + SIGNALS
 """Index in the state of each of ``effects.ADDED_STATES``, 0 for one that is not there."""
@@ -159,7 +161,7 @@ def refresh(p: np.ndarray) -> np.ndarray:
     p[CRITICAL_RATIO] = (2.0 / (k + 1.0)) ** (k / (k - 1.0))
     p[CHOKED_FLOW] = np.sqrt(k / gas * (2.0 / (k + 1.0)) ** ((k + 1.0) / (k - 1.0))) / root_t
     p[SUBSONIC_FLOW] = np.sqrt(2.0 * k / (gas * (k - 1.0))) / root_t
-    p[FLOW_EXPONENT] = (k - 1.0) / k
+    p[SUBSONIC : SUBSONIC + TERMS] = series(float(k))
     p[STATELESS_EFFECTS] = float(any(p[index] != 0.0 for index in _STATELESS))
     count = BASE_STATES
     for slot, switches in enumerate(_SWITCHES):

@@ -91,3 +91,15 @@ def test_flow_below_vacuum_is_that_into_a_vacuum(p):
     """No chamber gets there, but a sigma point may: choked inflow from both sides, and no NaN."""
     for alpha in (0.0, 0.5, 1.0):
         assert flow.mass_flow(0, alpha, -20e3, p) == flow.mass_flow(0, alpha, 1e3, p) > 0.0
+
+
+@pytest.mark.parametrize("heat_ratio", [1.1, 1.3, 1.4, 1.667, 1.9])
+def test_subsonic_flow_is_the_printed_one_of_any_gas(rig, heat_ratio):
+    """The polynomial in its place errs by less than the rounding of the two powers that equation (5) has."""
+    p = rig.parameters(changes={"gas.heat_ratio": heat_ratio})
+    k, gas, temperature = heat_ratio, p[par.GAS_CONSTANT], p[par.TEMPERATURE]
+    ratios = np.linspace((2 / (k + 1)) ** (k / (k - 1)) + 1e-9, 0.999, 300)
+    powers = ratios ** (2 / k) - ratios ** ((k + 1) / k)
+    printed = TANK * np.sqrt(2 * k / (gas * (k - 1) * temperature) * powers)
+    flows = [flow.orifice_flow(TANK, TANK * ratio, p) for ratio in ratios]
+    np.testing.assert_allclose(flows, printed, rtol=2e-13)
