@@ -127,16 +127,19 @@ SIZE = CURVE + 2 * CURVE_SIZE
 
 SLOT_OF: Mapping[str, int] = {state.name: SLOT + k for k, (_, state) in enumerate(ADDED_STATES)}
 """Where in the vector the index of an added state stands, by the state's name."""
-_SWITCHES = tuple(
-    tuple(INDEX[parameter_path(effect, name)] for name in (state.switch, *state.further))
-    for effect, state in ADDED_STATES
-)
-_STATELESS = tuple(
-    INDEX[parameter_path(effect.name, item.name)]
-    for effect in CATALOGUE.values()
-    if not effect.states
-    for item in effect.parameters
-    if item.is_size
+_SWITCHES = [
+    [INDEX[parameter_path(effect, name)] for name in (state.switch, *state.further)] for effect, state in ADDED_STATES
+]
+_SWITCH = np.concatenate(_SWITCHES)
+_FIRST_SWITCH = np.cumsum([0, *map(len, _SWITCHES[:-1])])
+_STATELESS = np.array(
+    [
+        INDEX[parameter_path(effect.name, item.name)]
+        for effect in CATALOGUE.values()
+        if not effect.states
+        for item in effect.parameters
+        if item.is_size
+    ]
 )
 BASE_STATES = 4
 
@@ -162,12 +165,10 @@ def refresh(p: np.ndarray) -> np.ndarray:
     p[CHOKED_FLOW] = np.sqrt(k / gas * (2.0 / (k + 1.0)) ** ((k + 1.0) / (k - 1.0))) / root_t
     p[SUBSONIC_FLOW] = np.sqrt(2.0 * k / (gas * (k - 1.0))) / root_t
     p[SUBSONIC : SUBSONIC + TERMS] = series(float(k))
-    p[STATELESS_EFFECTS] = float(any(p[index] != 0.0 for index in _STATELESS))
-    count = BASE_STATES
-    for slot, switches in enumerate(_SWITCHES):
-        present = any(p[switch] != 0.0 for switch in switches)
-        p[SLOT + slot] = count if present else 0.0
-        count += present
+    p[STATELESS_EFFECTS] = float(np.any(p[_STATELESS] != 0.0))
+    present = np.logical_or.reduceat(p[_SWITCH] != 0.0, _FIRST_SWITCH)
+    p[SLOT : SLOT + len(present)] = np.where(present, BASE_STATES - 1 + np.cumsum(present), 0)
+    count = BASE_STATES + int(present.sum())
     p[STATES] = count
     own = p[FORCE_FORM] == 0.0 and p[FRICTION_LAW] == 0.0
     p[PLAIN] = float(own and p[STATELESS_EFFECTS] == 0.0 and count == BASE_STATES)
