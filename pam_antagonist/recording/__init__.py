@@ -1,7 +1,8 @@
 """Recordings: rosbag2 bags <-> arrays.
 
 ``read_bag`` makes a :class:`Recording` of a bag, ``write_bag`` and :class:`BagWriter` make bags, ``TOPICS`` names the
-topics. Names are imported when they are first used: nodes need the topic table only, not the libraries that read bags.
+topics. Names are imported at their first use, because nodes need only the topic table and not the libraries that read
+bags.
 """
 
 from __future__ import annotations

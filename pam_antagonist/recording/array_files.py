@@ -1,7 +1,7 @@
 """Columns of files that hold arrays: MATLAB (.mat of both kinds), numpy (.npz) and Parquet.
 
 A column is named as in the file: a variable ``p1``, a field of a structure ``data.p1``, one column of a matrix
-``data(:,3)``, counted from 1 as MATLAB does. Sizes are looked at before anything is read.
+``data(:,3)``, counted from 1 as in MATLAB. Sizes are checked before anything is read.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def kind_of(path: Path) -> str:
             with zipfile.ZipFile(path) as archive:
                 return "npz" if any(name.endswith(".npy") for name in archive.namelist()) else ""
     except (OSError, ValueError, zipfile.BadZipFile):
-        pass  # whoever reads the file says what is wrong
+        pass  # the reader of the file reports the problem
     return ""
 
 
@@ -77,7 +77,7 @@ def read_columns(path: Path, kind: str, columns: Mapping[str, int | str], most: 
 
 @contextmanager
 def _readable(path: Path, what: str) -> Iterator[None]:
-    """Whatever a library makes of a damaged file is one line."""
+    """Report any error of a library about a damaged file in one line."""
     try:
         yield
     except BadInput:
@@ -105,13 +105,13 @@ def _name(path: Path, quantity: str, column: int | str, there: Mapping[str, Any]
 
 
 def no_column(path: Path, quantity: str, name: str, there: Iterable[str]) -> BadInput:
-    """The refusal of a column that a file does not have.
+    """The error for a column that a file does not have.
 
     Args:
         path: the file.
-        quantity: that the column should hold.
-        name: that the map gives it.
-        there: names of the columns that there are.
+        quantity: what the column should hold.
+        name: the column's name in the map.
+        there: names of the file's columns.
     """
     known = list(there)
     lower = {other.lower(): other for other in known}
@@ -121,7 +121,7 @@ def no_column(path: Path, quantity: str, name: str, there: Iterable[str]) -> Bad
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names of columns as a message shows them: not too many, and each in one short line."""
+    """Names of columns for a message, cut to a readable length."""
     known = list(names)
     more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
     return ", ".join(shown(name) for name in known[:_LISTED]) + more
@@ -147,7 +147,7 @@ def _column(path: Path, quantity: str, name: str, arrays: Mapping[str, NDArray[A
 
 
 class _Shape:
-    """What is known of an array before it is read."""
+    """Shape of an array that has not been read yet."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.shape, self.ndim = shape, len(shape)
@@ -159,18 +159,18 @@ def _check_rows(path: Path, name: str, shape: tuple[int, ...], most: int) -> Non
 
 
 def _matlab(path: Path, names: list[str], most: int) -> dict[str, Any]:
-    """Variables, and the fields of structures, of a file up to version 7."""
+    """Variables and fields of structures, of a MATLAB file up to version 7."""
     from scipy.io import loadmat, whosmat
 
-    listed = {name: (shape, kind) for name, shape, kind in whosmat(str(path))}
-    for name, (shape, _) in listed.items():
+    variables = {name: (shape, kind) for name, shape, kind in whosmat(str(path))}
+    for name, (shape, _) in variables.items():
         _check_rows(path, name, shape, most)
     tops = sorted(
-        {name.split(".")[0] for name in names} or {name for name, (_, kind) in listed.items() if kind == "struct"}
+        {name.split(".")[0] for name in names} or {name for name, (_, kind) in variables.items() if kind == "struct"}
     )
     loaded = loadmat(str(path), variable_names=tops, struct_as_record=False, squeeze_me=False) if tops else {}
     out: dict[str, Any] = {}
-    for name, (shape, kind) in listed.items():
+    for name, (shape, kind) in variables.items():
         if kind == "struct" and name in loaded:
             out |= dict(_fields(name, loaded[name]))
         elif kind != "struct":
@@ -190,12 +190,12 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def _hdf5(path: Path, names: list[str], most: int) -> dict[str, Any]:
-    """Data sets of MATLAB 7.3 and other HDF5 files; MATLAB writes its matrices by columns, so they are turned."""
+    """Data sets of MATLAB 7.3 and other HDF5 files; those of MATLAB are stored by columns and are transposed."""
     with needs("import", str(path)):
         import h5py
     out: dict[str, Any] = {}
     with path.open("rb") as stream:
-        turned = stream.read(6) == b"MATLAB"
+        transposed = stream.read(6) == b"MATLAB"
     with h5py.File(path, "r") as file:
 
         def visit(name: str, item: Any) -> None:
@@ -203,10 +203,10 @@ def _hdf5(path: Path, names: list[str], most: int) -> dict[str, Any]:
             if not isinstance(item, h5py.Dataset) or name.startswith("#"):
                 return
             _check_rows(path, dotted, item.shape, most)
-            shape = item.shape[::-1] if turned else item.shape
+            shape = item.shape[::-1] if transposed else item.shape
             if dotted in names:
                 values = item[()]
-                out[dotted] = values.T if turned else values
+                out[dotted] = values.T if transposed else values
             elif not names:
                 out[dotted] = _Shape(shape)
 
@@ -215,7 +215,7 @@ def _hdf5(path: Path, names: list[str], most: int) -> dict[str, Any]:
 
 
 def _npz(path: Path, names: list[str], most: int) -> dict[str, Any]:
-    """Arrays of a numpy archive; objects, which could run code, are refused by numpy."""
+    """Arrays of a numpy archive; numpy refuses Python objects, which could run code."""
     out: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         for member in archive.namelist():

@@ -1,8 +1,8 @@
-"""Message files of a bag while it is written: split, brought to the disk every second, whole after a failure.
+"""Message files of a bag while it is written: split, flushed every second, readable after a failure.
 
-rosbags writes a bag of one file. Here each file is such a bag by itself, and their metadata are brought together in
-the end. A file that is cut off, by a power cut or a kill, still has every chunk that was flushed; what is missing then
-is the index at its end and metadata.yaml, which the reader of this package does without.
+rosbags writes a bag of one file. Here each file is such a bag by itself, and their metadata are merged at the end. A
+file that a power cut or a kill cuts off still has every chunk that was flushed. It lacks the index at its end and
+metadata.yaml; the reader of this package needs neither.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ MODES = {
 
 @dataclass(frozen=True)
 class Limits:
-    """When to begin the next file of a bag; the file is looked at with every batch of messages.
+    """When to begin the next file of a bag; checked after every batch of messages.
 
     Attributes:
-        size: as large as this, or by one chunk (1 MB) more [bytes]; None: never.
-        duration: that long after its first message [s]; None: never.
+        size: size of a full file, which may be exceeded by one chunk (1 MB) [bytes]; None: no limit.
+        duration: time since the file's first message [s]; None: no limit.
     """
 
     size: int | None = None
@@ -54,7 +54,7 @@ class Limits:
 
 
 class _File(Writer):
-    """One message file, with metadata of its own until all are brought together."""
+    """One message file, with metadata of its own until all metadata are merged."""
 
     storage: Any
 
@@ -62,26 +62,26 @@ class _File(Writer):
         super().__init__(folder / f".{name or folder.name}.new", version=9, storage_plugin=plugin)
         self._folder, self._name = folder, name
         self.metapath = folder / f".{name or folder.name}.yaml"
-        self.safe = 0  # bytes that end with a whole chunk
+        self.safe = 0  # bytes up to the end of the last complete chunk
         self._safe_counts: dict[int, int] = {}
         self._chunks = 0
 
     @override
     def open(self) -> None:
-        """Make the file; rosbags names it after the folder."""
+        """Make the file; rosbags names it after the folder, so it is renamed where it has a name of its own."""
         self.storage = self.STORAGE_PLUGINS[self.storage_plugin](self._folder, self.compression_mode)
         if self._name is not None:
             target = self.storage.path.with_name(f"{self._name}{self.storage.path.suffix}")
             self.storage.path = self.storage.path.rename(target)
 
     def size(self) -> int:
-        """Bytes so far, with those that are about to be written."""
+        """Bytes so far, including those that wait to be written."""
         if hasattr(self.storage, "chunk"):
             return int(self.storage.bio.tell() + self.storage.chunk.bio.tell())
         return int(self.storage.path.stat().st_size)
 
     def whole_chunks(self) -> None:
-        """Hand complete chunks to the operating system, and remember how far the file is good."""
+        """Hand complete chunks to the operating system, and remember where the last one ends."""
         storage = self.storage
         if hasattr(storage, "chunk") and len(storage.chunks) != self._chunks:
             storage.bio.flush()
@@ -90,7 +90,7 @@ class _File(Writer):
             self._safe_counts = {key: count - pending.get(key, 0) for key, count in self.counts.items()}
 
     def flush(self, durable: bool) -> None:
-        """Bring everything so far into the file, as far as the storage has a way to do so."""
+        """Write everything so far to the file, as far as the storage can."""
         storage = self.storage
         if hasattr(storage, "chunk"):
             if storage.chunk.bio.tell():
@@ -104,7 +104,7 @@ class _File(Writer):
 
     def finish(self, durable: bool) -> dict[str, Any]:
         """Close the file; returns its metadata."""
-        self.flush(False)  # the index comes after all messages are in the file: it can be done without
+        self.flush(False)  # messages first: a file without its index is still readable
         path = self.storage.path
         self.close()
         if durable and path.exists():
@@ -116,10 +116,10 @@ class _File(Writer):
         return information
 
     def rescue(self) -> dict[str, Any] | None:
-        """After a failed write: drop the torn chunk and close what is before it.
+        """After a failed write, drop the incomplete chunk and close the file before it.
 
         Returns:
-            The file's metadata; None where even the index cannot be written: then the file ends with a whole chunk.
+            The file's metadata; None where the index cannot be written either and the file ends with a complete chunk.
         """
         storage = self.storage
         if storage is None or not hasattr(storage, "chunk"):
@@ -156,11 +156,11 @@ class BagFiles:
         storage: "mcap" or "sqlite3".
         compression: see ``MODES``.
         limits: when to begin the next file (MCAP only).
-        durable: whether what is flushed is to survive a power cut.
+        durable: whether flushed data must survive a power cut.
 
     Attributes:
-        files: how many were begun.
-        size: bytes in all of them, as of the last flush; may be read from any thread.
+        files: number of files that were begun.
+        size: bytes in all files as of the last flush; may be read from any thread.
     """
 
     def __init__(self, path: Path, storage: Storage, compression: Compression, limits: Limits, durable: bool) -> None:
@@ -178,7 +178,7 @@ class BagFiles:
         """Make the folder and the first file.
 
         Raises:
-            OSError: That is not possible.
+            OSError: They cannot be made.
         """
         self._path.mkdir(mode=0o755, parents=True)
         self._begin()
@@ -202,7 +202,7 @@ class BagFiles:
             self._begin()
 
     def flush(self) -> None:
-        """Bring everything so far into the file."""
+        """Write everything so far to the file."""
         self._file.flush(self._durable)
         self.size = self._finished + self._file.size()
 
@@ -212,10 +212,10 @@ class BagFiles:
         metadata.write_information(self._path, _together(self._done))
 
     def rescue(self) -> int:
-        """After a failed write, leave as much as possible.
+        """After a failed write, keep as many messages as possible.
 
         Returns:
-            Number of messages in whole chunks.
+            Number of messages in complete chunks.
         """
         kept = 0
         if self._open:
@@ -267,7 +267,7 @@ def _together(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     end = max(part["starting_time"]["nanoseconds_since_epoch"] + part["duration"]["nanoseconds"] for part in filled)
     topics = []
     for index, entry in enumerate(parts[-1]["topics_with_message_count"]):
-        # The order of the topics is that of their announcement in all files; an early file may lack the last ones.
+        # All files list the topics in the order of their announcement; an early file may lack the last ones.
         lists = [part["topics_with_message_count"] for part in parts]
         count = sum(listed[index]["message_count"] for listed in lists if index < len(listed))
         topics.append({**entry, "message_count": count})

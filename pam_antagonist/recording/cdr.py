@@ -1,11 +1,11 @@
 """CDR payloads <-> arrays, many messages at a time.
 
-The payloads of one topic nearly always have one byte layout: the same byte order, the same lengths of strings, the
-same counts of sequences. So the messages are stacked as rows of a matrix of bytes and the message definition is walked
-once for all of them; each field is then a strided piece of the matrix. Where a length or a count differs between
-messages, the rows are split by it and each part is walked on by itself, so that mixed layouts decode as well, only in
-more steps. Layout: XCDR version 1 (OMG DDSI-RTPS 2.3, 10.2; CORBA 3.3 part 2, 9.3): four bytes of encapsulation, then
-members in order, primitives aligned to their size relative to the end of the encapsulation.
+The payloads of one topic nearly always have one byte layout: the same byte order, lengths of strings and counts of
+sequences. So the messages are stacked as rows of a matrix of bytes, and the message definition is walked once for all
+of them. Each field is then a strided piece of the matrix. Where a length or a count differs between messages, the rows
+are split by this number and each part is walked by itself. Layout: XCDR version 1 (OMG DDSI-RTPS 2.3, 10.2; CORBA 3.3
+part 2, 9.3): four bytes of encapsulation, then members in order, primitives aligned to their size relative to the end
+of the encapsulation.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .messages import typestore
 
 HEADER = 4  # bytes of encapsulation
 _MAX_PADDING = 3  # bytes that a writer may append to fill the last word
-_MAX_EMPTY = 8  # bytes more for every empty sequence: Fast DDS reserves the alignment of elements that are not there
+_MAX_EMPTY = 8  # further bytes for each empty sequence: Fast DDS aligns for elements although there are none
 _PRIMITIVES = {
     "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
@@ -31,7 +31,7 @@ _PRIMITIVES = {
 
 
 class CdrError(ValueError):
-    """A payload that is no CDR message of the type; the text says which message and which field."""
+    """A payload is no CDR message of its type; the text names the message and the field."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class Group:
     Attributes:
         matrix: their bytes (k, size).
         order: byte order of the numbers.
-        position: from the start of a message to what is decoded next [bytes].
-        pending: fields that are still to be decoded: path and type.
-        rows: Which messages (k,).
+        position: where decoding goes on, from the end of the encapsulation [bytes].
+        pending: path and type of the fields that are still to be decoded, the next one last.
+        rows: numbers of the messages (k,).
         columns: Field path -> values (k,) or, for arrays and sequences of primitives, (k, count); strings are (k,)
             bytes. Members of messages are written "header.stamp.sec", elements "name[0]".
         counts: Path of every array or sequence -> number of its elements.
@@ -85,8 +85,8 @@ class Decoded:
     """Messages of one topic as arrays.
 
     Attributes:
-        size: how many messages.
-        groups: messages of one layout each.
+        size: number of messages N.
+        groups: the messages, grouped by layout.
     """
 
     size: int
@@ -101,7 +101,7 @@ class Decoded:
         return result
 
     def has(self, path: str) -> bool:
-        """Whether the messages have a field; those of a former definition lack what came later."""
+        """Whether the messages have a field; those of a former definition lack the fields that were added later."""
         return not self.groups or path in self.groups[0].columns
 
     def stamp_ns(self, path: str) -> NDArray[np.int64]:
@@ -123,10 +123,10 @@ def decode(payloads: Payloads, msgtype: str, stores: Sequence[Typestore] = ()) -
     Args:
         payloads: N raw messages.
         msgtype: Message type known to :func:`~pam_antagonist.recording.messages.typestore`.
-        stores: where its definition may stand; the first whose definition fits is taken. Default: the present one.
+        stores: definitions to try in order; the first that fits all payloads is taken. Default: the present one.
 
     Raises:
-        CdrError: A payload is too short, too long, or not plain CDR; what the first definition says of it.
+        CdrError: A payload is too short, too long, or not plain CDR; the text is the error of the first definition.
     """
     first: CdrError | None = None
     for store in stores or (typestore(),):
@@ -183,7 +183,7 @@ def _members(prefix: str, msgtype: str, store: Typestore) -> list[tuple[str, Any
 
 
 def _walk(group: Group, msgtype: str, store: Typestore) -> list[Group] | None:
-    """Walk the definition until it ends (None) or the rows' layouts part (the parts, to be walked on)."""
+    """Decode the rows in place; None at the end, or the groups to go on with where the rows' layouts differ."""
     while group.pending:
         path, (kind, what) = group.pending.pop()
         if kind == Nodetype.BASE and what[0] != "string":
@@ -203,7 +203,7 @@ def _walk(group: Group, msgtype: str, store: Typestore) -> list[Group] | None:
 
 
 def _sized(group: Group, path: str, kind: int, what: Any) -> list[Group] | None:
-    """Decode a string or sequence whose length is the same in all rows; otherwise split the rows by it."""
+    """Decode a string or sequence whose length is the same in all rows; otherwise split the rows by length."""
     before = group.position
     sizes = _take(group, path, "uint32", 1)[:, 0]
     size = int(sizes[0])
@@ -234,13 +234,13 @@ def _sized(group: Group, path: str, kind: int, what: Any) -> list[Group] | None:
 
 
 def _elements(group: Group, path: str, element: Any, count: int) -> None:
-    """Decode a fixed number of elements: primitives at once, others one by one."""
+    """Decode a known number of elements: primitives at once, others one by one."""
     group.counts[path] = count
     kind, what = element
     if kind == Nodetype.BASE and what[0] != "string":
         group.columns[path] = _take(group, path, what[0], count)
         return
-    if count > group.matrix.shape[1]:  # every element needs a byte at least: a count to be refused, not allocated
+    if count > group.matrix.shape[1]:  # each element needs a byte at least, so the count is damaged
         raise CdrError(f"message {group.rows[0]}: {path} claims {count} elements, more than the message has bytes")
     group.pending.extend((f"{path}[{i}]", element) for i in reversed(range(count)))
 
@@ -274,7 +274,7 @@ class _Encoder:
         self._size, self._order, self._position = size, "<" if little_endian else ">", 0
 
     def put(self, values: Any, dtype: str, count: int) -> None:
-        """So many numbers a message, aligned."""
+        """Append ``count`` aligned numbers to each message."""
         shape = (self._size, count)
         block = np.ascontiguousarray(np.broadcast_to(np.asarray(values), shape), np.dtype(self._order + dtype))
         padding = _aligned(self._position, block.itemsize) - self._position if count else 0
@@ -283,7 +283,7 @@ class _Encoder:
         self._position += padding + self.pieces[-1].shape[1]
 
     def put_single(self, primitive: str, values: Any) -> None:
-        """A number (N,), or a number or string that all messages have."""
+        """Append a number of each message (N,), or a number or string that all messages share."""
         if primitive == "string":
             raw = np.frombuffer((values.encode() if isinstance(values, str) else values) + b"\0", np.uint8)
             self.put(len(raw), "u4", 1)
@@ -293,7 +293,7 @@ class _Encoder:
             self.put(array.reshape(-1, 1) if array.ndim else array, _PRIMITIVES[primitive], 1)
 
     def put_list(self, name: str, primitive: str, values: Any, length: int | None) -> None:
-        """An array of a fixed length, or a sequence, which says how long it is."""
+        """Append an array of a fixed length, or a sequence with its length in front (``length`` None)."""
         count = len(values) if primitive == "string" else cast(int, np.asarray(values).shape[-1])
         if length is None:
             self.put(count, "u4", 1)
@@ -312,8 +312,8 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
     Args:
         msgtype: Message type.
         size: Number of messages N.
-        columns: Field path -> values: a primitive (N,) or a number for all; an array or sequence (N, count); a
-            string for all; a list of strings for a sequence of strings. Every field of the type must be there.
+        columns: Field path -> values: a primitive (N,) or one number for all; an array or sequence (N, count); one
+            string for all; a list of strings for a sequence of strings. Every field of the type is needed.
         little_endian: Byte order to write.
 
     Returns:

@@ -19,25 +19,25 @@ _SECOND = 1_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class RecordedCheckpoint:
-    """One message ``pam_antagonist_msgs/msg/FilterCheckpoint``, not judged: n states, m consider parameters.
+    """One unchecked message ``pam_antagonist_msgs/msg/FilterCheckpoint``: n states, m consider parameters.
 
     Attributes:
-        stamp_ns: stamp of the last sample in it [ns].
+        stamp_ns: stamp of the last sample that the filter had used [ns].
         started_ns: stamp of the sample that started the filter [ns].
         rig: name of the rig.
         fingerprint: of the rig's physics.
         tuning: name of its tuning.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
-        settings: hash of every number that the filter was set to.
+        settings: hash of all numbers that configure the filter.
         added: names of the states that effects add.
         state: (n,).
         covariance: row-major (n n,).
         cross: row-major (n m,).
         voltage: (2,) [V].
-        rejected: samples in a row that the gate refused.
-        distances: how many distances between stamps there were, then the last nine of them [ns], (10,).
-        angle_sensor: what was remembered of a measured angle; empty where none was read.
+        rejected: number of consecutive samples that the gate refused.
+        distances: number of distances between stamps so far, then the last nine distances [ns], (10,).
+        angle_sensor: the filter's memory of a measured angle; empty where none was read.
     """
 
     stamp_ns: int
@@ -63,7 +63,7 @@ def read(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[RecordedCheckpoint, 
 
     Args:
         decoded: messages of the topic.
-        keep: which of them, in the order of the result (K,).
+        keep: numbers of the messages to take, in the order of the result (K,).
     """
     if len(keep) == 0:
         return ()
@@ -74,7 +74,7 @@ def read(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[RecordedCheckpoint, 
 
 def _fields(group: Group) -> Iterator[tuple[int, dict[str, Any]]]:
     names = [f"added[{k}]" for k in range(group.counts["added"])]
-    columns, later = group.columns, "angle_sensor" in group.columns
+    columns, has_angle_sensor = group.columns, "angle_sensor" in group.columns
     for place, row in enumerate(group.rows.tolist()):
         yield (
             row,
@@ -85,7 +85,7 @@ def _fields(group: Group) -> Iterator[tuple[int, dict[str, Any]]]:
                 "lock_angle": float(columns["lock_angle"][place]),
                 "rejected": int(columns["rejected"][place]),
                 "distances": np.array(columns["distances"][place], dtype=np.int64),
-                "angle_sensor": np.array(columns["angle_sensor"][place] if later else [], dtype=np.float64),
+                "angle_sensor": np.array(columns["angle_sensor"][place] if has_angle_sensor else [], dtype=np.float64),
             },
         )
 
@@ -95,7 +95,7 @@ def _text(raw: bytes) -> str:
 
 
 def messages(checkpoints: Sequence[RecordedCheckpoint], frame_id: str) -> Iterator[tuple[int, bytes]]:
-    """Stamp [ns] and CDR of each.
+    """Stamp [ns] and CDR of each checkpoint.
 
     Args:
         checkpoints: to write.

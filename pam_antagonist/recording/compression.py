@@ -1,4 +1,4 @@
-"""Decompression that never yields more than was announced."""
+"""Decompression with a limit on the unpacked size."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ else:
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_MESSAGE = 1 << 20
-"""Largest message of a type that is read [bytes]; the largest of this package has 400."""
+"""Largest message that is read [bytes]; the largest of this package has 400."""
 
 _PIECE = 1 << 20  # [bytes]
-_ROOM, _RATIO = 64 << 20, 20  # what a file may unpack to: so many bytes, and so many for each of its own
+_ROOM, _RATIO = 64 << 20, 20  # a file may unpack to this many bytes, plus this many for each of its own
 
 
 class CompressionError(ValueError):
@@ -31,10 +31,10 @@ def most_unpacked(size: int) -> int:
 
 
 class Room:
-    """What the files of one bag may unpack to, together.
+    """Bytes that the files of one bag may unpack to in total.
 
     Args:
-        size: of all of them [bytes].
+        size: of all files [bytes].
     """
 
     def __init__(self, size: int) -> None:
@@ -42,10 +42,10 @@ class Room:
         self._left = most_unpacked(size)
 
     def take(self, size: int) -> None:
-        """Use some of it.
+        """Use up a number of bytes.
 
         Raises:
-            CompressionError: There is not so much.
+            CompressionError: Fewer are left.
         """
         self._left -= size
         if self._left < 0:
@@ -58,7 +58,7 @@ def inflate(data: bytes | memoryview, compression: str, size: int) -> bytes:
     Args:
         data: Packed bytes.
         compression: "", "zstd" or "lz4" (frame format).
-        size: Unpacked size [bytes]; no more than that is ever allocated.
+        size: Unpacked size [bytes]; no more is ever allocated.
 
     Raises:
         CompressionError: Damaged, of another size, or another compression.
@@ -102,14 +102,14 @@ def inflate_file(source: Path, target: Path, limit: int) -> str | None:
 
     Args:
         source: the packed file.
-        target: gets what comes out.
-        limit: most that may come out [bytes].
+        target: the unpacked file.
+        limit: largest size of ``target`` [bytes].
 
     Returns:
-        None, or how the file is damaged; what comes before the damage is in ``target``.
+        None, or how the file is damaged; ``target`` then holds the data before the damage.
 
     Raises:
-        CompressionError: More than ``limit`` bytes come out.
+        CompressionError: The file unpacks to more than ``limit`` bytes.
     """
     written = 0
     decompressor = zstd.ZstdDecompressor()

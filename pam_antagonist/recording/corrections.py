@@ -1,7 +1,7 @@
-"""How a recording differs from what this package expects: units, gauge pressure, exchanged lines, signs, late stamps.
+"""Corrections of a recording to the package's conventions: units, gauge pressure, exchanged lines, signs, late stamps.
 
-A recording is corrected while it is read, so that every command sees the same corrected recording. The options that
-are typed for it are made from the same table.
+A recording is corrected while it is read, so that every command sees the same corrected recording. The command line
+options are made from the same table.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 Floats = NDArray[np.float64]
 
 LARGEST_DELAY = 1.0
-"""[s] Stamps that are further off are not a delay: they are of another clock."""
+"""[s] A larger difference of stamps is no delay, but comes from another clock."""
 
 
 @dataclass(frozen=True)
 class Corrections:
-    """What is to be changed in a recording before anything else looks at it.
+    """Changes to a recording before it is used.
 
     Attributes:
         pressure_unit: unit of both pressures; they are read as Pa.
         gauge: the pressures are gauge pressures; the standard atmosphere is added.
-        swap_pressures: ``pressure_1`` is that of muscle 2, and the other way round.
-        swap_valves: the first voltage is that of muscle 2's valve, and the other way round.
+        swap_pressures: ``pressure_1`` belongs to muscle 2, and the other way round.
+        swap_valves: the first voltage belongs to muscle 2's valve, and the other way round.
         angle_unit: unit of the measured angle; it is read as rad.
         flip_angle: the encoder counts in the other direction.
         torque_unit: unit of the measured torque; it is read as N m.
         flip_torque: the torque meter counts in the other direction.
         encoder_zero: by how much the encoder reads too high [rad].
         torque_zero: by how much the torque meter reads too high [N m].
-        torque_scale: reading of the torque meter over the torque, its zero aside.
-        delay_voltage: by how much the voltages are stamped too early against everything else [s].
+        torque_scale: reading of the torque meter over the torque, after its zero is subtracted.
+        delay_voltage: by how much the voltages are stamped too early relative to all other signals [s].
         delay_angle: by how much the angle is stamped too early [s].
         delay_torque: by how much the torque is stamped too early [s].
         delay_pressure: by how much both pressures are stamped too early [s].
@@ -105,7 +105,7 @@ class Corrections:
         if self.swap_valves:
             voltage = voltage[:, ::-1]
         if self.delay_voltage:
-            # The value of a sample holds over the step that ends there: no values are mixed.
+            # A sample's voltage holds over the step that ends there, so nothing is interpolated.
             late = recording.stamp_ns - round(self.delay_voltage * 1e9)
             source = np.searchsorted(recording.stamp_ns, late, side="left")
             voltage = voltage[np.clip(source, 0, len(recording) - 1)]
@@ -120,7 +120,7 @@ class Corrections:
         return replace(recording, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
 
     def applied(self, recording: Recording) -> Recording:
-        """A recording that was read as it is, corrected as a whole.
+        """All corrections of a recording that was read without any.
 
         Args:
             recording: read without corrections.
@@ -135,10 +135,10 @@ class Corrections:
         )
 
     def followed_by(self, further: Corrections) -> Corrections:
-        """These corrections with zeros, a scale and delays that were found in what they had corrected.
+        """These corrections, combined with zeros, a scale and delays that were found in the corrected recording.
 
         Args:
-            further: what was found; of its other corrections none counts.
+            further: the corrections that were found; all but zeros, scale and delays are ignored.
         """
         delays = {name: getattr(self, name) + getattr(further, name) for name in _TYPED if name.startswith("delay_")}
         return replace(
@@ -150,11 +150,11 @@ class Corrections:
         )
 
     def calibration(self) -> dict[str, float]:
-        """Zeros, scale and delays alone, by name, as the ``calibration`` of a rig file holds them."""
+        """Only zeros, scale and delays, by name, as in the ``calibration`` of a rig file."""
         return {name: getattr(self, name) for name in _TYPED}
 
     def options(self) -> list[str]:
-        """What to type for these corrections."""
+        """Command line options for these corrections."""
         out = []
         for item in fields(self):
             value = getattr(self, item.name)
@@ -170,7 +170,7 @@ class Corrections:
 
 
 class _Typed(NamedTuple):
-    """How a number is typed: its name in the help, its unit, and that unit in SI units."""
+    """How a number is given on the command line: name in the help, unit, and factor to SI units."""
 
     metavar: str
     unit: str
@@ -196,13 +196,13 @@ _BOUNDS = {
 
 
 def _later(recording: Recording, values: Floats, delay: float, hold: bool = False) -> Floats:
-    """Values (N,) as they were so many seconds before each stamp, between samples on a straight line.
+    """Values (N,) that are delayed by linear interpolation.
 
     Args:
-        recording: whose stamps they have.
-        values: to be delayed.
+        recording: gives the stamps.
+        values: to be delayed (N,).
         delay: [s].
-        hold: whether the first and the last value stand for what was not recorded; else NaN.
+        hold: whether the first and the last value are used outside the recording; else NaN.
     """
     time = recording.time_s
     ends = {} if hold else {"left": np.nan, "right": np.nan}
@@ -233,10 +233,10 @@ _HELP = {
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The options of all corrections, as a group of their own.
+    """Add the options of all corrections as one group.
 
     Args:
-        parser: takes them.
+        parser: gets the options.
     """
     group = parser.add_argument_group(
         "corrections of a recording (`check` and `close_loop` say which ones it needs)",
@@ -254,14 +254,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def from_options(arguments: argparse.Namespace, known: Mapping[str, float] = MappingProxyType({})) -> Corrections:
-    """The corrections that were asked for, and what the rig file knows of the others.
+    """The corrections of the command line, completed by the rig file's calibration.
 
     Args:
         arguments: of a parser with :func:`add_options`.
         known: zeros, scale and delays of the rig file, by name; default: none.
 
     Raises:
-        BadInput: a unit that does not exist, or a number that cannot be.
+        BadInput: a unit that does not exist, or a number out of its range.
     """
     values = {item.name: getattr(arguments, item.name) for item in fields(Corrections)}
     for name, typed in _TYPED.items():

@@ -31,8 +31,8 @@ _UNIT = {"pressure": "Pa", "angle": "rad", "temperature": "degC"}
 def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object] | None = None) -> Recording:
     """Read a recording from a CSV file.
 
-    Cells become SI units and absolute pressures. A chamber that the map calls sealed has the declared constant voltage
-    in every sample; which muscles these are is in :func:`notes`, not in the recording.
+    Values are converted to SI units and absolute pressures. A sealed chamber has the constant voltage of the map in
+    every sample; :func:`notes` names the sealed muscles, the recording does not.
 
     Args:
         path: The file.
@@ -41,7 +41,7 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
 
     Raises:
         BadInput: The file cannot be read as the map says, its times are no sample times, or values are implausible in
-            their unit; with a hint where there is one.
+            their unit; with a hint where possible.
     """
     path = Path(path)
     where = str(path)
@@ -60,7 +60,7 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
         columns = {name: _resampled(name, grid, stamp_ns, values) for name, values in columns.items()}
         issues.append(_resampling_issue(stamp_ns, rate))
         stamp_ns = grid
-    # A joint with regulators has no voltages; where its commands are not in the file either, a placeholder is written.
+    # A joint with regulators has no voltages. Without commands in the file a placeholder is written.
     drive = "valve" if mapping.command_1 is None else "regulator"
     name = {"valve": "valve", "regulator": "command"}[drive]
     voltage = [
@@ -102,7 +102,7 @@ def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
 
 
 def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
-    """What a bag made of this file should note: the source and the sealed muscles.
+    """Notes for a bag that is made of this file: its source, the sealed muscles, a missing regulator command.
 
     Args:
         path: The CSV file.
@@ -125,7 +125,7 @@ def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
 
 
 def _held(values: Floats, first: NDArray[np.intp]) -> Floats:
-    """What held up to each row, of values that hold from their rows on; ``first`` rows of episodes keep their own."""
+    """Values that hold up to each row, from values that hold from their rows on; ``first`` rows keep their own."""
     out = np.concatenate((values[:1], values[:-1]))
     out[first] = values[first]
     return out
@@ -146,7 +146,7 @@ def _signals(
             issues.append(f"{np.count_nonzero(infinite)} cells of {table.labels[name]} are infinite: left out")
             values[infinite] = np.nan
         if getattr(entry, "holds", "until_row") == "from_row":
-            # A sample has the voltage of the time before it; nothing is known of the time before the first row.
+            # A sample's voltage held before the sample; before the first row it is not known.
             values = _held(values, first)
         signals[name] = Signal(table.labels[name], values, entry.unit, getattr(entry, "reference", None) or "")
     return signals
@@ -176,7 +176,7 @@ def _atmosphere(mapping: CsvMap) -> float:
     """Absolute pressure of the surroundings [Pa]."""
     atmosphere = mapping.atmosphere
     if atmosphere is None:
-        return wrong_unit.STANDARD_ATMOSPHERE  # judges only; nothing is gauge pressure
+        return wrong_unit.STANDARD_ATMOSPHERE  # for plausibility only: no pressure in the map is gauge pressure
     return atmosphere.pressure * UNITS["pressure"][atmosphere.unit]
 
 
@@ -197,7 +197,7 @@ def _constant(mapping: CsvMap, number: int, size: int) -> Floats:
 
 
 def _resampled(name: str, grid: Stamps, stamp_ns: Stamps, values: Floats) -> Floats:
-    """Values on the grid: lines between rows; a valve's voltage is that of the next row, which holds before it."""
+    """Values on the grid: linear between rows; a voltage or command is the next row's, which holds up to that row."""
     if name.startswith(("valve", "command")):
         return np.asarray(values[np.minimum(np.searchsorted(stamp_ns, grid, side="left"), len(values) - 1)])
     return interpolate(grid, stamp_ns, values)
@@ -210,7 +210,7 @@ def _resampling_issue(stamp_ns: Stamps, rate: float) -> str:
 
 
 def _or_none(label: str, values: Floats, issues: list[str]) -> Floats | None:
-    """Values, or None where there are none; missing ones are counted."""
+    """The values, or None where all are missing; the issues count missing values."""
     missing = int(np.count_nonzero(np.isnan(values)))
     if missing == len(values):
         issues.append(f"{label} holds no value: left out")
@@ -221,7 +221,7 @@ def _or_none(label: str, values: Floats, issues: list[str]) -> Floats | None:
 
 
 def _judge_missing(where: str, recording: Recording, table: Table, issues: list[str]) -> None:
-    """Say what is missing in the samples; refuse what no bag can be read from."""
+    """Report missing values; refuse a recording that could not be read back from a bag."""
     present: dict[str, NDArray[np.bool_]] = {
         table.labels["pressure_1"]: np.isfinite(recording.pressure[:, 0]),
         table.labels["pressure_2"]: np.isfinite(recording.pressure[:, 1]),

@@ -1,4 +1,4 @@
-"""What the columns of a CSV file are: a YAML file, checked."""
+"""Map of a CSV file's columns: a YAML file, checked."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ QUANTITIES = {
     "valve_1": "voltage", "valve_2": "voltage", "command_1": "pressure", "command_2": "pressure",
     "angle": "angle", "torque": "torque", "external_torque": "torque",
 }  # fmt: skip
-"""Entry of a map -> quantity of ``UNITS`` that its unit is one of."""
+"""Entry of a map -> the quantity in ``UNITS`` that its unit belongs to."""
 ALSO = "also/"
-"""What stands before the name of a further signal, where columns are listed."""
+"""Prefix of further signals in a list of columns."""
 EXAMPLE = "example"
-"""Name of the map that explains maps."""
+"""Name of the example map, whose comments explain all entries."""
 
 
 class Layout(Strict):
@@ -97,7 +97,7 @@ class Further(Column):
 
     @property
     def quantity(self) -> str:
-        """Quantity of ``UNITS`` that its unit is one of; empty where it is none that can be written."""
+        """The quantity in ``UNITS`` that the unit belongs to; empty where a bag cannot hold such a signal."""
         return next((name for name in ("pressure", "angle", "temperature") if self.unit in UNITS[name]), "")
 
 
@@ -152,7 +152,7 @@ class CsvMap(Strict):
 
     @property
     def valves(self) -> tuple[Valve, Valve]:
-        """Both valves; of a joint with pressure regulators a voltage of 0 as a placeholder."""
+        """Both valves; for a joint with pressure regulators constant placeholders of 0 V."""
         none = Valve(column=None, constant=0.0, sealed=False, unit="V", scale=1.0, offset=0.0, holds="until_row")
         return self.valve_1 or none, self.valve_2 or none
 
@@ -162,7 +162,7 @@ class CsvMap(Strict):
         return tuple(number for number, valve in enumerate(self.valves, 1) if valve.sealed)
 
     def measured(self) -> dict[str, Column]:
-        """The columns of validation signals that there are: angle, torque, external_torque."""
+        """The columns of the validation signals in the map: angle, torque, external_torque."""
         known = {"angle": self.angle, "torque": self.torque, "external_torque": self.external_torque}
         return {name: column for name, column in known.items() if column is not None}
 
@@ -186,12 +186,12 @@ class CsvMap(Strict):
 
 
 def map_names() -> list[str]:
-    """Names of the maps that come with the package, without the one that explains."""
+    """Names of the maps that come with the package, without the example."""
     return sorted(path.stem for path in (config_dir() / "maps").glob("*.yaml") if path.stem != EXAMPLE)
 
 
 def example_text() -> str:
-    """A map that explains itself."""
+    """Text of the example map, with comments on all entries."""
     return (config_dir() / "maps" / f"{EXAMPLE}.yaml").read_text(encoding="utf-8")
 
 
@@ -226,7 +226,7 @@ def _locate(name: str) -> Path:
 
 
 def _contradictions(found: CsvMap) -> Iterator[str]:
-    """What the schema cannot see."""
+    """Contradictions between entries, which the schema cannot check."""
     yield from _time_contradictions(found.time)
     for name, valve in (("valve_1", found.valve_1), ("valve_2", found.valve_2)):
         if found.drive == "regulator" and valve is not None:
@@ -298,7 +298,7 @@ def _file_contradictions(found: CsvMap) -> Iterator[str]:
 
 
 def _columns_twice(found: CsvMap) -> Iterator[str]:
-    """Two quantities from one column. Two valves may be driven by one signal, but nothing else may."""
+    """Columns that two quantities name. One signal may drive both valves; anything else is a mistake."""
     seen: dict[Name, str] = {}
     for name, column in found.columns().items():
         if isinstance(column, int) and column < 1:
@@ -318,7 +318,7 @@ def _scaled(found: CsvMap) -> list[tuple[str, Column | Valve]]:
 
 
 def _in_known_units(path: str, found: CsvMap) -> CsvMap:
-    """The same map with every unit as it stands in ``UNITS``."""
+    """The same map with every unit spelt as in ``UNITS``."""
     changed = {}
     for name, quantity in QUANTITIES.items():
         entry = getattr(found, name)

@@ -1,4 +1,4 @@
-"""The columns of a CSV file as numbers, and in which line of the file each of them stands."""
+"""The columns of a CSV file as numbers, with the line number of each row."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .csv_text import Line, Lines, check_file, opened, other_delimiter, shown, s
 Floats = NDArray[np.float64]
 
 MAX_ROWS = 2_000_000
-"""Most rows that are imported: over half an hour at 1 kHz; a bag of them takes about 4 GB of memory to write."""
+"""Most rows that are imported: over half an hour at 1 kHz. Writing them as a bag takes about 4 GB of memory."""
 _BLOCK = 10_000  # lines that are turned into numbers at once
 _NO_VALUE = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"})
 
@@ -30,7 +30,7 @@ class Table:
 
     Attributes:
         values: Quantity -> cells (N,), NaN where a cell holds no value.
-        line: Line of the file that each row stands in (N,), counted from 1.
+        line: Line number of each row in the file (N,), counted from 1.
         labels: Quantity -> "quantity (column 'name')", for messages.
         issues: Sentences about what was left out.
     """
@@ -71,7 +71,7 @@ def read_table(
         done = 0
         while block := list(itertools.islice(lines, _BLOCK)):
             reader.read(block, lines)
-            # The buffer is a block ahead of the decoder at most.
+            # The position of the buffer may lead that of the decoder, by a block at most.
             now = stream.buffer.tell()
             _check_size(path, reader.rows, now, size)
             if progress is not None:
@@ -83,7 +83,7 @@ def read_table(
 
 
 def _of_arrays(path: Path, kind: str, layout: Layout, columns: Mapping[str, Name]) -> Table:
-    """The same of a file that holds arrays; a row's line is its number."""
+    """The table of a file that holds arrays; a row's line number is the number of the row."""
     values = array_files.read_columns(path, kind, columns, MAX_ROWS)
     for cells in values.values():
         for sentinel in layout.missing:
@@ -95,7 +95,7 @@ def _of_arrays(path: Path, kind: str, layout: Layout, columns: Mapping[str, Name
 
 
 def _check_size(path: Path, rows: int, done: int, size: int) -> None:
-    """Refuse what is too long as soon as that shows."""
+    """Refuse a file that is too long, as soon as the rows so far show it."""
     if rows > MAX_ROWS:
         raise BadInput(f"{path}: more than {MAX_ROWS:,} rows, expected at most that many: cut the file into parts")
     if rows >= _BLOCK // 2 and rows * (size / done) > 1.2 * MAX_ROWS:
@@ -107,7 +107,7 @@ def _check_size(path: Path, rows: int, done: int, size: int) -> None:
 
 @dataclass(frozen=True)
 class _Head:
-    """What is known before the first row: names (None without a header), number of columns, the first row if read."""
+    """The header: names (None without one), number of columns, and the first row where it has been read already."""
 
     names: list[str] | None
     width: int
@@ -118,7 +118,7 @@ def _head(path: Path, layout: Layout, lines: Lines) -> _Head:
     lines.skip(layout.skip_lines)
     line = next(lines, None)
     if line is not None and re.fullmatch(r"sep=.\s*", line.text):
-        # Excel's own line; the delimiter is what the map says, which is checked like any other.
+        # A line of Excel; the delimiter is taken from the map.
         line = next(lines, None)
     if line is None:
         raise BadInput(f"{path}: no rows in it, only empty lines and comments")
@@ -175,12 +175,12 @@ class _Reader:
     issues: list[str] = field(default_factory=list)
 
     def read(self, block: list[Line], lines: Lines) -> None:
-        """Add a block; ``lines`` is asked only whether the file ended in the middle of a line."""
+        """Add a block; ``lines`` only tells whether the file ended without a line break."""
         if self.head.first is not None and self.rows == 0:
             block = [self.head.first, *block]
-        rows = self._even(split(self.path, self.layout, block), block, lines.unterminated)
+        rows = self._checked(split(self.path, self.layout, block), block, lines.unterminated)
         block = block[: len(rows)]
-        # float() takes 1_000 for a thousand; whoever wrote that into a file meant something else.
+        # float() reads 1_000 as a thousand; in a file it is more likely a mistake.
         plain = not any("_" in line.text for line in block)
         for quantity, index in self.index.items():
             cells = [row[index] for row in rows]
@@ -189,7 +189,7 @@ class _Reader:
         self.rows += len(block)
 
     def table(self) -> Table:
-        """All that was read."""
+        """All rows that were read."""
         values = {quantity: np.concatenate(parts) for quantity, parts in self.columns.items()}
         for sentinel in self.layout.missing:
             if not isinstance(sentinel, str) or _is_number(sentinel, self.layout):
@@ -204,8 +204,8 @@ class _Reader:
         name = f"column {column + 1}" if self.head.names is None else f"column {self.head.names[column]!r}"
         return f"{quantity} ({name})"
 
-    def _even(self, rows: list[list[str]], block: list[Line], cut_off: bool) -> list[list[str]]:
-        """Rows of one length; cells beyond it may be there if they are empty."""
+    def _checked(self, rows: list[list[str]], block: list[Line], cut_off: bool) -> list[list[str]]:
+        """Rows with as many cells as the header, or more that are empty; a last line that is cut off is dropped."""
         width = self.head.width
         if set(map(len, rows)) == {width}:
             return rows

@@ -1,4 +1,4 @@
-"""A CSV file as lines of text that hold something, cut into cells."""
+"""Lines of a CSV file without blank lines and comments, split into cells."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BINARY = {b"PK\x03\x04": "a zip file, such as of a spreadsheet program: save it
 
 
 def check_file(path: Path) -> int:
-    """Size of a file that may be text [bytes].
+    """Size of a file that looks like text [bytes].
 
     Raises:
         BadInput: not there, not readable, empty, or a file of another kind.
@@ -48,7 +48,7 @@ def check_file(path: Path) -> int:
 
 @contextmanager
 def opened(path: Path, layout: Layout) -> Iterator[TextIO]:
-    """The file as text; a byte order mark decides over the declared encoding.
+    """The file as text; a byte order mark overrides the declared encoding.
 
     Raises:
         BadInput: not readable.
@@ -82,7 +82,7 @@ class Line(NamedTuple):
 
 
 class Lines:
-    """The lines of a file that hold something: no blank ones, no comments.
+    """The lines of a file without blank lines and comments.
 
     Args:
         path: named in messages.
@@ -90,10 +90,10 @@ class Lines:
         stream: the open file.
 
     Attributes:
-        unterminated: whether the last line that was read had no line break, as the last one of a file may.
+        unterminated: whether the last line that was read had no line break.
 
     Raises:
-        BadInput: while iterating, a line that is too long or no text in the declared encoding.
+        BadInput: while iterating, at a line that is too long or not valid in the declared encoding.
     """
 
     def __init__(self, path: Path, layout: Layout, stream: TextIO) -> None:
@@ -113,7 +113,7 @@ class Lines:
         raise StopIteration
 
     def skip(self, count: int) -> None:
-        """Pass over lines, whatever they hold."""
+        """Skip lines, blank ones and comments included."""
         for _ in range(count):
             self._raw()
 
@@ -138,7 +138,7 @@ class Lines:
 
 
 def other_delimiter(layout: Layout, text: str) -> str:
-    """A delimiter that would cut the text into more than one cell, in words; "" where there is none."""
+    """Name of another delimiter that would split the text; "" where there is none."""
     words = {";": "';'", "\t": "tab", "|": "'|'", ",": "','", " ": "space"}
     return next((word for mark, word in words.items() if mark in text.strip() and mark != _delimiter(layout)), "")
 
@@ -156,7 +156,7 @@ def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
         lines: its lines.
 
     Raises:
-        BadInput: a quotation that does not end in its line, or a cell that is too long.
+        BadInput: a quotation mark that is not closed in its line, or a cell that is too long.
     """
     if layout.delimiter == "space":
         return [line.text.split() for line in lines]
@@ -171,6 +171,6 @@ def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
 
 
 def shown(text: str) -> str:
-    """Text of a file as it may stand in a message: in one line, and not too long."""
+    """Text of a file for a message: in one line, and shortened."""
     text = " ".join(text.split())
     return text if len(text) <= 60 else text[:57] + "..."

@@ -1,7 +1,7 @@
-"""When the rows of a CSV file were taken: stamps from a column or a rate, and what is odd about them.
+"""Stamps of the rows of a CSV file, from a column or a rate, and problems with them.
 
-Rows keep the times that were measured: the estimator and the identification take jitter and gaps as they are. What they
-cannot take (repeated or backward times, rows at just any time) is refused, unless the map says what to do about it.
+Rows keep their measured times, because the estimator and the identification accept jitter and gaps. They do not accept
+repeated or backward times, or uneven rows. Such a file is refused unless the map says what to do.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from .units import UNITS
 Stamps = NDArray[np.int64]
 
 START_NS = 1_000_000_000_000_000_000
-"""Stamp of the first row (in 2001) where its column does not count from 1970: one file always gives one bag."""
+"""Stamp of the first row (in 2001) where the column does not count from 1970; fixed for reproducible bags."""
 
 LEAST_ROWS = 10
-"""Rows of an episode; with fewer, its start would be most of it."""
+"""Fewest rows of an episode; a shorter one is mostly its start."""
 PAUSE_NS = 2_000_000_000
-"""Between an episode's last row and the next one's first: over a second, so that a filter starts anew."""
+"""[ns] Pause between two episodes, over a second so that a filter starts anew."""
 
 _FIRST_EPOCH, _LAST_EPOCH = 900_000_000.0, 2_147_483_000.0  # [s] since 1970; ROS stamps end with 31 bits of seconds
-_SHORTEST_PERIOD, _LONGEST_PERIOD = 20e-6, 0.5  # [s] that are believed
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 20e-6, 0.5  # [s] that are plausible
 _USUAL_PERIOD = 2e-3  # [s]
 _LONGEST = 100_000_000.0  # [s] from the first to the last row: three years
-_ODD = 0.5  # an interval that differs from the median by more than this share of it is no jitter
-_UNEVEN_SHARE = 0.05  # share of such intervals from which on there is no sample period to speak of
-_DROPPED_SHARE = 0.05  # share of rows out of order from which on dropping them would hide something else
+_ODD = 0.5  # an interval that differs from the median by more than this share of the median is no jitter
+_UNEVEN_SHARE = 0.05  # with a larger share of such intervals there is no sample period
+_DROPPED_SHARE = 0.05  # a larger share of rows out of order has another cause, which dropping them would hide
 
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """When the rows were taken.
+    """Stamps of the rows.
 
     Attributes:
         stamp_ns: Stamps of the kept rows (M,) [ns], strictly increasing.
         keep: Indices of the kept rows in the file (M,).
-        issues: Sentences about what was dropped or is odd.
+        issues: Sentences about dropped rows and uneven times.
         episode_ns: Stamps at which episodes begin (E,) [ns]; None for a file in one piece.
     """
 
@@ -81,7 +81,7 @@ def timing(where: str, time: Time, table: Table) -> Timing:
         raise BadInput(
             f"{where}: line {table.line[keep[index]]}: {table.labels['time']} jumps by {np.diff(seconds).max():.4g} s"
         )
-    # Differences first: an epoch in ns has more digits than a float.
+    # Subtract before scaling: a time since 1970 in ns has more digits than a float.
     since = np.rint((cells[keep] - cells[keep[0]]) * UNITS["time"][time.unit] * 1e9).astype(np.int64)
     epoch = _FIRST_EPOCH <= seconds[0] and seconds[-1] <= _LAST_EPOCH
     stamp_ns = (round(float(seconds[0]) * 1e6) * 1000 if epoch else START_NS) + since
@@ -92,7 +92,7 @@ def timing(where: str, time: Time, table: Table) -> Timing:
 
 
 def _of_episodes(where: str, time: Time, table: Table) -> Timing:
-    """Stamps of a file whose time may begin anew with each episode: these then follow each other, a pause between."""
+    """Stamps of a file of episodes, one after the other with pauses; each episode's time may begin anew."""
     number = table.values["episode"]
     bad = np.flatnonzero(~np.isfinite(number))
     if len(bad):
@@ -112,7 +112,7 @@ def _of_episodes(where: str, time: Time, table: Table) -> Timing:
             f"{where}: {table.labels['episode']} makes {len(long)} episodes of {LEAST_ROWS} rows or more, expected two "
             "at least; is it the column that counts the rows?"
         )
-    at, keep, begins = START_NS, [], []
+    start, keep, begins = START_NS, [], []
     stamps = []
     for begin, end in long:
         part = replace(table, values={"time": table.values["time"][begin:end]}) if time.rate is None else None
@@ -126,10 +126,10 @@ def _of_episodes(where: str, time: Time, table: Table) -> Timing:
             _check_period(where, table.labels["time"], time.unit, part.values["time"][rows])
             seconds = part.values["time"][rows] * UNITS["time"][time.unit]
             since = np.rint((seconds - seconds[0]) * 1e9).astype(np.int64)
-        begins.append(at)
-        stamps.append(at + since)
+        begins.append(start)
+        stamps.append(start + since)
         keep.append(begin + rows)
-        at = int(stamps[-1][-1]) + PAUSE_NS
+        start = int(stamps[-1][-1]) + PAUSE_NS
     return Timing(np.concatenate(stamps), np.concatenate(keep), tuple(issues), np.array(begins, np.int64))
 
 
@@ -144,7 +144,7 @@ def _grid(count: int, rate: float) -> Stamps:
 
 
 def _in_order(where: str, time: Time, table: Table, issues: list[str]) -> NDArray[np.intp]:
-    """Rows that are later than all before them; whether others may be there is up to the map."""
+    """Indices of the rows that are later than all rows before them; the map says whether others are dropped."""
     cells, label = table.values["time"], table.labels["time"]
     known = np.isfinite(cells)
     newest = np.maximum.accumulate(np.where(known, cells, -np.inf))
@@ -197,7 +197,7 @@ def _check_period(where: str, label: str, unit: str, cells: NDArray[np.float64])
 def _judge_intervals(
     where: str, time: Time, table: Table, keep: NDArray[np.intp], since: Stamps, issues: list[str]
 ) -> None:
-    """Say how even the rows are; refuse those that are at any time but evenly."""
+    """Report uneven intervals; refuse a file with many of them."""
     interval = np.diff(since) * 1e-9
     median = float(np.median(interval))
     odd = np.abs(interval - median) > _ODD * median

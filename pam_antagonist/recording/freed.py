@@ -1,7 +1,7 @@
-"""Memory that reading has freed goes back to the system.
+"""Return freed memory to the system after a bag is read.
 
-The C library keeps it for what comes next. A fit's arrays are too large to find a place in it: after a bag of half an
-hour, 0.7 GB would lie idle while they take as much again.
+The C library keeps freed memory for later use, but the large arrays of a fit do not fit into the pieces. After a bag of
+half an hour, 0.7 GB would lie idle while the fit takes as much again.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 
 def give_back() -> None:
-    """Return what was freed; nothing happens where the C library does not know how (glibc does)."""
+    """Return freed memory to the system; does nothing where the C library has no malloc_trim (glibc has it)."""
     trim = _trim()
     if trim is not None:
         trim(0)

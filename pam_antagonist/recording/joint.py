@@ -1,4 +1,4 @@
-"""Whether the joint of a recording could move."""
+"""Whether the joint of a recording was free or locked."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 
 _STILL = math.radians(0.5)
-"""[rad] A joint is held whose angle stays within this range; encoder noise alone reaches half of it."""
+"""[rad] The angle of a locked joint stays within this range; encoder noise alone reaches half of it."""
 _MOVING = 50e3
-"""[Pa] Change of the pressure difference that would certainly have moved a free joint, by degrees."""
+"""[Pa] A change of the pressure difference by this much moves a free joint by several degrees."""
 _ROUNDING = 1e-9
-"""[rad] Most that rounding moves the angle of a filter whose joint is locked."""
+"""[rad] Largest change by rounding of the estimated angle of a locked joint."""
 _DECIMALS = 1
-"""A measured lock angle is rounded to 0.1 deg: nobody locks a joint at the mean of the encoder's noise."""
+"""Decimals in degrees of a measured lock angle; further digits are encoder noise."""
 
 
 @dataclass(frozen=True)
 class JointCondition:
-    """Whether the joint could move.
+    """Whether the joint was free or locked.
 
     Attributes:
         condition: ``free`` or ``locked``.
-        lock_angle: where a locked joint was held [rad].
-        source: where that is from: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
+        lock_angle: angle of a locked joint [rad].
+        source: origin of the condition: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
     """
 
     condition: str
@@ -39,9 +39,9 @@ class JointCondition:
 def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float | None = None) -> JointCondition:
     """Whether the joint was free or locked.
 
-    A joint is locked whose measured angle stays while the pressures change enough to move it. Where that does
-    not show (no angle was measured, or the pressures hardly change), the setting of the live filter decides, if its
-    estimate was recorded; else the joint is taken for free.
+    The joint is locked if the measured angle stays while the pressures change enough to move a free joint. Without a
+    measured angle, or with nearly constant pressures, the setting of the live filter decides if its estimate was
+    recorded. Otherwise the joint is assumed free.
 
     Args:
         recording: the recording.
@@ -50,7 +50,7 @@ def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float
             measured angle to 0.1°, else 0.
 
     Raises:
-        BadInput: a condition that does not exist, or a lock angle for a joint that is not said to be locked.
+        BadInput: a condition that does not exist, or a lock angle although ``joint`` is not ``locked``.
     """
     if joint not in ("free", "locked", "auto"):
         raise BadInput(f"joint {joint!r}: expected free, locked or auto")
@@ -80,14 +80,14 @@ def _detected(recording: Recording) -> tuple[str, str]:
 
 
 def _live_lock(recording: Recording) -> float | None:
-    """Angle of a live filter whose joint was declared locked [rad], None for any other."""
+    """Lock angle of the live filter [rad]; None where its joint was free or no estimate was recorded."""
     estimate = recording.estimate
     locked = [item.lock_angle for item in recording.checkpoints if item.joint == "locked"]
     if locked and math.isfinite(locked[-1]):
         return locked[-1]
     if estimate is None or len(estimate.angle) == 0 or np.any(estimate.velocity) or np.ptp(estimate.angle) > _ROUNDING:
         return None
-    # The sample that started the filter has the angle to the last bit; means of sigma points may round it.
+    # The first sample of the filter has the exact angle; later ones may be rounded by the mean of sigma points.
     exact = estimate.angle[estimate.stamp_ns == estimate.started_ns]
     return float(exact[0] if len(exact) else estimate.angle[0])
 
@@ -97,5 +97,5 @@ def _finite(values: NDArray[np.float64] | None) -> NDArray[np.float64]:
 
 
 def _range(values: NDArray[np.float64]) -> float:
-    """Range of 99 % of the values: a single wrong sample moves no joint."""
+    """Range of 99 % of the values, which ignores single outliers."""
     return float(np.diff(np.quantile(values, [0.005, 0.995]))[0]) if values.size else 0.0

@@ -1,9 +1,8 @@
 """MCAP files, read record by record (https://mcap.dev/spec).
 
-A plain scan from front to back instead of rosbags' indexed reader, for three reasons: a recording that was cut off has
-no index but still all its messages up to the cut; every length is held against the bytes that are there before anything
-is allocated; and the message records that follow one another are taken by a kernel, as blocks for array decoding, not
-one by one. The scan ignores the index, so a file without one reads the same.
+This module scans the file from front to back, unlike rosbags' indexed reader, for three reasons. A recording that was
+cut off has no index, but all messages up to the cut. Every length is checked against the size of the file before memory
+is allocated. And a compiled kernel takes consecutive messages as one block. The scan never uses the index.
 """
 
 from __future__ import annotations
@@ -33,21 +32,21 @@ _NAMES = {
     0x0C: "metadata", 0x0D: "metadata index", 0x0E: "summary offset", 0x0F: "data end",
 }  # fmt: skip
 MESSAGE_HEAD = 22  # channel, sequence, log time, publish time [bytes]
-CHANNEL_OF, LOG, BEGIN, SIZE = range(4)  # columns of a run of messages
-_RUN = 1 << 16  # messages that are taken at once
+CHANNEL_OF, LOG, BEGIN, SIZE = range(4)  # columns of a block of consecutive messages
+_RUN = 1 << 16  # largest number of messages in a block
 
 
 class Damage(Exception):
-    """A place where the file stops making sense; the text says where and why."""
+    """The file is damaged; the text says where and how."""
 
 
 @dataclass
 class McapContents:
-    """What a scan found.
+    """Result of a scan.
 
     Attributes:
-        topics: One entry a channel, payloads only for the message types asked for.
-        damage: Where and why the scan ended early, or None for a whole file. What comes before it is in ``topics``.
+        topics: One entry for each channel, with payloads only of the requested message types.
+        damage: Where and why the scan ended early, or None for a whole file. ``topics`` holds all messages before it.
     """
 
     topics: list[RawTopic]
@@ -60,7 +59,7 @@ def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> M
     Args:
         path: The file.
         types: Message types whose payloads are wanted; messages of other types are only counted.
-        room: What may be unpacked; None for what this file may unpack to by itself.
+        room: Limit on unpacked bytes; None for the limit of this file alone.
     """
     with path.open("rb") as file:
         if path.stat().st_size == 0:
@@ -89,8 +88,8 @@ class _Scan:
     finished: bool = False
 
     def walk(self, view: memoryview, position: int, end: int) -> None:
-        """Go through the records of the file or, called by itself, of one chunk."""
-        # numba takes a quarter of a second to import, which those who only write a bag need not wait for.
+        """Scan the records of the file or, in a recursive call, of one chunk."""
+        # Imported here because numba takes a quarter of a second, which writing a bag does not need.
         from .mcap_records import take_messages
 
         head = struct.Struct("<BQ").unpack_from
@@ -120,7 +119,7 @@ class _Scan:
             position = stop
 
     def _take(self, data: NDArray[np.uint8], run: NDArray[np.int64]) -> None:
-        """Messages that follow one another, as :func:`take_messages` gives them."""
+        """Add a block of consecutive messages, as :func:`take_messages` gives them."""
         from .mcap_records import copy_payloads
 
         wrong = [(int(np.argmax(of)), why) for of, why in self._wrong(run) if of.any()]
@@ -138,7 +137,7 @@ class _Scan:
             raise Damage(why.format(at=at, size=size))
 
     def _wrong(self, run: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.bool_], str]]:
-        """What is wrong with messages (N,), and what to say of the first one."""
+        """Masks of wrong messages (N,), each with the error text for its first message."""
         for channel in np.unique(run[:, CHANNEL_OF]):
             of, collector = run[:, CHANNEL_OF] == channel, self.collectors.get(int(channel))
             if collector is None:
@@ -168,7 +167,7 @@ class _Scan:
 
     def _channel(self, body: memoryview) -> None:
         key, schema = struct.unpack_from("<HH", body)
-        if key in self.collectors:  # the summary repeats what the data section said
+        if key in self.collectors:  # the summary repeats the channels of the data section
             return
         topic, at = _text(body, 4)
         encoding, _ = _text(body, at)

@@ -1,4 +1,4 @@
-"""Message records of an MCAP file, many at a time: compiled, because a recording has a million of them."""
+"""Message records of an MCAP file, many at a time; compiled because a recording has about a million."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .mcap import BEGIN, CHANNEL_OF, LOG, MESSAGE, MESSAGE_HEAD, SIZE
 
 @in_place
 def _number(data: NDArray[np.uint8], at: int, count: int) -> Any:
-    """Unsigned number of some bytes, the least significant first; the largest signed one for what does not fit."""
+    """Little-endian unsigned number of ``count`` bytes, limited to the largest signed 64 bit number."""
     value = np.int64(0)
     for k in range(count):
         value |= np.int64(data[at + k]) << (8 * k)
@@ -23,7 +23,7 @@ def _number(data: NDArray[np.uint8], at: int, count: int) -> Any:
 
 @in_place
 def take_messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray[np.int64]) -> tuple[int, int]:
-    """Whole message records that follow one another, up to any other record.
+    """Take consecutive complete message records, up to any other record.
 
     Args:
         data: bytes of the file or chunk (B,).
@@ -32,7 +32,7 @@ def take_messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray
         run: result (M, 4): channel, log time [ns], first byte and size of the payload of each.
 
     Returns:
-        How many were taken, and the position after them.
+        Number of messages taken, and the position after them.
     """
     count = 0
     while count < run.shape[0] and position + 9 + MESSAGE_HEAD <= end and data[position] == MESSAGE:
@@ -56,7 +56,7 @@ def copy_payloads(data: NDArray[np.uint8], run: NDArray[np.int64], out: NDArray[
     Args:
         data: bytes of the file or chunk (B,).
         run: messages, as :func:`take_messages` gives them (N, 4).
-        out: result (P,), P bytes: those of the payloads together.
+        out: result (P,), P the total size of the payloads [bytes].
     """
     at = 0
     for k in range(run.shape[0]):

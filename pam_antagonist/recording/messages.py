@@ -1,10 +1,9 @@
 """Message definitions: those of ROS 2 Jazzy and the five of ``pam_antagonist_msgs``.
 
-The definitions of this project's messages stand here a second time because an offline installation has no
-``pam_antagonist_msgs``; a test holds them against the ``.msg`` files field for field.
+The definitions of this project's messages are repeated here because an offline installation has no
+``pam_antagonist_msgs``; a test compares them with the ``.msg`` files field by field.
 
-Three messages have grown since the first recordings. Their former definitions stay here too, so that those recordings
-can be read.
+Three messages got further fields after the first recordings. Their former definitions are kept to read old recordings.
 """
 
 from __future__ import annotations
@@ -113,7 +112,7 @@ FORMER: Mapping[str, str] = MappingProxyType(
         ),
     }
 )
-"""Message type -> its definition in recordings from before it grew."""
+"""Message type -> its former definition, before fields were added."""
 
 
 @cache
@@ -121,7 +120,7 @@ def typestore(*, former: bool = False) -> Typestore:
     """Types of ROS 2 Jazzy with this project's messages registered.
 
     Args:
-        former: With the former definitions of the messages that have grown.
+        former: Whether to use the definitions in ``FORMER``.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in {**DEFINITIONS, **(FORMER if former else {})}.items():
@@ -131,7 +130,7 @@ def typestore(*, former: bool = False) -> Typestore:
 
 @cache
 def stores_of(msgtype: str, digest: str, definition: str) -> tuple[Typestore, ...]:
-    """Where the definitions stand that messages of a bag may have.
+    """Type stores whose definition of a message type agrees with the bag's.
 
     Args:
         msgtype: Message type, known to :func:`typestore`.
@@ -139,8 +138,8 @@ def stores_of(msgtype: str, digest: str, definition: str) -> tuple[Typestore, ..
         definition: Definition in the bag as .msg or IDL text, or "".
 
     Returns:
-        The present definition's store, then the former one's, without those that differ from what the bag states: its
-        hash or, without one, its fields. None is left where the bag means something else by the type.
+        The store of the present definition, then that of the former one. A store is left out if its definition differs
+        from the bag's in the hash or, without a hash, in the fields. Empty where the bag has another definition.
     """
     stores = (typestore(), typestore(former=True)) if msgtype in FORMER else (typestore(),)
     return tuple(store for store in stores if not _differs(store, msgtype, digest, definition))
@@ -154,7 +153,7 @@ def _differs(store: Typestore, msgtype: str, digest: str, definition: str) -> bo
     try:
         parse = get_types_from_idl if definition.startswith("=" * 80 + "\nIDL: ") else None
         theirs = parse(definition) if parse else get_types_from_msg(definition, msgtype)
-    except Exception:  # whatever the parser stumbles over: an unreadable text proves no difference
+    except Exception:  # any error of the parser: an unreadable definition proves no difference
         return False
     return any(
         [(field.lower(), kind) for field, kind in fields] != [(f.lower(), k) for f, k in store.fielddefs[name][1]]

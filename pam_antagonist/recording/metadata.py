@@ -1,4 +1,4 @@
-"""metadata.yaml of a rosbag2: read without trust, written whole or not at all."""
+"""metadata.yaml of a rosbag2: read as untrusted input, written atomically."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _MOST_VALUES = 500_000
 
 
 def read_information(folder: Path, name: str = NAME) -> dict[str, Any] | None:
-    """What metadata.yaml says about a bag.
+    """Content of a bag's metadata.yaml.
 
     Args:
         folder: of the bag.
-        name: of the file, where it is another.
+        name: of the file.
 
     Returns:
-        None where there is no such file, or one without content: the recording was not closed.
+        The content; None where the file is missing or empty, because the recording was not closed.
 
     Raises:
         BadInput: Not readable, or not the metadata of a rosbag2.
@@ -49,7 +49,7 @@ def read_information(folder: Path, name: str = NAME) -> dict[str, Any] | None:
 
 
 def read_custom_data(folder: Path) -> dict[str, str]:
-    """Notes in the metadata, by name; none where it is missing, or of another kind.
+    """Notes in the metadata, by name; none where the metadata is missing or of another kind.
 
     Raises:
         BadInput: Not readable.
@@ -78,10 +78,10 @@ def _read(file: Path) -> Any:
 
 
 def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
-    """Names of the message files, all of them inside of the folder, whatever the metadata says.
+    """Names of the message files; only files directly in the folder are accepted.
 
     Raises:
-        BadInput: There are none, or they are not names.
+        BadInput: No file is named, a name is invalid or repeated, or a file is missing.
     """
     where = folder / NAME
     if "relative_file_paths" not in information:
@@ -102,10 +102,10 @@ def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
 
 
 def type_digests(folder: Path, information: Mapping[str, Any]) -> dict[tuple[str, str], str]:
-    """(topic, message type) -> RIHS01 hash of the type, "" where the metadata have none.
+    """(topic, message type) -> RIHS01 hash of the type, "" where the metadata has none.
 
     Raises:
-        BadInput: The list of topics is no such list.
+        BadInput: The list of topics is malformed.
     """
     try:
         return dict(_digests(information))
@@ -129,12 +129,12 @@ def custom_data(information: Any) -> dict[str, str]:
     found = information.get("custom_data") if isinstance(information, dict) else None
     if not isinstance(found, dict):
         return {}
-    plain = (str, int, float, bool)  # nothing that another value hides in
+    plain = (str, int, float, bool)  # no nested values
     return {str(name): str(text) for name, text in found.items() if isinstance(name, plain) and isinstance(text, plain)}
 
 
 def write_information(folder: Path, information: Mapping[str, Any]) -> None:
-    """Write metadata.yaml: after a power cut there is the old file or the new one.
+    """Write metadata.yaml; after a power cut either the old or the new file is there.
 
     Raises:
         OSError: It cannot be written.
@@ -155,7 +155,7 @@ def write_information(folder: Path, information: Mapping[str, Any]) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the names in a folder survive a power cut, where the file system knows how."""
+    """Flush a folder's list of names to the disk, where the file system supports it."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -165,7 +165,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def in_order(files: list[Path]) -> list[Path]:
-    """Files of a bag in the order of their numbers: bag_2 before bag_10."""
+    """Files of a bag sorted by their numbers: bag_2 before bag_10."""
 
     def key(path: Path) -> tuple[str, int, str]:
         match = re.match(r"(.*)_(\d{1,9})(\.[a-z0-9.]+)$", path.name)

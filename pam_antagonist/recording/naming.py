@@ -1,4 +1,4 @@
-"""Which topic of a bag is which: namespaces, other names, and what is missing or of the wrong type."""
+"""Find the package's topics in a bag: namespaces, other names, missing topics and wrong types."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _LISTED = 12  # topics named in an error message
 
 
 class SeveralJoints(BadInput):
-    """A bag holds several joints where one is wanted.
+    """A bag holds several joints, and the caller did not choose one.
 
     Args:
-        message: what to tell the user.
+        message: error message for the user.
         namespaces: of the joints.
     """
 
@@ -35,14 +35,14 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
     Args:
         bag: The bag.
         topics: Logical (or relative) name -> topic in the bag, for topics that have another name there.
-        namespace: Namespace of the others; None to find it in the bag.
+        namespace: Namespace of all other topics; None to find it in the bag.
 
     Returns:
-        Logical name -> messages; the sample topics are all there and not empty. What had to be left out is said in
-        ``bag.issues``.
+        Logical name -> messages; all sample topics are there and not empty. ``bag.issues`` names the topics that were
+        left out.
 
     Raises:
-        SeveralJoints: Several namespaces hold such topics, and none is given.
+        SeveralJoints: Several namespaces hold such topics, and ``namespace`` is None.
         BadInput: A sample topic, or one named in ``topics``, is missing, empty or of the wrong type.
     """
     if not any(len(raw.log_ns) for raw in bag.topics.values()):
@@ -80,7 +80,7 @@ def _renamed(topics: Mapping[str, str]) -> dict[str, str]:
 
 
 def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
-    """The one namespace whose topics look like ours."""
+    """The only namespace, or the one with most topics, whose names and types are the package's."""
     for names in ((*SAMPLE_TOPICS, STATE_TOPICS["regulator"]), READ_TOPICS):
         open_names = [name for name in names if name not in renamed]
         found: dict[str, int] = {}
@@ -91,7 +91,7 @@ def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
                     prefix = actual[: -len(ending)]
                     found[prefix] = found.get(prefix, 0) + 1
         if names is READ_TOPICS:
-            # "/pam/measured/joint_states" is no joint_states of a namespace "/pam/measured".
+            # "/pam/measured/joint_states" is not the topic joint_states of a namespace "/pam/measured".
             found = {prefix: count for prefix, count in found.items() if not prefix.endswith("/measured")}
         best = [prefix for prefix, count in found.items() if count == max(found.values())]
         if len(best) > 1:
@@ -105,7 +105,7 @@ def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
 
 
 def joints_in(bag: RawBag) -> list[str]:
-    """The namespaces with messages of every sample topic: a joint each.
+    """The namespaces with messages of every sample topic; each is a joint.
 
     Args:
         bag: The bag; payloads are not needed.
@@ -130,7 +130,7 @@ def joints_in(bag: RawBag) -> list[str]:
 
 
 def drive_of(bag: RawBag, namespace: str, renamed: Mapping[str, str]) -> str:
-    """What drove a joint: ``regulator`` where pressures were asked for and no voltages were recorded, else ``valve``.
+    """Drive of a joint: ``regulator`` where pressure commands but no voltages were recorded, else ``valve``.
 
     Args:
         bag: The bag.

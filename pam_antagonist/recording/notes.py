@@ -1,7 +1,7 @@
-"""Notes in a bag about where it comes from, which no topic can carry.
+"""Notes in a bag about its origin, for which there is no topic.
 
-They stand under ``custom_data`` in the bag's metadata.yaml, which rosbag2 keeps for this: a text for each name. A note
-is a help, not a part of the recording: a bag without metadata.yaml, or one that was converted, may have lost them.
+The notes are texts by name under ``custom_data`` in the bag's metadata.yaml, the place that rosbag2 provides. They are
+optional: a bag without metadata.yaml, or a converted one, may have lost them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from . import metadata
 SEALED = "pam_antagonist.sealed"
 """Name of the note that lists the muscles whose chambers are sealed: "1", "2" or "1 2"."""
 REGULATOR = "pam_antagonist.regulator"
-"""Name of the note that says of a bag that its valve voltages are placeholders: pressure regulators drove the joint."""
+"""Name of the note for a joint with pressure regulators whose commands in the bag are placeholders."""
 
 
 def write_notes(path: Path, notes: Mapping[str, str]) -> None:
@@ -27,7 +27,7 @@ def write_notes(path: Path, notes: Mapping[str, str]) -> None:
 
     Raises:
         BadInput: The metadata cannot be read.
-        OSError: They cannot be written.
+        OSError: The notes cannot be written.
     """
     information = metadata.read_information(path)
     if information is None:
@@ -37,7 +37,7 @@ def write_notes(path: Path, notes: Mapping[str, str]) -> None:
 
 
 def read_notes(path: str | Path) -> dict[str, str]:
-    """Notes of a bag, by name; none where there is no metadata, or none in it.
+    """Notes of a bag, by name; empty without metadata or notes.
 
     Args:
         path: Bag folder, or one of the files in it.
@@ -50,10 +50,10 @@ def read_notes(path: str | Path) -> dict[str, str]:
 
 
 def sealed_muscles(path: str | Path) -> tuple[int, ...]:
-    """Numbers of the muscles that a bag says are sealed: no air passes their valves, whatever ``valve_state`` holds.
+    """Numbers of the muscles that are sealed according to a bag's note; their valves pass no air at any voltage.
 
     Raises:
-        BadInput: The metadata cannot be read, or the note is not such a list.
+        BadInput: The metadata cannot be read, or the note is no list of muscles.
     """
     text = read_notes(path).get(SEALED, "")
     if not all(part in ("1", "2") for part in text.split()):

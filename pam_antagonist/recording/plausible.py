@@ -1,7 +1,7 @@
-"""Values that cannot be what their topic promises: gauge pressure, other units, degrees.
+"""Refuse recorded values that are implausible in their unit: gauge pressure, other units, degrees.
 
-A single odd value is an outlier, which the estimator gates; it is counted and left as it is. More than one in a
-thousand (and more than five) is a recording in another unit, and is refused.
+A few implausible values are outliers. They are counted and kept, because the estimator gates them. More than one in a
+thousand (and more than five) means that the recording is in another unit; it is refused.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from ..errors import BadInput
 Floats = NDArray[np.float64]
 
 MIN_PRESSURE = 80e3
-"""Lowest absolute pressure that a muscle can have [Pa]: vented, it holds the atmosphere's, 79 kPa at 2,000 m."""
+"""Lowest plausible absolute pressure [Pa]; a vented muscle holds atmospheric pressure, 79 kPa at 2,000 m."""
 MAX_PRESSURE = 2e6
-"""Highest absolute pressure that is believed [Pa]; pneumatic muscles work up to about 0.9 MPa."""
+"""Highest plausible absolute pressure [Pa]; pneumatic muscles work up to about 0.9 MPa."""
 MIN_VOLTAGE, MAX_VOLTAGE = -0.5, 10.5
-"""Voltages that are believed [V]: the range of 0 to 10 V and the error of whoever measures it."""
+"""Plausible voltages [V]: the range of 0 to 10 V, widened by measurement error."""
 MAX_ANGLE = 3.2
-"""Largest joint angle that is believed [rad]: half a turn."""
+"""Largest plausible joint angle [rad]: half a turn."""
 MAX_TORQUE = 1e3
-"""Largest joint torque that is believed [N m]."""
+"""Largest plausible joint torque [N m]."""
 
 
 def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Floats:
     """Values with NaN for everything that is not finite.
 
     Args:
-        topic: where they come from.
+        topic: of the values, for messages.
         what: the quantity.
         values: any numbers (N,) or (N, 2).
-        issues: gets a sentence where some were left out.
+        issues: gets a sentence where values were left out.
     """
     bad = ~np.isfinite(values)
     if not np.any(bad):
@@ -42,7 +42,7 @@ def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Flo
 
 
 def _implausible(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, issues: list[str]) -> bool:
-    """Whether so many values are odd that they mean something; fewer are only mentioned."""
+    """Whether too many values are implausible; a few are only reported as an issue."""
     count = int(np.count_nonzero(odd))
     if count > max(5, 0.001 * values.size) or 2 * count > values.size:
         return True
@@ -52,7 +52,7 @@ def _implausible(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, 
 
 
 def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) -> None:
-    """Refuse what is no absolute pressure in Pa.
+    """Refuse values that are no absolute pressures in Pa.
 
     Args:
         where: file, for messages.
@@ -63,7 +63,7 @@ def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) 
     Raises:
         BadInput: Gauge pressure, another unit, or no value at all.
     """
-    values = _some(where, topic, "pressure", pressure)
+    values = _finite(where, topic, "pressure", pressure)
     expected = "expected absolute pressure in Pa"
     low = values < MIN_PRESSURE
     if _implausible(topic, values, low, f"lie below {MIN_PRESSURE / 1e3:g} kPa absolute", issues):
@@ -83,7 +83,7 @@ def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) 
 
 
 def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) -> None:
-    """Refuse voltages (N, 2) outside the valves' range.
+    """Refuse voltages outside the valves' range.
 
     Args:
         where: file, for messages.
@@ -94,7 +94,7 @@ def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) ->
     Raises:
         BadInput: Too many values outside 0 to 10 V, or no value at all.
     """
-    values = _some(where, topic, "voltage", voltage)
+    values = _finite(where, topic, "voltage", voltage)
     odd = (values < MIN_VOLTAGE) | (values > MAX_VOLTAGE)
     if _implausible(topic, values, odd, "lie outside 0 to 10 V", issues):
         top = float(np.quantile(np.abs(values), 0.99))
@@ -134,7 +134,7 @@ def check_torque(where: str, topic: str, torque: Floats, issues: list[str]) -> N
         issues: gets a sentence about single odd values.
 
     Raises:
-        BadInput: Too many values beyond what a joint bears in N m.
+        BadInput: Too many values beyond ``MAX_TORQUE``.
     """
     values = torque[np.isfinite(torque)]
     if _implausible(topic, values, np.abs(values) > MAX_TORQUE, f"lie beyond {MAX_TORQUE:g} N m", issues):
@@ -144,7 +144,7 @@ def check_torque(where: str, topic: str, torque: Floats, issues: list[str]) -> N
         )
 
 
-def _some(where: str, topic: str, what: str, values: Floats) -> Floats:
+def _finite(where: str, topic: str, what: str, values: Floats) -> Floats:
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         raise BadInput(f"{where}: {topic} holds no finite {what} in {len(values)} messages")

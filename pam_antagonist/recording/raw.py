@@ -1,4 +1,4 @@
-"""Raw messages, by topic, whatever file they came from."""
+"""Raw messages by topic, independent of the file format."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .cdr import Payloads
 
 @dataclass(frozen=True)
 class Channel:
-    """What a bag says about one of its topics.
+    """A bag's description of one of its topics.
 
     Attributes:
         topic: Absolute topic name.
@@ -35,8 +35,8 @@ class RawTopic:
 
     Attributes:
         channel: Name and type.
-        log_ns: When the recorder got each message (N,) [ns].
-        payloads: The messages, or None where nobody asked for this type.
+        log_ns: Time of reception of each message (N,) [ns].
+        payloads: The messages, or None where this type was not requested.
     """
 
     channel: Channel
@@ -45,7 +45,7 @@ class RawTopic:
 
     @staticmethod
     def joined(channel: Channel, parts: list[RawTopic]) -> RawTopic:
-        """One topic of several pieces (the files of a split bag, several publishers)."""
+        """Join pieces of one topic (files of a split bag, several publishers)."""
         log_ns = np.concatenate([part.log_ns for part in parts])
         chosen = [part.payloads for part in parts if part.payloads is not None]
         if len(chosen) != len(parts):
@@ -59,8 +59,8 @@ class Collector:
     """Gathers messages of one channel, block by block.
 
     Attributes:
-        channel: whose messages these are.
-        wanted: whether the messages are kept, or their times only.
+        channel: of the messages.
+        wanted: whether the messages are kept; otherwise only their times are.
     """
 
     channel: Channel
@@ -68,7 +68,7 @@ class Collector:
     _blocks: list[RawTopic] = field(default_factory=list)
 
     def add(self, log_ns: NDArray[np.int64], payloads: Payloads | None) -> None:
-        """Messages that follow those before.
+        """Append messages.
 
         Args:
             log_ns: times of reception (N,) [ns].
@@ -77,7 +77,7 @@ class Collector:
         self._blocks.append(RawTopic(self.channel, log_ns, payloads))
 
     def finish(self) -> RawTopic:
-        """Everything that was collected."""
+        """All collected messages as one topic."""
         if not self._blocks:
             return RawTopic(self.channel, np.empty(0, np.int64), Payloads.of([]) if self.wanted else None)
         return RawTopic.joined(self.channel, self._blocks)

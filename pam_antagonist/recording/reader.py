@@ -25,13 +25,13 @@ from .topics import STATE_TOPICS, TOPICS
 
 Floats = NDArray[np.float64]
 
-_MOST_RIGS = 100  # restarts of nodes in a recording; beyond, the last ones count
-_TEXT_HEAD = 8  # of a std_msgs/String in CDR: the encoding, and the length of the text with its closing zero [bytes]
+_MOST_RIGS = 100  # messages of the topic rig that are read, the last ones; each restart of a node adds one
+_TEXT_HEAD = 8  # [bytes] of a std_msgs/String in CDR before its text: encapsulation, and length with the closing zero
 
 
 @dataclass
 class _Topic:
-    """Messages of one topic, decoded, in the order of their stamps once :func:`_sort` has been there."""
+    """Decoded messages of one topic; ``keep`` lists those to use, sorted by stamp after :func:`_sort`."""
 
     name: str
     actual: str
@@ -45,7 +45,7 @@ class _Topic:
         return self.decoded.fixed(path)[self.keep]
 
     def values_or_nan(self, path: str, *shape: int) -> NDArray[Any]:
-        """A field of numbers (K, *shape), NaN where the message had no such field when the bag was recorded."""
+        """A field of numbers (K, *shape), NaN where the message definition in the bag has no such field."""
         if not self.decoded.has(path):
             return np.full((len(self.keep), *shape), np.nan)
         return self.values(path).reshape(len(self.keep), *shape)
@@ -69,26 +69,26 @@ def read_bag(
 ) -> Recording:
     """Read a rosbag2 recording of a rig.
 
-    Samples are the union of the stamps of the two pressures and the valve state; a value that has no message at a stamp
-    is NaN. Pressures are absolute, in Pa. Of a joint with pressure regulators, ``pressure_state`` takes the place of
-    the valve state, and its own pressures may be missing.
+    Samples are the union of the stamps of the two pressures and the valve state; a value without a message at a stamp
+    is NaN. Pressures are absolute, in Pa. For a joint with pressure regulators, ``pressure_state`` replaces the valve
+    state, and the measured pressures may be missing.
 
     Args:
         path: Bag folder, or one .mcap or .db3 file; compressed or not.
         topics: Logical name (see ``TOPICS``) -> topic in the bag, where it has another name there.
         namespace: Namespace of the topics; None to find it.
         joint_name: Name of the joint in ``measured/joint_states``; None for the first.
-        restarts: What to do where stamps jump backwards by more than 0.5 s: "refuse" the bag, or read what follows
-            the "last" restart.
-        recover: Read what stands before a damaged or cut off place instead of refusing the bag.
-        corrections: What is to be changed in the recorded values; None for nothing.
+        restarts: What to do where stamps jump backwards by more than 0.5 s: "refuse" the bag, or read only the part
+            after the "last" restart.
+        recover: Read the part before a damaged or cut off place instead of refusing the bag.
+        corrections: Corrections of the recorded values; None for none.
         judge: False reads values in any unit, for :mod:`pam_antagonist.checks`.
-        also: Topics of further signals, beside those below ``also/`` of the joint's namespace.
+        also: Topics of further signals, in addition to those below ``also/`` in the joint's namespace.
 
     Raises:
         SeveralJoints: The bag holds several joints, and ``namespace`` names none.
         BadInput: Not a bag, damaged, a topic missing or of another type, no samples, time running backwards, or values
-            that cannot be what they should be (gauge pressure, other units).
+            that are implausible in their unit (gauge pressure, other units).
 
     Example:
         >>> from pam_antagonist import read_bag
@@ -165,14 +165,14 @@ def _read(
 
 
 def _own_namespace(bag: RawBag, state: str, actual: str) -> str:
-    """Which of a bag's joints it is; empty where there is one alone."""
+    """Namespace of the joint that was read; empty where the bag holds only one."""
     joints = joints_in(bag)
     mine = [joint for joint in joints if TOPICS[state].resolve(joint) == actual]
     return mine[0] if mine and len(joints) > 1 else ""
 
 
 def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:
-    """Decode one topic into the order of reception."""
+    """Decode one topic and order its messages by reception."""
     actual = raw.channel.topic
     try:
         raw = unpack_messages(raw)
@@ -186,7 +186,7 @@ def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:
 
 
 def _cut(chosen: Mapping[str, _Topic], issues: list[str]) -> None:
-    """Leave only what came after the last restart; topics that show none are cut at the same time."""
+    """Keep only messages after the last restart; topics without a restart of their own are cut at the earliest one."""
     starts = {name: stamps.last_restart(topic.stamp_ns[topic.keep]) for name, topic in chosen.items()}
     restarted = [int(chosen[name].log_ns[chosen[name].keep[start]]) for name, start in starts.items() if start]
     if not restarted:
@@ -200,12 +200,12 @@ def _cut(chosen: Mapping[str, _Topic], issues: list[str]) -> None:
 def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
     """Bring the kept messages into the order of their stamps."""
     stamp_ns = topic.stamp_ns[topic.keep]
-    if topic.name == "reference":  # whoever publishes one by hand leaves the stamp at 0; it stays in order of reception
+    if topic.name == "reference":  # stays in order of reception; one that is published by hand has stamp 0
         unset = stamp_ns == 0
         topic.stamp_ns = topic.stamp_ns.copy()
         topic.stamp_ns[topic.keep[unset]] = topic.log_ns[topic.keep[unset]]
         return
-    if topic.name == "filter_checkpoint":  # any of them may be of use, whatever came before it
+    if topic.name == "filter_checkpoint":  # each one is useful by itself, in any order
         return
     if len(stamp_ns):
         topic.keep = topic.keep[stamps.order(str(path), topic.actual, stamp_ns, issues)]
@@ -213,7 +213,7 @@ def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
 
 @dataclass(frozen=True)
 class _Values:
-    """How recorded values become those of a recording: corrected, finite, and judged."""
+    """Converts recorded values: corrects them, replaces infinite ones by NaN, and checks their plausibility."""
 
     where: str
     issues: list[str]
@@ -221,7 +221,7 @@ class _Values:
     judge: bool
 
     def of(self, topic: str, what: str, values: Floats) -> Floats:
-        """Values of one quantity in SI units, NaN for what is not finite."""
+        """Values of one quantity in SI units, NaN where not finite."""
         values = plausible.finite_only(topic, what, values, self.issues)
         convert = {
             "pressure": self.corrections.pressure, "position": self.corrections.angle, "effort": self.corrections.torque
@@ -243,7 +243,7 @@ _JUDGES = {
 
 
 _FIELDS = {"valve_state": ("voltage", "voltage"), "pressure_state": ("pressure", "asked")}
-"""Field of a message that is no FluidPressure, and what it is."""
+"""Topic -> field of its message and quantity of that field, for messages other than FluidPressure."""
 
 
 def _samples(
@@ -253,7 +253,7 @@ def _samples(
     convert: _Values,
     episode_ns: NDArray[np.int64] | None,
 ) -> tuple[Floats, Floats]:
-    """Pressures, and voltages or pressures asked for, at the sample stamps (N, 2) each."""
+    """Pressures, and voltages or pressure commands, at the sample stamps (N, 2) each."""
     where = str(bag.path)
     columns: dict[str, Floats] = {}
     present: dict[str, NDArray[np.bool_]] = {}
@@ -283,7 +283,7 @@ def _measured(
 
 
 def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], joint: str | None) -> Floats:
-    """The encoder's angle at the sample stamps (N,) [rad]: an input, so that nothing is interpolated or corrected."""
+    """The encoder's angle at the sample stamps (N,) [rad]; a filter input, so never interpolated or corrected."""
     position, _ = _joint(bag, topic, joint)
     stamp_ns = topic.arrival.stamp_ns
     alone = len(stamp_ns) - np.count_nonzero(np.isin(stamp_ns, samples, assume_unique=True))
@@ -328,7 +328,7 @@ def _joint_names(decoded: Decoded) -> list[str]:
 
 
 _SHOWN = {"position": "angle (field position)", "effort": "torque (field effort)"}
-"""What a user calls the fields of a JointState."""
+"""Fields of a JointState in words, for messages."""
 
 
 def _external(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Values) -> Floats | None:
@@ -340,10 +340,10 @@ def _external(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _
 def _validation(
     bag: RawBag, topic: _Topic, samples: NDArray[np.int64], what: str, values: Floats, convert: _Values
 ) -> Floats | None:
-    """A validation signal at the sample stamps (N,), None where it holds nothing.
+    """A validation signal at the sample stamps (N,), None where it has no finite value.
 
-    Signals that carry the stamps of the samples are taken as they are. A signal with stamps of its own (another
-    driver, another rate) is interpolated, and that is said.
+    A signal with the stamps of the samples is not changed. A signal with stamps of its own (another driver, another
+    rate) is interpolated, which is reported as an issue.
     """
     if not np.any(np.isfinite(values)):
         bag.issues.append(f"{topic.actual} holds no {_SHOWN.get(what, what)}")
@@ -372,11 +372,11 @@ def _reference(topic: _Topic) -> RecordedReference:
 
 
 def _rig_texts(bag: RawBag, valve_state: str) -> tuple[str, ...]:
-    """Texts of the topic ``rig``, in the order of reception; none where it is missing or not readable: they only help.
+    """Texts of the topic ``rig``, in the order of reception; none where the topic is missing or not readable.
 
     Args:
         bag: the bag.
-        valve_state: name of that topic in it, beside which ``rig`` stands.
+        valve_state: the bag's name of the topic ``valve_state`` or ``pressure_state``, whose namespace ``rig`` shares.
     """
     topic = TOPICS["rig"]
     raw = bag.topics.get(valve_state.rpartition("/")[0] + f"/{topic.relative}")

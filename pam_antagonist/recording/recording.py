@@ -1,4 +1,4 @@
-"""One recording of a rig as arrays, whatever it was read from."""
+"""One recording of a rig as arrays, independent of its file format."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SAME_PERIOD = 0.02
-"""Relative difference of two sample periods that is due to clocks or jitter."""
+"""Largest relative difference of two sample periods that clocks or jitter may cause."""
 _GAP = 1.5
-"""Stamps that lie further apart than so many median periods have lost a sample between them."""
+"""Samples are missing between stamps that are more than this many median periods apart."""
 
 
 class Arrival(NamedTuple):
-    """When the messages of a topic were stamped and when the recorder got them, in stamp order.
+    """Stamps and times of reception of a topic's messages, in stamp order.
 
     Attributes:
         log_ns: Recorder's clock at reception (K,) [ns].
@@ -41,7 +41,7 @@ class Arrival(NamedTuple):
 
 
 def _frozen(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
-    """A read-only array of the type and shape; None in the shape is any length."""
+    """A read-only array of the given type and shape; None in the shape means any length."""
     array = np.array(value, dtype)
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
         expected = ", ".join("any" if n is None else str(n) for n in shape)
@@ -67,7 +67,7 @@ ESTIMATE_SHAPES: Mapping[str, tuple[int, ...]] = MappingProxyType(
 
 
 _ROUNDING = 1.0
-"""[Pa] By so much a measured pressure may differ from a command that was logged in its place."""
+"""[Pa] Largest difference between a pressure and a command that was logged in its place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +89,7 @@ class RecordedEstimate:
         nis: (M,).
         subsystem: 1 to 18 (M,) uint8.
         flags: (M,) uint8.
-        external_torque: (M,) [N m]; NaN where the rig has no such state, or the recording is from before the message
-            had it.
+        external_torque: (M,) [N m]; NaN where the rig has no such state, or the bag's message definition no such field.
         external_torque_covariance: With angle, velocity, torque and itself (M, 4); NaN likewise.
     """
 
@@ -129,7 +128,7 @@ class RecordedEstimate:
 
         Args:
             stamp_ns: header stamps (M,) [ns].
-            started_ns: start of the filter behind each (M,) [ns].
+            started_ns: stamp at which the filter was last started (M,) [ns].
             rows: estimates (M,); the fields are named like the attributes.
         """
         return cls(stamp_ns, started_ns, **{name: rows[name] for name in ESTIMATE_SHAPES})
@@ -141,13 +140,13 @@ class RecordedEstimate:
 
 @dataclass(frozen=True, eq=False)
 class RecordedReference:
-    """What the joint was asked to do (K messages, in the order of reception).
+    """References of the joint (K messages, in the order of reception).
 
     Attributes:
         stamp_ns: Header stamps (K,) [ns]; the time of reception where a message carried none.
         mode: JointReference.ANGLE = 0, TORQUE = 1 and so on (K,) uint8.
         value: (K,) [rad] or [N m].
-        stiffness: (K,) [N m/rad]; NaN where the recording is from before the message had it.
+        stiffness: (K,) [N m/rad]; NaN where the bag's message definition has no such field.
         damping: (K,) [N m s/rad]; NaN likewise.
     """
 
@@ -179,23 +178,23 @@ class Recording:
         path: Where it was read from.
         stamp_ns: Stamps (N,) [ns], strictly increasing.
         pressure: Muscle pressures (N, 2) [Pa absolute].
-        voltage: Voltages on the valves over the sample that ends at the stamp (N, 2) [V]; of a joint with pressure
-            regulators the pressures that these were asked for (N, 2) [Pa absolute].
+        voltage: Voltages on the valves over the sample that ends at the stamp (N, 2) [V]; for a joint with pressure
+            regulators the pressure commands (N, 2) [Pa absolute].
         angle: Measured joint angle (N,) [rad], or None where none was recorded.
         torque: Measured joint torque (N,) [N m], or None.
         external_torque: Torque applied from outside (N,) [N m], or None.
-        angle_sensor: What the estimator's encoder read (N,) [rad], as published, or None where none was recorded.
+        angle_sensor: Encoder angle that is an input of the estimator (N,) [rad], as published, or None.
         estimate: Recorded estimator output, or None.
         reference: Recorded references, or None.
         received_ns: Logical topic name -> :class:`Arrival`, for latencies and losses.
         topics: Logical topic name -> name in the bag, for the topics that were used.
-        issues: Sentences about what was repaired, dropped or is doubtful.
-        rigs: What the nodes said about their rigs, oldest first, for :meth:`pam_antagonist.rig.RigIdentity.read`.
-        checkpoints: What the live filter remembered now and then, in the order of their stamps.
+        issues: Sentences about repaired, dropped or doubtful data.
+        rigs: Texts in which the nodes named their rigs, oldest first, for :meth:`pam_antagonist.rig.RigIdentity.read`.
+        checkpoints: Checkpoints of the live filter, in the order of their stamps.
         namespace: Of the joint, where the bag holds several; otherwise empty.
-        signals: What was recorded beside the joint's own signals, by name.
-        episode_ns: Stamps of the first samples of episodes (E,) [ns], between which nothing is known of the joint; None
-            for a recording in one piece.
+        signals: Further signals, by name.
+        episode_ns: Stamps of the first samples of episodes (E,) [ns]; None for a recording in one piece. The joint's
+            motion between two episodes is not known.
         drive: What drove the joint: "valve" or "regulator".
     """
 
@@ -253,7 +252,7 @@ class Recording:
 
     @property
     def logged_commands(self) -> tuple[int, ...]:
-        """Columns of the pressures that are what a regulator was asked for, sample by sample, and no measurement."""
+        """Columns of the pressures that repeat the regulators' commands, sample by sample, and are no measurement."""
         if self.drive == "valve":
             return ()
         apart = np.abs(self.pressure - self.voltage)
@@ -261,13 +260,13 @@ class Recording:
         return tuple(k for k in (0, 1) if moves[k] and np.nanmax(apart[:, k]) <= _ROUNDING)
 
     def driven_by(self, drive: str) -> Recording:
-        """This recording, if that is what drove its joint.
+        """This recording, if it has the given drive.
 
         Args:
             drive: of the rig: "valve" or "regulator".
 
         Raises:
-            BadInput: it is not.
+            BadInput: The recording has the other drive.
         """
         if self.drive == drive:
             return self
@@ -279,10 +278,10 @@ class Recording:
         raise BadInput(f"{self.path}: of a joint with pressure regulators; expected a rig with drive: regulator")
 
     def in_one_piece(self) -> Recording:
-        """This recording, if it is no series of episodes.
+        """This recording, if it is in one piece.
 
         Raises:
-            BadInput: it is.
+            BadInput: The recording holds episodes.
         """
         if self.episode_ns is None:
             return self
@@ -314,16 +313,15 @@ class Recording:
         return tuple(slice(begin, end) for begin, end in zip(first, [*first[1:], len(self)], strict=True))
 
     def even_grid(self, nominal_s: float) -> tuple[float, Stamps]:
-        """The grid of this recording's own period, and where its samples lie on it.
+        """An even grid with this recording's period, and the grid point of each sample.
 
-        Uneven stamps go to the nearest point of the grid. Only stamps that are further apart than usual leave points
-        without a sample.
+        Uneven stamps go to the nearest grid point. Gaps leave grid points without a sample.
 
         Args:
-            nominal_s: the rig's sample period [s]; it is the period of a recording that has the same but for clocks.
+            nominal_s: the rig's sample period [s]; it is used unless the recording's period differs by more than 2 %.
 
         Returns:
-            Period [s], and the point of each sample (N,), the first at 0.
+            Period [s], and the grid point of each sample (N,), the first at 0.
         """
         period = nominal_s
         if len(self) > 1:
@@ -334,7 +332,7 @@ class Recording:
         return period, np.rint((self.stamp_ns - self.stamp_ns[0]) / (period * 1e9)).astype(np.int64)
 
     def to_dataframe(self) -> DataFrame:
-        """A row for each sample, in SI units; what was not measured has no column (needs pandas)."""
+        """A data frame with a row for each sample, in SI units, and columns for measured signals (needs pandas)."""
         with needs("import", "a data frame"):
             import pandas as pd
         columns: dict[str, Any] = {"stamp_ns": self.stamp_ns, "time_s": self.time_s}
@@ -349,7 +347,7 @@ class Recording:
         """The samples of ``start_s <= time < stop_s``, counted in seconds from the first sample.
 
         Raises:
-            ValueError: No sample lies there.
+            ValueError: No sample lies in this time.
         """
         first = int(self.stamp_ns[0])
         low, high = (first + round(t * 1e9) if np.isfinite(t) else t for t in (start_s, stop_s))

@@ -1,8 +1,8 @@
-"""Resets that nobody marked: a joint that is somewhere else one row later, although no time is missing.
+"""Unmarked resets: the angle or a pressure jumps from one row to the next, although no time is missing.
 
-Many short recordings that were written into one file look like that where their episode column got lost and their time
-runs on. Inertia lets no angle do so: it moves in a row about as far as in the rows around. A row in which it moves much
-further, and after which it stays there, is a reset. Air lets no pressure do so either, within a few milliseconds.
+A file of many short recordings has such jumps where its episode column is lost and its time runs on. Because of
+inertia, the angle moves in one row about as far as in the rows around it. A row with a much larger move, after which
+the angle stays, is a reset. Nor can the pressure of a muscle jump within a few milliseconds.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ Floats = NDArray[np.float64]
 _LEAST_ANGLE, _LEAST_PRESSURE = math.radians(3.0), 20e3
 """[rad], [Pa] Smaller jumps may be noise."""
 _LONGEST_ANGLE_ROW, _LONGEST_PRESSURE_ROW = 21e-3, 3e-3
-"""[s] Within longer rows a joint, or the air of a muscle, may really move and come to rest."""
+"""[s] Longest period between rows; in a longer one a joint, or the air of a muscle, can move and come to rest."""
 _ROWS = 3
-"""Rows on either side with which one is compared."""
+"""Number of rows on either side that a move is compared with."""
 _FURTHER = 3.0
-"""A reset goes beyond the moves of these rows by so many times what they differ."""
+"""A reset exceeds the range of the moves around it by at least this many times the range."""
 _GAP = 1.5
-"""Rows that are further apart than so many periods have lost some between them, in which a joint may move."""
+"""Rows are missing between rows that are more than this many periods apart; the joint may move in between."""
 _STEPS = 4.0
-"""Steps of a coarse encoder that a reset has at least."""
+"""Smallest reset, in steps of a coarse encoder."""
 _SHOWN = 3
 
 
 @dataclass(frozen=True)
 class Resets:
-    """Where a recording jumps.
+    """Resets of a recording.
 
     Attributes:
-        signal: that jumps, in words.
+        signal: the signal that jumps, in words.
         rows: first rows after the jumps (K,).
-        times: of these, from the start of the recording (K,) [s].
+        times: times of these rows from the start of the recording (K,) [s].
     """
 
     signal: str
@@ -50,7 +50,7 @@ class Resets:
 
     @property
     def sentence(self) -> str:
-        """What was seen, what it looks like, and what to do."""
+        """The observation, its likely cause, and the remedy."""
         where = ", ".join(f"{time:.3f}" for time in self.times[:_SHOWN]) + (" ..." if len(self.times) > _SHOWN else "")
         places = f"at {len(self.times)} places" if len(self.times) > 1 else "at one place"
         return (
@@ -61,10 +61,10 @@ class Resets:
 
 
 def resets(recording: Recording) -> Resets | None:
-    """Resets of a recording that are not marked; None where there is none.
+    """Unmarked resets of a recording; None where there are none.
 
     Args:
-        recording: in one piece or of episodes; the first rows of episodes may jump.
+        recording: in one piece or of episodes; jumps at marked episodes are no resets.
     """
     if len(recording) < 4 * _ROWS:
         return None
@@ -94,7 +94,7 @@ def _jumps(values: Floats, joined: NDArray[np.bool_], least: float) -> NDArray[n
     Args:
         values: a signal (N,), NaN where missing.
         joined: whether no time is missing between a row and the next (N - 1,).
-        least: jump that counts.
+        least: smallest jump that counts, in the signal's unit.
     """
     moved = np.where(joined, np.diff(values), np.nan)
     sizes = np.abs(moved)

@@ -1,9 +1,8 @@
-"""What was recorded beside a joint: further signals that may be causes, and where episodes begin.
+"""Further signals, which may be causes of a joint's motion, and the beginnings of episodes.
 
-A further signal is another joint's pressure or angle, or a temperature. In a bag it is a topic below ``also/`` of the
-joint's namespace, or any other topic of a type in ``KINDS`` that is asked for by its name. An episode begins where the
-topic ``episode`` (std_msgs/Header) has a stamp: what happened since the sample before is not known, so that a model has
-to be started anew.
+A further signal is another joint's pressure or angle, or a temperature. In a bag it is a topic below ``also/`` in the
+joint's namespace, or any topic of a type in ``KINDS`` that is requested by name. An episode begins at each stamp of the
+topic ``episode`` (std_msgs/Header). The time between two episodes is not known, so that a model starts anew.
 """
 
 from __future__ import annotations
@@ -30,21 +29,21 @@ Stamps = NDArray[np.int64]
 EPISODE = Topic("episode", "episode", "std_msgs/msg/Header", "an episode begins: the sample before tells nothing of it")
 """Marks the first sample of each episode; written by ``import_csv``."""
 ALSO = "also/"
-"""Where further signals stand below a joint's namespace."""
+"""Namespace of further signals, relative to the joint's."""
 KINDS: Mapping[str, tuple[str, str]] = {
     "sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa"),
     "sensor_msgs/msg/JointState": ("position", "rad"),
     "sensor_msgs/msg/Temperature": ("temperature", "degC"),
 }
-"""Type of a message -> its field that is the signal, and the unit of that."""
+"""Message type -> field that holds the signal, and its unit."""
 _TYPE_OF = {unit: kind for kind, (_, unit) in KINDS.items()}
 
 
 class FurtherSignal(NamedTuple):
-    """A signal that was recorded beside the joint's own.
+    """A further signal.
 
     Attributes:
-        values: at the samples (N,), NaN where there is none.
+        values: at the samples (N,), NaN where missing.
         unit: Pa, rad or degC.
     """
 
@@ -58,7 +57,7 @@ def blocks(
     """Messages of the further signals and of the episodes' beginnings.
 
     Args:
-        recording: what to write.
+        recording: to be written.
         header: fields of a message's header for the samples.
         stamp: fields of a std_msgs/Header for the episodes.
         frame_id: of all messages.
@@ -91,13 +90,13 @@ def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[
         bag: the bag.
         namespace: of the joint.
         samples: stamps (N,) [ns].
-        wanted: topics beside those below ``also/``, as they are called in the bag.
+        wanted: names of further topics in the bag, in addition to those below ``also/``.
 
     Returns:
-        Name -> signal; the name is what stands behind ``also/``, or the topic as it was wanted.
+        Name -> signal; the name is the part after ``also/``, or the entry of ``wanted``.
 
     Raises:
-        BadInput: a wanted topic is not there, or is of a type that holds no signal.
+        BadInput: a wanted topic is missing, or has a type that holds no signal.
     """
     prefix = f"{namespace}/{ALSO}"
     topics = {topic[len(prefix) :]: topic for topic in sorted(bag.topics) if topic.startswith(prefix)}
@@ -135,7 +134,7 @@ def _read(bag: RawBag, topic: str, samples: Stamps) -> FurtherSignal:
 
 
 def _decoded(bag: RawBag, topic: str, path: str) -> tuple[Decoded, NDArray[np.intp]]:
-    """Messages of a topic, and the order of their stamps, each once."""
+    """Messages of a topic, and their indices in the order of the stamps, one for each stamp."""
     try:
         raw = unpack_messages(bag.topics[topic])
         assert raw.payloads is not None
@@ -147,7 +146,7 @@ def _decoded(bag: RawBag, topic: str, path: str) -> tuple[Decoded, NDArray[np.in
 
 
 def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None:
-    """Stamps at which episodes begin (E,) [ns], each that of a sample; None where the bag marks none.
+    """Stamps of the first samples of episodes (E,) [ns]; None where the bag marks none.
 
     Args:
         bag: the bag.
@@ -155,7 +154,7 @@ def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None
         samples: stamps (N,) [ns].
 
     Raises:
-        BadInput: marks that cannot be read.
+        BadInput: the messages cannot be read.
     """
     topic = EPISODE.resolve(namespace)
     raw = bag.topics.get(topic)
@@ -165,5 +164,5 @@ def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None
     marks = decoded.stamp_ns("stamp")[order]
     first = np.unique(np.searchsorted(samples, marks))
     first = first[first < len(samples)]
-    # What stands before the first mark is an episode as well.
+    # The samples before the first mark are an episode as well.
     return samples[np.union1d([0], first)] if len(first) else None

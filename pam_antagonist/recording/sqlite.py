@@ -1,8 +1,8 @@
-"""sqlite3 files of rosbag2, read without trust.
+"""sqlite3 files of rosbag2, read as untrusted input.
 
-A database is a program of sorts: views, checks and generated columns compute what they show, and pages that point to
-one another can hold a few bytes forever. So only plain tables are read, every page is looked at once before, and the
-work is limited by the size of the file. Journals beside the file are left alone: nothing is ever written.
+A malicious database can run computations (views, checks, generated columns), and damaged pages can form endless loops.
+So only plain tables are read, all pages are checked first, and the number of steps is limited by the size of the file.
+Nothing is ever written; journals beside the file are ignored.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from .raw import Channel, Collector, RawTopic
 MAGIC = b"SQLite format 3\0"
 
 _COMPUTED = re.compile(r"\b(check|generated|virtual|as|where|collate)\b", re.IGNORECASE)
-_EVERY = 100_000  # steps of the database's machine between two looks at the budget
-_STEPS_A_BYTE, _STEPS = 20, 10_000_000  # a row of ten bytes takes some twenty steps
+_EVERY = 100_000  # steps of sqlite's virtual machine between two checks of the budget
+_STEPS_A_BYTE, _STEPS = 20, 10_000_000  # budget for each byte, and constant; a row of ten bytes takes some twenty steps
 _NEEDED = {"topics": ("id", "name", "type", "serialization_format"), "messages": ("topic_id", "timestamp", "data")}
 
 
 class SqliteDamage(Exception):
-    """A file that is no sound rosbag2 database; the text says why."""
+    """The file is no valid rosbag2 database; the text says why."""
 
 
 def cut_off(file: Path) -> str | None:
-    """Hold the size of an sqlite3 file against the pages its header counts (file format, section 1.3)."""
+    """Error text where an sqlite3 file is shorter than its header says (file format, section 1.3), else None."""
     with file.open("rb") as stream:
         head = stream.read(100)
     if len(head) < 100:
         return f"it ends at byte {len(head)}, within its header"
     page_size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
     page_size = 65536 if page_size == 1 else page_size
-    trusted = head[24:28] == head[92:96]  # else the count is that of an old library, and may be stale
+    trusted = head[24:28] == head[92:96]  # otherwise an old library wrote the count, which may be stale
     size = file.stat().st_size
     if trusted and size < page_size * pages:
         return f"it ends at byte {size} of {page_size * pages}"
@@ -79,7 +79,7 @@ def read_sqlite(file: Path, types: Collection[str]) -> list[RawTopic]:
 
 
 def _check(database: sqlite3.Connection) -> None:
-    """Only plain tables, each page in one place."""
+    """Refuse anything but plain tables, and pages that are damaged or used twice."""
     for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
         if kind in ("table", "index") and _COMPUTED.search(str(sql or "").partition("(")[2] or str(sql or "")):
             raise SqliteDamage(f"its {kind} {str(name)[:40]!r} computes something, expected plain columns")

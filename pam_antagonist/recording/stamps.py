@@ -1,4 +1,4 @@
-"""Time stamps of one topic: order, duplicates, restarts; and how several topics come together."""
+"""Time stamps: order, duplicates and restarts of one topic, and samples of several topics."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ..errors import BadInput
 Restarts = Literal["refuse", "last"]
 
 MAX_BACKWARD_NS = 500_000_000
-"""A stamp so far behind an earlier one is no late message: time ran backwards. The live estimator restarts there."""
+"""A message this far behind an earlier stamp is not late: time ran backwards. The live estimator restarts there."""
 
 MAX_FORWARD_NS = 1_000_000_000
-"""A longer gap between samples is worth a word; the estimator does not predict over it."""
+"""Longest gap between samples that the estimator predicts over; longer ones are reported."""
 
-_MIN_TOGETHER = 0.1  # share of samples with both pressures below which the stamps cannot be meant to pair
+_MIN_TOGETHER = 0.1  # with a smaller share of samples that have both pressures, the stamps do not form samples
 
 
 def last_restart(stamp_ns: NDArray[np.int64]) -> int:
@@ -28,7 +28,7 @@ def last_restart(stamp_ns: NDArray[np.int64]) -> int:
 
 
 def order(where: str, topic: str, stamp_ns: NDArray[np.int64], issues: list[str]) -> NDArray[np.intp]:
-    """Put the messages of one topic into the order of their stamps.
+    """Sort the messages of one topic by their stamps.
 
     Args:
         where: The bag, for messages.
@@ -72,7 +72,7 @@ def order(where: str, topic: str, stamp_ns: NDArray[np.int64], issues: list[str]
 
 
 def union(stamps: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """All stamps that occur, once each and in order."""
+    """All stamps, sorted and each once."""
     if all(np.array_equal(stamps[0], other) for other in stamps[1:]):
         return stamps[0]
     return np.unique(np.concatenate(stamps))
@@ -83,7 +83,7 @@ def spread(samples: NDArray[np.int64], stamp_ns: NDArray[np.int64], values: NDAr
 
     Args:
         samples: Sample stamps (N,) [ns].
-        stamp_ns: Stamps of the topic (K,) [ns], strictly increasing; those that match no sample are left out.
+        stamp_ns: Stamps of the topic (K,) [ns], strictly increasing; stamps of no sample are left out.
         values: Values of the topic (K,).
     """
     result = np.full(len(samples), np.nan)
@@ -96,7 +96,7 @@ def spread(samples: NDArray[np.int64], stamp_ns: NDArray[np.int64], values: NDAr
 def interpolate(
     samples: NDArray[np.int64], stamp_ns: NDArray[np.int64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Values between the stamps of a topic, linear; NaN outside and in gaps of more than five of its periods.
+    """Linear interpolation of a topic; NaN outside its stamps and in gaps of more than five of its periods.
 
     Args:
         samples: stamps at which values are wanted (N,) [ns].
@@ -122,17 +122,17 @@ def judge_pairing(
     issues: list[str],
     episode_ns: NDArray[np.int64] | None = None,
 ) -> None:
-    """Say how many samples miss a topic, and where the stream of samples stops for a while.
+    """Report how many samples miss a topic, and gaps in the samples.
 
     Args:
         where: The bag, for messages.
         samples: Sample stamps (N,) [ns].
         present: Topic -> which samples have its message (N,); the two pressures come first.
         issues: Gets the sentences.
-        episode_ns: Stamps at which episodes begin (E,) [ns]: a stop before one is none; None for one piece.
+        episode_ns: Stamps at which episodes begin (E,) [ns]; a gap before one is not reported. None for one piece.
 
     Raises:
-        BadInput: The two pressures hardly ever carry one stamp.
+        BadInput: The two pressures rarely share a stamp.
     """
     first, second = list(present)[0], list(present)[min(1, len(present) - 1)]
     together = int(np.count_nonzero(present[first] & present[second]))

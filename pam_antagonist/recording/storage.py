@@ -32,13 +32,13 @@ MAX_UNPACKED = 4 << 30
 
 @dataclass
 class RawBag:
-    """All of a bag.
+    """A bag as raw messages.
 
     Attributes:
-        path: What was opened.
-        topics: Topic name -> messages. A name with two message types is in ``conflicts`` as well.
-        conflicts: Topic name -> the message types that it was recorded with, where there is more than one.
-        issues: What was found and did not hinder reading.
+        path: The folder or file that was opened.
+        topics: Topic name -> messages; of several message types the one with most messages.
+        conflicts: Topic name -> its message types, for topics with more than one.
+        issues: Problems that did not prevent reading.
     """
 
     path: Path
@@ -49,7 +49,7 @@ class RawBag:
 
 @dataclass(frozen=True)
 class _Files:
-    """Message files of a bag; ``closed`` is False where the recorder did not come to finish them."""
+    """Message files of a bag; ``closed`` is False where the recorder did not finish them."""
 
     paths: list[Path]
     digests: Mapping[tuple[str, str], str]
@@ -61,9 +61,9 @@ def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> Ra
     """Read the messages of the given types from a bag.
 
     Args:
-        path: Bag folder, or one .mcap or .db3 file, itself or packed with zstd.
+        path: Bag folder, or one .mcap or .db3 file, plain or packed with zstd.
         types: Message types whose payloads are wanted; other topics are listed and counted.
-        recover: Take what stands before a damaged or cut off place instead of refusing the bag.
+        recover: Read the part before a damaged or cut off place instead of refusing the bag.
 
     Raises:
         BadInput: Not a bag, damaged, or not readable.
@@ -79,17 +79,17 @@ def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> Ra
         raise
     except OSError as exc:
         raise BadInput(f"{path}: cannot be read ({exc.strerror or exc})") from exc
-    except Exception as exc:  # damaged files make sqlite, zstd and rosbags raise whatever they like
+    except Exception as exc:  # on damaged files sqlite, zstd and rosbags raise exceptions of any type
         raise BadInput(f"{path}: damaged, or not a rosbag2 ({one_line(exc)})") from exc
     _merge(bag, parts, files.digests)
     return bag
 
 
 def bag_hash(path: str | Path) -> str:
-    """SHA-256 of a bag's messages files, as 64 hex digits.
+    """SHA-256 of a bag's message files, as 64 hex digits.
 
-    For a bag of one file this is what ``sha256sum`` prints for that file; for several, the hash of their hashes in
-    order. ``metadata.yaml`` is left out: editing a name there does not change what was recorded.
+    For a bag of one file this equals the output of ``sha256sum``; for several files it is the hash of their hashes in
+    order. ``metadata.yaml`` is left out, because editing a name there does not change the recording.
 
     Raises:
         BadInput: Not a bag, or not readable.
@@ -125,7 +125,7 @@ def recording_hash(recording: Recording) -> str:
 
 
 def bag_name(path: str | Path) -> str:
-    """A bag's name for reports: its folder and the folder above it, nothing else of the machine's paths.
+    """A bag's name for reports: only its folder and the folder above, so that no private path is shown.
 
     Args:
         path: of the bag; ``/home/me/nominal/free`` gives ``nominal/free``.
@@ -163,8 +163,8 @@ def _read_file(
 ) -> list[RawTopic]:
     """Read one message file, unpacking it first where needed.
 
-    A recording that was not closed ends somewhere: what is whole is read, and said. In one that was closed, damage is
-    no part of the deal, and reading on is for the user to decide.
+    In a recording that was not closed, an incomplete end is expected: the complete messages are read, with an issue. In
+    a closed recording damage is unexpected, and the user decides by ``recover``.
     """
     with _unpacked(file) as (plain, packing_damage):
         with plain.open("rb") as stream:
@@ -206,7 +206,7 @@ def _read_file(
 
 @contextmanager
 def _unpacked(file: Path) -> Iterator[tuple[Path, str | None]]:
-    """The file itself, or an unpacked copy of it and how it was damaged."""
+    """The file itself, or an unpacked copy; with a text about damage of the packed data, or None."""
     with file.open("rb") as stream:
         packed = stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
     if not packed:
@@ -222,7 +222,7 @@ def _unpacked(file: Path) -> Iterator[tuple[Path, str | None]]:
 
 
 def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str], str]) -> None:
-    """Bring together the pieces of each topic."""
+    """Join the pieces of each topic."""
     by_topic: dict[str, dict[str, list[RawTopic]]] = {}
     for part in parts:
         by_topic.setdefault(part.channel.topic, {}).setdefault(part.channel.msgtype, []).append(part)
@@ -237,7 +237,7 @@ def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str],
 
 
 def unpack_messages(raw: RawTopic) -> RawTopic:
-    """Undo rosbag2's message compression; recognised from the messages, since a plain one never starts like zstd.
+    """Undo rosbag2's message compression; a plain CDR message never starts with the magic number of zstd.
 
     Raises:
         CompressionError: A packed message is damaged.

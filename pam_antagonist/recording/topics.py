@@ -1,4 +1,4 @@
-"""The topics of the package, written once: nodes publish and subscribe by this table, bags are read by it."""
+"""The topics of the package: one table for the nodes and for reading and writing bags."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 DEFAULT_NAMESPACE = "/pam"
-"""Namespace of nodes and recordings unless somebody chose another."""
+"""Default namespace of nodes and recordings."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +112,9 @@ TOPICS: Mapping[str, Topic] = MappingProxyType({topic.name: topic for topic in _
 """Logical name -> :class:`Topic`."""
 
 SAMPLE_TOPICS = ("pressure_1", "pressure_2", "valve_state")
-"""The topics without which there is no recording; the three messages of one sample carry one stamp."""
+"""The topics that a recording of a joint with valves needs; the three messages of one sample share a stamp."""
 STATE_TOPICS: Mapping[str, str] = MappingProxyType({"valve": "valve_state", "regulator": "pressure_state"})
-"""Drive of a joint -> the topic that tells what its valves or regulators got."""
+"""Drive of a joint -> topic of the voltages or pressures that its valves or regulators got."""
 COMMAND_TOPICS: Mapping[str, str] = MappingProxyType({"valve": "valve_command", "regulator": "pressure_command"})
 """Drive of a joint -> the topic of its commands."""
 

@@ -1,4 +1,4 @@
-"""Units that CSV columns come in, and what they are in SI units."""
+"""Units of CSV columns, and their values in SI units."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ _TABLE = {
 UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {quantity: MappingProxyType(units) for quantity, units in _TABLE.items()}
 )
-"""Quantity -> unit -> how many SI units (s, Pa, rad, N m, V, m, m³, N; degC of a temperature) one of it is."""
+"""Quantity -> unit -> its value in SI units (s, Pa, rad, N m, V, m, m³, kg, N; degC for temperatures)."""
 
 _ALIASES = {"µs": "us", "μs": "us", "°": "deg", "degrees": "deg", "degree": "deg",
             "m³": "m3", "dm³": "dm3", "cm³": "cm3", "mm³": "mm3", "L": "l", "mL": "ml"}  # fmt: skip
 
 
 def canonical(where: str, quantity: str, unit: str) -> str:
-    """The unit as it stands in ``UNITS``; spaces and dots between the parts of a product do not matter.
+    """A unit spelt as in ``UNITS``; spaces and dots between the parts of a product are ignored.
 
-    Upper and lower case do: MPa is a thousand million mPa.
+    Upper and lower case matter: MPa is not mPa.
 
     Args:
         where: where the unit was given, for the message.
         quantity: a key of ``UNITS``.
-        unit: as it was written, such as "Nm", "N·m" or "kPa".
+        unit: as written by the user, such as "Nm", "N·m" or "kPa".
 
     Raises:
         BadInput: no such unit of this quantity.

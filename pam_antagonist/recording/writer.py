@@ -23,7 +23,7 @@ from .messages import typestore
 from .recording import ESTIMATE_SHAPES, RecordedEstimate, Recording
 from .topics import DEFAULT_NAMESPACE, STATE_TOPICS, TOPICS, Topic
 
-_FLUSH_S = 1.0  # what a killed recorder, or one without power, may lose [s]
+_FLUSH_S = 1.0  # [s] between flushes: the most that is lost when the recorder is killed or loses power
 _BATCH = 4096  # messages that are handed to the writing thread at once
 
 Item = tuple[str, int, bytes | memoryview]
@@ -32,23 +32,23 @@ Item = tuple[str, int, bytes | memoryview]
 class BagWriter:
     """Writes one bag; use it as a context manager.
 
-    All file work is done by a thread of its own. So ``write`` never waits for a disk, and an interrupt, which Python
-    raises in the main thread, cannot tear a half-written message: leaving the context writes everything that was
-    handed over, whatever the reason for leaving. Once a second all messages so far go to the file as a whole chunk, so
-    that a process that is killed leaves a bag that ``read_bag`` reads up to the last second. When a write fails, as on
-    a full disk, the chunks that are whole are kept and closed as well as they can be.
+    All file work is done by a separate thread. So ``write`` never waits for a disk, and an interrupt, which Python
+    raises in the main thread, never leaves half a message. Leaving the context for any reason writes all messages so
+    far. Once a second all messages go to the file as a complete chunk, so that ``read_bag`` reads the bag of a killed
+    process up to the last second. When a write fails, as on a full disk, the complete chunks are kept and the file is
+    closed if possible.
 
     Args:
         path: Bag folder to be made; parents are made as well.
         storage: "mcap" or "sqlite3".
         compression: "chunk" (MCAP only), "message", "file" or "none"; None is "chunk" for MCAP and "none" for sqlite3.
         limits: When to begin the next file (MCAP only); default: never.
-        durable: Whether what is flushed is to survive a power cut, too; costs a fsync a second.
-        backlog: Bytes that may wait for the disk; beyond them messages are dropped and counted. None: any number.
+        durable: Whether flushed data must survive a power cut as well; costs one fsync a second.
+        backlog: Bytes that may wait for the disk; with more, messages are dropped and counted. None: no limit.
 
     Attributes:
         dropped: Messages that were dropped because the disk did not keep up.
-        kept: After a failed write, the messages that can be read; else None.
+        kept: After a failed write, the number of messages that can be read; else None.
 
     Raises:
         BadInput: The path exists already, or cannot be made.
@@ -98,7 +98,7 @@ class BagWriter:
 
     @property
     def backlog(self) -> int:
-        """Bytes that wait for the disk; counted where there is a limit."""
+        """Bytes that wait for the disk; counted only with a limit."""
         return self._given - self._written
 
     @property
@@ -108,11 +108,11 @@ class BagWriter:
 
     @property
     def files(self) -> int:
-        """Message files that were begun."""
+        """Number of message files that were begun."""
         return self._files.files
 
     def add_topic(self, topic: str, msgtype: str) -> None:
-        """Announce a topic, so that it stands in the bag even if no message ever comes.
+        """Announce a topic, so that the bag lists it even without messages.
 
         Args:
             topic: Absolute topic name.
@@ -151,7 +151,7 @@ class BagWriter:
         """Write messages of announced topics: (topic, time of reception [ns], CDR) each.
 
         Returns:
-            How many were taken; the others would have waited beyond the backlog. With a limit, for one thread only.
+            Number of messages taken; the others exceed the backlog and are dropped. With a limit, for one thread only.
         """
         for first in range(0, len(items), _BATCH):
             batch = list(items[first : first + _BATCH])
@@ -164,17 +164,17 @@ class BagWriter:
         return len(items)
 
     def close(self) -> None:
-        """Write what is left and finish the files; a second call does nothing.
+        """Write the remaining messages and finish the files; a second call does nothing.
 
         Raises:
-            OSError: Something could not be written, such as on a full disk, and no other method has said so.
+            OSError: A write failed, such as on a full disk, and no other method has reported it.
         """
         interrupt: KeyboardInterrupt | None = None
         self._queue.put(None)
         while self._thread.is_alive():
             try:
                 self._thread.join()
-            except KeyboardInterrupt as exc:  # the data come first
+            except KeyboardInterrupt as exc:  # raised again after the data are written
                 interrupt = exc
         atexit.unregister(self.close)
         error, self._error = self._error, None
@@ -198,7 +198,7 @@ class BagWriter:
         self._queue.put(item)
 
     def _run(self) -> None:
-        """The thread: open, write what comes, finish."""
+        """Main function of the thread: open the files, write messages, finish."""
         files = self._files
         begun = False
         try:
@@ -225,7 +225,7 @@ class BagWriter:
                     files.flush()
                     flushed, unflushed = time.monotonic(), False
             files.close()
-        except BaseException as exc:  # handed over to whoever writes or closes
+        except BaseException as exc:  # raised in the next call of write or close
             if begun:
                 with contextlib.suppress(Exception):  # the first error is the one to report
                     self.kept = files.rescue()
@@ -251,8 +251,8 @@ def write_bag(
 ) -> None:
     """Write a Recording as a bag with the package's topics.
 
-    A sample that misses a value (NaN) gets no message for it. Messages are logged at the times in
-    ``recording.received_ns`` where those are known, otherwise at their stamps.
+    A missing value (NaN) gets no message. Messages are logged at the times in ``recording.received_ns`` where known,
+    otherwise at their stamps.
 
     Args:
         path: Bag folder to be made.
@@ -285,7 +285,7 @@ def write_bag(
 
 
 def _log_times(recording: Recording, name: str, stamp_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Time of reception of each message (K,) [ns]; the stamp where it is not known."""
+    """Time of reception of each message (K,) [ns]; its stamp where the time is not known."""
     times = stamp_ns.copy()
     arrival = recording.received_ns.get(name)
     if arrival is not None and len(arrival.stamp_ns):
@@ -319,7 +319,7 @@ def _blocks(
     for muscle in (0, 1):
         there = np.isfinite(recording.pressure[:, muscle])
         if recording.drive == "regulator" and not there.any():
-            continue  # its sensors, if it has any, were not recorded
+            continue  # the pressures were not measured or not recorded
         fields = {"fluid_pressure": recording.pressure[there, muscle], "variance": variance}
         add(f"pressure_{muscle + 1}", stamp_ns[there], fields, f"muscle_{muscle + 1}")
     there = np.isfinite(recording.voltage).any(axis=1)

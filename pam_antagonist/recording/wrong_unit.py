@@ -1,7 +1,7 @@
-"""Values that are implausible in the unit that they were declared in, and which unit they look like.
+"""Values that are implausible in their declared unit, and the unit that they look like.
 
-What is plausible stands once, in :mod:`~pam_antagonist.recording.plausible`; here the declared unit is compared with
-others in which the same numbers would be.
+:mod:`~pam_antagonist.recording.plausible` defines the plausible ranges. This module searches other units in which the
+same numbers would be plausible.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ Floats = NDArray[np.float64]
 
 STANDARD_ATMOSPHERE = 101_325.0
 """[Pa]"""
-_PRESSURIZED = 15e3  # [Pa] over the atmosphere; a muscle that never holds more was never used
-_USUAL_PRESSURE = 300e3  # [Pa] over the atmosphere
+_PRESSURIZED = 15e3  # [Pa] above the atmosphere; a muscle that never exceeds this was not used
+_USUAL_PRESSURE = 300e3  # [Pa] above the atmosphere
 _USUAL_ANGLE = math.radians(20.0)
 _STILL = math.radians(0.5)
 
@@ -86,9 +86,9 @@ def check_pressures(where: str, first: Signal, second: Signal, atmosphere: float
             raise BadInput(_pressure_message(where, signal, values, atmosphere)) from None
         if _top(values) - atmosphere < _PRESSURIZED:
             slack.append((signal, values))
-    # One vented muscle is a way to use a joint, unless it has a unit of its own and fits another one. Two are not.
-    apart = (first.unit, first.reference) != (second.unit, second.reference)
-    if len(slack) == 2 or (slack and apart and _other_pressure(slack[0][0], atmosphere)):
+    # One vented muscle is possible, unless its unit differs from the other muscle's and another unit fits. Two are not.
+    own_unit = (first.unit, first.reference) != (second.unit, second.reference)
+    if len(slack) == 2 or (slack and own_unit and _other_pressure(slack[0][0], atmosphere)):
         raise BadInput(_pressure_message(where, *slack[0], atmosphere))
     for signal, _ in slack:
         issues.append(f"{signal.label} stays at the atmosphere's pressure, {signal.span}: was it never filled?")
@@ -110,15 +110,15 @@ def _pressure_message(where: str, signal: Signal, values: Floats, atmosphere: fl
 
 
 def _other_pressure(signal: Signal, atmosphere: float) -> str:
-    """What the numbers would be the pressures of a filled muscle in, other than the declared; "" for nothing."""
+    """Another unit or reference in which the numbers are pressures of a filled muscle; "" for none."""
     fits: dict[tuple[str, str], float] = {}
     for unit in UNITS["pressure"]:
         for reference in ("gauge", "absolute"):
             values = pascal(signal.values, unit, reference, atmosphere)
-            over = _top(values) - atmosphere
-            if over >= _PRESSURIZED and _passes(plausible.check_pressure, values):
-                fits[unit, reference] = abs(math.log(over / _USUAL_PRESSURE))
-    # The same unit with the other reference is the smaller mistake; then the same reference.
+            gauge = _top(values) - atmosphere
+            if gauge >= _PRESSURIZED and _passes(plausible.check_pressure, values):
+                fits[unit, reference] = abs(math.log(gauge / _USUAL_PRESSURE))
+    # The most likely mistake first: the other reference, then another unit, then both.
     for chosen in (
         [fit for fit in fits if fit[0] == signal.unit and fit[1] != signal.reference],
         [fit for fit in fits if fit[0] != signal.unit and fit[1] == signal.reference],
@@ -146,7 +146,7 @@ def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
         plausible.check_angle(where, signal.label, signal.values * factor, issues)
     except BadInput:
         hint = _looks_like(signal, "angle", plausible.check_angle, _USUAL_ANGLE)
-        if not hint or signal.unit == "deg":  # many encoders count degrees from a mark of their own
+        if not hint or signal.unit == "deg":  # many encoders count degrees from another zero
             hint += "; give offset if the sensor counts from elsewhere"
         raise BadInput(
             f"{where}: {signal.label} goes from {signal.span}, expected within half a turn of 0, where the muscles are "
@@ -158,7 +158,7 @@ def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
 
 
 def check_torque(where: str, signal: Signal, issues: list[str]) -> None:
-    """Refuse a torque that no such joint bears.
+    """Refuse a torque beyond ``plausible.MAX_TORQUE``.
 
     Args:
         where: the file.
@@ -178,7 +178,7 @@ def check_torque(where: str, signal: Signal, issues: list[str]) -> None:
 
 
 def check_voltage(where: str, signal: Signal, issues: list[str]) -> None:
-    """Refuse voltages beyond 0 to 10 V, and millivolts that leave a valve where it is.
+    """Refuse voltages outside 0 to 10 V, and millivolts that are too small to move a valve.
 
     Args:
         where: the file.
@@ -225,6 +225,6 @@ def _passes(check: Callable[..., None], values: Floats) -> bool:
 
 
 def _top(values: Floats) -> float:
-    """What nearly all values stay below; NaN for none."""
+    """99 % quantile of the finite values; NaN without any."""
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, 0.99)) if len(finite) else math.nan
