@@ -1,4 +1,4 @@
-"""Recordings once more through the estimator that runs live, and through the model alone."""
+"""Replays: a recording is run through the live estimator, and through the model alone."""
 
 from pam_antagonist.replays.result import ModelTrack, Replay, ReplayReport
 from pam_antagonist.replays.run import after, replay

@@ -1,4 +1,4 @@
-"""What became of every sample of a recorded pipeline: lost, late, out of order, how long it took (no ROS in here)."""
+"""Lost, late and out-of-order samples of a recorded pipeline, and its latency (without ROS)."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS
 Stamps = NDArray[np.int64]
 
 STAGES = ("pressure_1", "pressure_2", "valve_state", "joint_estimate", "valve_command")
-"""The topics with one message a sample, in the order in which they come about; the first two are missing where nobody
-measures pressures."""
+"""The topics with one message a sample, in the order of the pipeline; the first two are missing where no pressures are
+measured."""
 
 
 @dataclass(frozen=True)
 class Latency:
-    """Times [ms] from the reception of a sample's first message to that of its command, both by the recorder.
+    """Times from the recorder's reception of a sample's first message to its reception of the command [ms].
 
     Attributes:
-        samples: with both.
-        median: half of them took no longer.
-        p99: 99 of 100 took no longer.
-        largest: of all.
+        samples: number of samples with both messages.
+        median: median time [ms].
+        p99: 99 % quantile [ms].
+        largest: largest time [ms].
     """
 
     samples: int
@@ -40,17 +40,17 @@ class Latency:
 
 @dataclass(frozen=True)
 class Accounting:
-    """What became of the samples between discovery and the end.
+    """Lost and late samples between the end of discovery and the end of the recording.
 
-    Discovery is over at the first stamp from which on every stage is in the bag; the end is the last such stamp. In
-    between, one sample a period is expected.
+    Counting begins at the first stamp at which every stage has begun, and ends at the last stamp before one stage ends.
+    In between, one sample a period is expected.
 
     Attributes:
         expected: samples in that time, at one a period.
-        lost: stage -> how many of them have no message.
+        lost: stage -> number of expected samples without a message.
         out_of_order: stage -> messages that were received before one with an earlier stamp.
-        late: estimates that were flagged LATE.
-        latency: pressure to command.
+        late: estimates with the flag LATE.
+        latency: from pressure to command.
     """
 
     expected: int
@@ -68,7 +68,7 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
         sample_period: [s].
 
     Returns:
-        The account; None where a stage is missing altogether.
+        The account; None where a stage has no messages.
     """
     found = _between(recording)
     if found is None:
@@ -92,12 +92,12 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
 
 @dataclass(frozen=True)
 class OverTime:
-    """The same in blocks of equal length, one after the other.
+    """The account in consecutive blocks of equal length.
 
     Attributes:
         time: middle of each block since the first sample that counts (B,) [s].
         lost: stage -> samples without a message (B,).
-        median: time from pressure to command, as in :class:`Latency` (B,) [ms]; NaN in a block without any.
+        median: time from pressure to command, as in :class:`Latency` (B,) [ms]; NaN in a block without commands.
         p99: (B,) [ms].
         largest: (B,) [ms].
     """
@@ -118,7 +118,7 @@ def over_time(recording: Recording, sample_period: float, block: float) -> OverT
         block: length of a block [s].
 
     Returns:
-        The account; None where a stage is missing altogether.
+        The account; None where a stage has no messages.
     """
     found = _between(recording)
     if found is None or found[1] > found[2]:
@@ -130,7 +130,7 @@ def over_time(recording: Recording, sample_period: float, block: float) -> OverT
         return ((stamp_ns - first) // round(block * 1e9)).astype(np.int64)
 
     count = int(number(samples)[-1]) + 1
-    # What is missing between two samples counts in the block of the later one.
+    # Samples that are missing between two others count in the block of the later one.
     expected = np.bincount(number(samples), _steps(samples, sample_period), count)
     lost: dict[str, NDArray[np.float64]] = {}
     for stage, stamp in stamps.items():
@@ -146,24 +146,24 @@ def over_time(recording: Recording, sample_period: float, block: float) -> OverT
 
 
 def _arrivals(recording: Recording) -> dict[str, Arrival]:
-    """Stage -> its messages; of a joint with pressure regulators, their topics stand for those of the valves."""
+    """Stage -> its messages; with pressure regulators their topics replace those of the valves."""
     own = {"valve_state": STATE_TOPICS[recording.drive], "valve_command": COMMAND_TOPICS[recording.drive]}
     names = {stage: own.get(stage, stage) for stage in STAGES}
     return {stage: recording.received_ns[name] for stage, name in names.items() if name in recording.received_ns}
 
 
 def _stages(recording: Recording) -> tuple[str, ...]:
-    """Those of ``STAGES`` that this joint has."""
-    blind = recording.drive == "regulator" and not np.isfinite(recording.pressure).any()
-    return STAGES[2:] if blind else STAGES
+    """The entries of ``STAGES`` that this joint has."""
+    without_sensors = recording.drive == "regulator" and not np.isfinite(recording.pressure).any()
+    return STAGES[2:] if without_sensors else STAGES
 
 
 def _between(recording: Recording) -> tuple[dict[str, Stamps], int, int] | None:
-    """Stage -> stamps of samples; the first and the last one that all of them have."""
+    """Stage -> stamps of samples; then the latest first stamp and the earliest last stamp of all stages."""
     arrivals, stages = _arrivals(recording), _stages(recording)
     if any(stage not in arrivals or len(arrivals[stage].stamp_ns) == 0 for stage in stages):
         return None
-    # Commands at safe voltages for lack of estimates carry the time at which they were sent, which is no sample's.
+    # Commands of safe voltages without an estimate are stamped when they are sent, so they belong to no sample.
     stamps = {stage: np.intersect1d(arrivals[stage].stamp_ns, recording.stamp_ns) for stage in stages}
     if any(len(stamp) == 0 for stamp in stamps.values()):
         return None
@@ -171,9 +171,9 @@ def _between(recording: Recording) -> tuple[dict[str, Stamps], int, int] | None:
 
 
 def _steps(samples: Stamps, sample_period: float) -> NDArray[np.float64]:
-    """How many samples each one stands for, itself included: those that are missing before it as well.
+    """Expected number of samples up to each sample since the one before it; more than 1 where samples are missing.
 
-    Counted from stamp to stamp: a device's period is a sample period on its own clock, which drifts against ours.
+    Counting goes from stamp to stamp, because a device's clock drifts against the host's.
     """
     steps = np.rint(np.diff(samples) / (sample_period * 1e9))
     return np.concatenate([np.ones(min(1, len(samples))), steps])
@@ -187,12 +187,12 @@ def _out_of_order(recording: Recording, stage: str, first: int, last: int) -> in
 
 
 def round_trips(recording: Recording, first: int, last: int) -> tuple[Stamps, NDArray[np.float64]]:
-    """Time from pressure to command of each sample that has both, as in :class:`Latency`.
+    """Time from pressure to command of each sample with both, as in :class:`Latency`.
 
     Args:
         recording: of the whole pipeline.
         first: stamp of the first sample that counts [ns].
-        last: of the last one [ns].
+        last: stamp of the last sample that counts [ns].
 
     Returns:
         Stamps (N,) [ns], and the times (N,) [ms].

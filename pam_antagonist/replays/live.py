@@ -1,4 +1,4 @@
-"""Whether a replay gives the very bits that were published live."""
+"""Bit-by-bit comparison of a replay with the estimates that were published live."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pam_antagonist.estimation.memory import LATE, MISSING_PRESSURE_1, MISSING_P
 from pam_antagonist.recording import RecordedEstimate, Recording
 
 ENDED = "the recording ended while the live filter ran"
-"""Why the last live estimates are not compared."""
+"""Reason why the last live estimates are not compared."""
 
 
 class LiveInput(NamedTuple):
-    """What a filter is given of N samples.
+    """Inputs of a filter for N samples.
 
     Attributes:
         pressure: (N, 2) [Pa], NaN where the live filter had none.
-        voltage: (N, 2) [V], NaN where it had none.
-        angle: of its encoder (N,) [rad], NaN where it had none.
-        had: which samples it had at all (N,).
-        lacked: which samples differ from the recorded ones (N,).
+        voltage: (N, 2) [V], NaN where the live filter had none.
+        angle: of the encoder (N,) [rad], NaN where the live filter had none.
+        had: whether the live filter had the sample at all (N,).
+        lacked: whether the live filter lacked the sample or a value that was recorded (N,).
     """
 
     pressure: NDArray[np.float64]
@@ -37,11 +37,11 @@ class LiveInput(NamedTuple):
 
 
 def as_live(recording: Recording) -> LiveInput:
-    """What the live filter was given, where its estimates were recorded.
+    """The inputs that the live filter had, where its estimates were recorded.
 
-    A recorder may have got a message that the estimator got too late, or not at all. What the filter says it went
-    without is left out here as well, so that a replay tells what happened; the same goes for samples without an
-    estimate between the first and the last one.
+    The recorder may have got a message that the estimator got too late, or not at all. Values that the live filter
+    flagged as missing are left out of the replay, too. So are samples without an estimate between the first and the
+    last recorded estimate.
 
     Args:
         recording: the recording.
@@ -70,7 +70,7 @@ def as_live(recording: Recording) -> LiveInput:
 
 
 def same_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Where two arrays (N, ...) of doubles hold the same bits in all of a row, (N,); any NaN equals any other."""
+    """Whether two arrays (N, ...) of doubles have the same bits in each row (N,); all NaNs count as equal."""
     shape = (len(one), int(np.prod(one.shape[1:])))
     a = np.ascontiguousarray(one, dtype=np.float64).reshape(shape)
     b = np.ascontiguousarray(other, dtype=np.float64).reshape(shape)
@@ -79,18 +79,18 @@ def same_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LiveComparison:
-    """How recorded estimates compare with replayed ones.
+    """Comparison of recorded estimates with replayed ones.
 
     Attributes:
-        compared: samples that both have.
-        equal: those of them that agree in every field, the ``LATE`` flag aside.
-        only_live: samples that the replay has no estimate for.
-        only_replay: samples between the first and the last recorded estimate that were not recorded.
+        compared: number of samples with both estimates.
+        equal: compared samples that agree in every field except the ``LATE`` flag.
+        only_live: samples with a recorded but no replayed estimate.
+        only_replay: samples between the first and the last recorded estimate that have only a replayed one.
         first_difference_ns: stamp of the first sample that differs [ns], or None.
-        differing: for each field that differs, in how many samples it does.
+        differing: field -> number of samples in which it differs.
         not_compared: samples with a live estimate for which the replay had a filter of its own.
-        why_not: why that was so, each reason once.
-        apart_deg: largest difference of the angle in those samples, and that in the last of them [deg].
+        why_not: reasons for that, each once.
+        apart_deg: largest difference of the angle in the samples not compared, and the last one [deg].
     """
 
     compared: int
@@ -105,16 +105,16 @@ class LiveComparison:
 
 
 _LATER = ("external_torque", "external_torque_covariance")
-"""Fields that JointEstimate has not always had: a recording without them says nothing of them."""
+"""Fields that were added to JointEstimate later; not compared where the recording has none."""
 
 
 class Apart(NamedTuple):
-    """Samples for which a replay has a filter of its own.
+    """Consecutive samples for which a replay has a filter of its own.
 
     Attributes:
-        first_ns: stamp of the first of them [ns].
-        end_ns: stamp of the sample behind the last of them [ns].
-        why: it has one.
+        first_ns: stamp of the first sample [ns].
+        end_ns: end of the range, after the stamp of the last sample [ns].
+        why: the reason.
     """
 
     first_ns: int
@@ -128,7 +128,7 @@ def compare_with_live(live: RecordedEstimate, run: EstimateRun, apart: Sequence[
     Args:
         live: what the live node published.
         run: the replay.
-        apart: samples that are not to be compared bit by bit.
+        apart: samples not to compare bit by bit.
     """
     own_live, own_run = _within(live.stamp_ns, apart), _within(run.stamp_ns, apart)
     compared = _compare(live.take(~own_live), taken(run, ~own_run))
@@ -145,9 +145,9 @@ def compare_with_live(live: RecordedEstimate, run: EstimateRun, apart: Sequence[
 
 
 def ended(recording: Recording) -> Apart | None:
-    """The samples at the end that the live filter had and the recording lacks, at least in part.
+    """The last samples, where the live filter had values that the recording lacks.
 
-    A recorder that ends while a pipeline runs leaves its topics one after the other.
+    A recorder that ends while the pipeline runs unsubscribes from the topics one after the other.
 
     Args:
         recording: with a live estimate.
@@ -159,7 +159,7 @@ def ended(recording: Recording) -> Apart | None:
     bits = np.array([MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE])
     _, at, at_live = np.intersect1d(stamps, live.stamp_ns, return_indices=True)
     had = (live.flags[at_live, None].astype(np.int64) & bits) == 0
-    # A sample that starts a filter has no flags, also where no pressure is measured.
+    # The first sample of a filter has no flags, even where no pressure is measured.
     had &= (live.stamp_ns != live.started_ns)[at_live, None]
     tail = at > np.flatnonzero(~lacks.any(axis=1))[-1:].sum()
     more = stamps[at[tail & (lacks[at] & had).any(axis=1)]]
@@ -175,11 +175,11 @@ def _within(stamp_ns: NDArray[np.int64], apart: Sequence[Apart]) -> NDArray[np.b
 
 
 def taken(run: EstimateRun, keep: NDArray[np.bool_]) -> EstimateRun:
-    """Part of the estimates of a run.
+    """Some of the estimates of a run.
 
     Args:
         run: M estimates.
-        keep: which of them (M,).
+        keep: whether to keep each estimate (M,).
     """
     arrays = {name: getattr(run, name)[keep] for name in ("rows", "stamp_ns", "index", "started_ns")}
     return dataclasses.replace(run, added={name: values[keep] for name, values in run.added.items()}, **arrays)
@@ -197,7 +197,7 @@ def _compare(live: RecordedEstimate, run: EstimateRun) -> LiveComparison:
         if name in _LATER and np.isnan(recorded).all():
             continue
         if name == "flags":
-            # Tells when a sample arrived, which a replay cannot know.
+            # LATE depends on the time of arrival, which a replay does not know.
             recorded = recorded.astype(np.int64) & ~LATE
             replayed = replayed.astype(np.int64)
         same = same_bits(recorded, replayed)

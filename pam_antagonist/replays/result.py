@@ -1,7 +1,7 @@
-"""What a replay gives: arrays for figures, and the numbers of ``report.json``.
+"""Results of a replay: arrays for figures, and the numbers of ``report.json``.
 
 The fields of :class:`ReplayReport` and of the classes in it are the keys of ``report.json``. Angles are in degrees,
-torques in N m, pressures in Pa; a ratio `q` is a fraction. What was not recorded is null.
+torques in N m, pressures in Pa; a ratio `q` is a fraction. Quantities that were not recorded are null.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Innovation:
-    """Whether the filter is as wrong as it says: in the pressures, and in what was measured beside them.
+    """Consistency of the filter: whether its errors agree with its covariance, in the pressures, angle and torque.
 
     Attributes:
         nis_mean: mean normalised innovation squared; 2 is right for two pressures.
-        nis_in_95: share of the samples within the 95 % interval of its chi-square distribution.
+        nis_in_95: share of the samples with a NIS within the 95 % interval of its chi-square distribution.
         whiteness_p: p-value of a test for whiteness.
-        largest_correlation: largest autocorrelation at any lag that was tested.
-        samples: how many samples have an innovation.
+        largest_correlation: largest autocorrelation at any tested lag.
+        samples: number of samples with an innovation.
         nees_angle: mean normalised error squared of the angle [-]; 1 is right, None: not measured.
-        nees_torque: the same of the torque [-].
+        nees_torque: mean normalised error squared of the torque [-], likewise.
     """
 
     nis_mean: float
@@ -69,10 +69,10 @@ class RecordingFacts:
     Attributes:
         name: of the bag.
         sha256: of the bag's files.
-        topics: what stands for each of the package's topics.
+        topics: logical name of each of the package's topics -> name in the bag.
         first_stamp_ns: stamp of the first sample [ns].
-        issues: what a reader of the report should know of the recording.
-        rigs: by node, where the bag names them.
+        issues: problems of the recording, in sentences.
+        rigs: node -> its rig, where the bag names them.
     """
 
     name: str
@@ -85,12 +85,12 @@ class RecordingFacts:
 
 @dataclass(frozen=True)
 class JointFacts:
-    """Whether the joint could move.
+    """Whether the joint was free or locked.
 
     Attributes:
         condition: ``free`` or ``locked``.
-        lock_angle_rad: where a locked joint was held [rad].
-        source: where that is from: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
+        lock_angle_rad: angle of a locked joint [rad].
+        source: origin of the condition: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
     """
 
     condition: str
@@ -105,13 +105,13 @@ class JointFacts:
 
 @dataclass(frozen=True)
 class FilterFacts:
-    """What the filter did.
+    """Starts and counts of the filter.
 
     Attributes:
         started_ns: stamps at which the filter was started [ns].
-        counts: what became of its samples.
-        resumed_ns: stamps of the live filter's checkpoints from which it went on [ns].
-        refused: why other checkpoints were of no use.
+        counts: numbers of used, missing and refused samples.
+        resumed_ns: stamps of the live filter's checkpoints from which the filter went on [ns].
+        refused: reasons why other checkpoints could not be used.
     """
 
     started_ns: tuple[int, ...]
@@ -142,18 +142,18 @@ class ReplayReport:
     """The numbers of one replayed recording.
 
     Attributes:
-        samples: how many there are.
+        samples: number of samples.
         duration_s: length of the recording [s].
-        realtime_factor: length over the time that the replay took.
+        realtime_factor: duration of the recording over that of the replay.
         ukf: errors of the filter.
         model_alone: errors of the model that runs on the voltages only.
         innovation: consistency of the filter.
-        recording: what was replayed.
-        joint: whether it could move.
-        estimator: when it was started, and what it met.
-        live_equal: how the estimates that were recorded live compare with these, bit by bit; None: none were recorded.
-        live_without: samples that the live filter did not have in whole, left out here as well; None likewise.
-        timing: what took how long.
+        recording: the replayed recording.
+        joint: whether the joint was free or locked.
+        estimator: starts and counts of the filter.
+        live_equal: comparison with the live estimates, bit by bit; None: none were recorded.
+        live_without: samples that the live filter lacked in part, left out of the replay as well; None likewise.
+        timing: durations of the steps.
     """
 
     samples: int
@@ -190,11 +190,11 @@ class Replay:
     """A replayed recording.
 
     Attributes:
-        recording: what was recorded.
+        recording: the recording.
         rig: the rig as configured.
         tuning: name of the filter's tuning.
-        joint: whether the joint could move.
-        run: the estimates, M of them; ``run.index`` are their samples in the recording.
+        joint: whether the joint was free or locked.
+        run: M estimates; ``run.index`` are their samples in the recording.
         model: the model alone at the same samples.
         report: the recording's entry in ``report.json``.
         plan: where the filter was started.
@@ -211,20 +211,20 @@ class Replay:
 
     @property
     def name(self) -> str:
-        """Of the recording."""
+        """Name of the recording."""
         return self.report.recording.name
 
     @cached_property
     def measured_angle(self) -> FloatArray | None:
-        """Encoder at the estimates' samples, (M,) [rad]."""
+        """Encoder angle at the estimates' samples, (M,) [rad]."""
         return None if self.recording.angle is None else self.recording.angle[self.run.index]
 
     @cached_property
     def measured_torque(self) -> FloatArray | None:
-        """Torque meter at the estimates' samples, (M,) [N m]."""
+        """Measured torque at the estimates' samples, (M,) [N m]."""
         return None if self.recording.torque is None else self.recording.torque[self.run.index]
 
     @cached_property
     def measured_pressure(self) -> FloatArray:
-        """Pressures at the estimates' samples, (M, 2) [Pa]."""
+        """Measured pressures at the estimates' samples, (M, 2) [Pa]."""
         return self.recording.pressure[self.run.index]

@@ -1,4 +1,4 @@
-"""Run a recording through the estimator and through the model alone, and judge both."""
+"""Run a recording through the estimator and through the model alone, and compute the errors of both."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerpri
 FloatArray = NDArray[np.float64]
 
 _CHUNK = 5000
-"""Samples between two signs of progress."""
+"""Samples between two reports of progress."""
 
 
 def replay(
@@ -55,11 +55,11 @@ def replay(
     begin_s: float | None = None,
     angle_sensor: str = "auto",
 ) -> Replay:
-    """Run a recording through the estimator and through the model alone, and judge both.
+    """Run a recording through the estimator and through the model alone, and compute the errors of both.
 
-    The filter is started where the live one was, if its estimate was recorded, so that both can be compared bit by
-    bit; else at the first sample. Where the live one was started before the recording, the filter goes on from the
-    first checkpoint of the live one that the recording holds.
+    If the live estimate was recorded, the filter starts at the same sample as the live one, so that both can be
+    compared bit by bit; otherwise at the first sample. If the live filter was started before the recording, the replay
+    goes on from its first checkpoint in the recording.
 
     Args:
         recording: the recording.
@@ -67,16 +67,16 @@ def replay(
         tuning: name of one of its tunings.
         joint: ``free``, ``locked`` or ``auto``.
         lock_angle: angle of a locked joint [rad], where it is known.
-        read_seconds: what reading the recording took [s], for the real-time factor.
-        progress: called now and then with the number of samples done since the last call.
-        begin_s: time from the first sample from which on there is to be an estimate [s]; None: all of it. The filter
-            goes on from the last checkpoint before, or runs from the start where none is of use. The estimates are the
-            same as those of the whole.
-        angle_sensor: ``none``, ``encoder``, or ``auto``: as the live filter, where a checkpoint of it tells, else none.
+        read_seconds: time that reading the recording took [s], for the real-time factor.
+        progress: called regularly with the number of samples done since the last call.
+        begin_s: time from the first sample at which the estimates begin [s]; None: at the start. The filter goes on
+            from the last checkpoint before, or runs from the start where no checkpoint can be used. The estimates equal
+            those of a complete replay.
+        angle_sensor: ``none``, ``encoder``, or ``auto``: as in the live filter's checkpoints, without any ``none``.
 
     Raises:
-        BadInput: a tuning or joint condition that does not exist, no sample to start from, or none from that time on;
-            a joint with regulators for one with valves.
+        BadInput: a tuning or joint condition that does not exist, no complete sample to start from, no estimate after
+            ``begin_s``, or a recording whose drive is not the rig's.
     """
     begin = _clock()
     recording.driven_by(rig.drive)
@@ -122,7 +122,7 @@ def _angle_sensor(recording: Recording, wanted: str) -> str:
 
 
 def _clock() -> float:
-    """Time that went into work [s]; compiling, which is done once on each machine, does not count."""
+    """Time [s] without compiling, which is done only once on each machine."""
     return time.perf_counter() - COMPILING.seconds
 
 
@@ -135,14 +135,14 @@ def _stamp_at(recording: Recording, begin_s: float) -> int:
 
 
 def after(whole: Replay, begin_s: float) -> Replay:
-    """The part of a replay from a time on, judged by itself; filter and model still run from the recording's start.
+    """The part of a replay from a time on, with errors of its own; filter and model run from the recording's start.
 
     Args:
         whole: a replay.
-        begin_s: time from its first sample on [s].
+        begin_s: time from the first sample at which the part begins [s].
 
     Raises:
-        BadInput: there is no estimate from then on.
+        BadInput: there is no estimate after that time.
     """
     recording = whole.recording
     begin_ns = int(recording.stamp_ns[0]) + round(begin_s * 1e9)
@@ -168,7 +168,7 @@ def _from(recording: Recording, run: EstimateRun, model: ModelTrack, begin_ns: i
 def _estimate(
     recording: Recording, given: LiveInput, estimator: Estimator, planned: Plan, progress: Callable[[int], None]
 ) -> EstimateRun:
-    """Run the filter over the recording, begun afresh, or from a checkpoint, as planned."""
+    """Run the filter over the recording; each planned segment starts it anew or from a checkpoint."""
     stamps = recording.stamp_ns
     parts: list[EstimateRun] = []
     ends = [*(segment.first for segment in planned.segments[1:]), len(stamps)]
@@ -197,9 +197,9 @@ def _estimate(
 def _model_alone(
     recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun, planned: Plan, given: LiveInput
 ) -> ModelTrack:
-    """The model without any measurement, begun anew at the first pressures wherever the filter was started.
+    """The model alone, which starts anew at the first pressures wherever the filter was started.
 
-    A checkpoint is no start of the model: it runs on through it, also through what the filter skipped.
+    The model does not restart at a checkpoint. It also runs over the samples that the filter skips before one.
     """
     period, points = recording.even_grid(rig.sample_period)
     resumed = [segment.first for segment in planned.segments if segment.checkpoint is not None]
@@ -214,19 +214,19 @@ def _model_alone(
     count = len(index)
     track = ModelTrack(np.empty(count), np.empty(count), np.empty((count, 2)))
     for first, end in zip([0, *begins], [*begins, count], strict=True):
-        # On the recording's grid; samples that are missing are stepped over with the voltages held.
-        own = index[first:end]
-        step = points[own] - points[own[0]]
+        # The model runs on the recording's grid and holds the voltages over missing samples.
+        samples = index[first:end]
+        step = points[samples] - points[samples[0]]
         voltage = np.full((int(step[-1]) + 1, 2), np.nan)
-        voltage[step] = recording.voltage[own]
+        voltage[step] = recording.voltage[samples]
         external = None
         if recording.external_torque is not None:
             external = np.zeros(len(voltage))
-            external[step] = recording.external_torque[own]
+            external[step] = recording.external_torque[samples]
         alone = simulate_model(
             rig,
             voltage,
-            _first_pressure(recording, own[0]),
+            _first_pressure(recording, samples[0]),
             joint=joint.condition,
             lock_angle=joint.lock_angle,
             external_torque=external,
@@ -240,7 +240,7 @@ def _model_alone(
 
 
 def _first_pressure(recording: Recording, at: int) -> FloatArray:
-    """Pressures (2,) [Pa] with which the model starts; a regulator without a sensor holds what it is asked for."""
+    """Pressures (2,) [Pa] at which the model starts; the command replaces a regulated pressure that is not measured."""
     measured = recording.pressure[at]
     if recording.drive == "valve":
         return measured
@@ -256,7 +256,7 @@ def _judged(
     planned: Plan,
     begin_ns: int | None,
 ) -> ReplayReport:
-    """The report of a recording, or of its part from a stamp on, without what depends on the clock of the machine."""
+    """The report of a recording, or of its part from a stamp on; its timings are filled in later."""
     rows, index = run.rows, run.index
     first_ns = int(recording.stamp_ns[0]) if begin_ns is None else int(run.stamp_ns[0])
     pressure = recording.pressure[index]
@@ -311,7 +311,7 @@ def _judged(
 
 
 def _live(recording: Recording, run: EstimateRun, planned: Plan, begin_ns: int | None) -> LiveComparison | None:
-    """The comparison with the live estimate, where that was recorded."""
+    """The comparison with the live estimate; None where none was recorded."""
     if recording.estimate is None:
         return None
     live = recording.estimate
@@ -330,7 +330,7 @@ def _live(recording: Recording, run: EstimateRun, planned: Plan, begin_ns: int |
 
 
 def _readings(rig: Rig, pressure: FloatArray) -> FloatArray:
-    """What the rig's sensors show at pressures (M, 2) [Pa]."""
+    """Readings of the rig's sensors at pressures (M, 2) [Pa]."""
     return np.asarray(sensor.readings(pressure, rig.parameters()))
 
 
@@ -342,7 +342,7 @@ def _nees(measured: FloatArray | None, value: FloatArray, variance: FloatArray, 
 
 
 def _external(recording: Recording, run: EstimateRun) -> ChannelErrors | None:
-    """The external torque: what a filter with that state makes of it, against what was applied."""
+    """Errors of the estimated external torque against the applied one; None where either is missing."""
     if recording.external_torque is None or "external_torque" not in run.added:
         return None
     variance = run.rows["external_torque_covariance"][:, 3]
@@ -355,14 +355,14 @@ def _external(recording: Recording, run: EstimateRun) -> ChannelErrors | None:
 
 
 def _episodes(recording: Recording) -> list[str]:
-    """What to say of a recording of episodes."""
+    """Issue for a recording of episodes."""
     if recording.episode_ns is None or recording.estimate is not None:
         return []
     return [f"{len(recording.episode_ns)} episodes: filter and model start anew with each, all are scored together"]
 
 
 def _sealed(recording: Recording, rig: Rig) -> list[str]:
-    """What to say of a recording whose muscles were sealed where the rig's are not."""
+    """Issue for a recording with sealed muscles and a rig without."""
     sealed = sealed_muscles(recording.path)
     if not sealed or rig.valves.sealed:
         return []
@@ -371,13 +371,13 @@ def _sealed(recording: Recording, rig: Rig) -> list[str]:
 
 
 def _rigs_in_bag(recording: Recording) -> dict[str, RigIdentity]:
-    """Node -> the rig that it was given last while the bag was recorded."""
+    """Node -> its last rig in the recording."""
     found = {}
     for text in recording.rigs:
         try:
             identity = RigIdentity.read(text)
         except BadInput:
-            continue  # not ours to judge: a bag may hold anything
+            continue  # no message of this package
         found[identity.node] = identity
     return found
 
@@ -391,7 +391,7 @@ def _rigs(recording: Recording, rig: Rig) -> dict[str, RecordedRig]:
 
 
 def _other_joint(recording: Recording, rig: Rig) -> list[str]:
-    """What to say where the rig is another joint's than the one of the recording."""
+    """Issues where the recording was made with the rig of another joint."""
     own = RigIdentity.of(rig)
     out = []
     for given in {given.fingerprint: given for given in _rigs_in_bag(recording).values()}.values():

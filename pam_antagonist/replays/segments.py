@@ -1,9 +1,9 @@
-"""Where a replay starts its filter: with a sample, or from a checkpoint of the live one.
+"""Where a replay starts its filter: at a sample, or from a checkpoint of the live filter.
 
-A filter that is started with the sample that started the live one gives the same bits from there on. Where that sample
-is not in the recording (it was begun while the estimator ran), or where the state was set by hand, only a checkpoint
-gives them: the first one whose own sample was recorded. Until then the replay has a filter of its own, which is not
-compared with the live one. Where no estimate was recorded, each episode starts a filter.
+A replay that starts at the live filter's first sample gives the same bits. This sample is missing where the recording
+began while the estimator ran, and it does not help where the state was set by hand. Then the replay uses the first
+checkpoint whose sample was recorded. Until then it runs a filter of its own, which is not compared with the live one.
+Where no estimate was recorded, each episode starts a filter.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ NOT_RECORDED = "the sample that started the live filter was not recorded"
 
 
 class Segment(NamedTuple):
-    """Samples that one start of the filter is for.
+    """Samples between two starts of the filter.
 
     Attributes:
-        first: the first one; the last one is the sample before the next segment.
+        first: index of the first sample; the segment ends before the next one.
         started_ns: start of the live filter [ns], None where none was recorded.
-        checkpoint: what the filter goes on from; None: it starts with the first complete sample.
-        why_not: why it is not the live filter; empty where it is, or where none was recorded.
+        checkpoint: from which the filter goes on; None: it starts at the first complete sample.
+        why_not: why the filter differs from the live one; empty where it does not, or none was recorded.
     """
 
     first: int
@@ -48,9 +48,9 @@ class Plan:
 
     Attributes:
         segments: in order.
-        refused: why checkpoints were of no use, each reason once.
-        skipped: the first sample that a filter runs for; those before it are not asked for.
-        model_first: the first sample of the model alone, which runs through those as well.
+        refused: reasons why checkpoints could not be used, each once.
+        skipped: index of the first sample that the filter runs for; earlier ones are not needed.
+        model_first: index of the first sample of the model alone, which also runs over skipped samples.
     """
 
     segments: list[Segment]
@@ -60,12 +60,12 @@ class Plan:
 
 
 def plan(recording: Recording, estimator: Estimator, begin_ns: int | None = None) -> Plan:
-    """Where to start the filter.
+    """Plan the starts of the filter.
 
     Args:
         recording: to be replayed.
-        estimator: what is to replay it; it is reset.
-        begin_ns: stamp from which on estimates are wanted [ns]; None: of the whole recording.
+        estimator: of the replay; it is reset.
+        begin_ns: stamp from which estimates are wanted [ns]; None: for the whole recording.
     """
     out = Plan([], {})
     live = recording.estimate
@@ -91,7 +91,7 @@ def _of_start(
         yield Segment(here, start)
         return
     why_not = SET_BY_HAND if by_hand else BEGUN_LATER if start < recording.stamp_ns[0] else NOT_RECORDED
-    # Before the first recorded estimate there is nothing that the filter could disagree with.
+    # Start as early as possible: before the first recorded estimate nothing is compared.
     first = 0 if not out.segments else int(np.searchsorted(recording.stamp_ns, live.stamp_ns[at]))
     end = int(live.stamp_ns[np.flatnonzero(live.started_ns == start)[-1]])
     for place, checkpoint in _usable(recording, start, end, estimator, out):
@@ -103,11 +103,11 @@ def _of_start(
 
 
 def _skip(recording: Recording, begin_ns: int, estimator: Estimator, out: Plan) -> None:
-    """Leave out what stands before the last checkpoint before a stamp, where that gives the same estimates."""
+    """Skip the samples before the last usable checkpoint before a stamp; the estimates stay the same."""
     wanted = int(np.searchsorted(recording.stamp_ns, begin_ns))
     number = max((k for k, segment in enumerate(out.segments) if segment.first <= wanted), default=0)
     segment = out.segments[number]
-    # What goes on from a checkpoint is no start of the model.
+    # The model does not start at checkpoints.
     out.model_first = next(item.first for item in reversed(out.segments[: number + 1]) if not item.checkpoint)
     out.segments, before = out.segments[number:], segment.first
     if segment.why_not == "" and segment.started_ns is not None:
@@ -123,7 +123,7 @@ def _skip(recording: Recording, begin_ns: int, estimator: Estimator, out: Plan) 
 def _usable(
     recording: Recording, start: int, end: int, estimator: Estimator, out: Plan, newest_first: bool = False
 ) -> Iterator[tuple[int, Checkpoint]]:
-    """Checkpoints of one start up to a stamp whose own sample was recorded and that the filter takes."""
+    """Index of the sample and checkpoint, for checkpoints of one start up to a stamp that the filter accepts."""
     for recorded in reversed(recording.checkpoints) if newest_first else recording.checkpoints:
         place = _place(recording, recorded.stamp_ns)
         if recorded.started_ns != start or recorded.stamp_ns > end or place is None:
@@ -138,10 +138,10 @@ def _usable(
 
 
 def of_recorded(recorded: RecordedCheckpoint) -> Checkpoint:
-    """A checkpoint of what a bag holds; what has not the size of a matrix keeps its shape, which no filter takes.
+    """A checkpoint from a bag; arrays of a wrong size keep their shape, and the filter refuses them.
 
     Args:
-        recorded: of a bag.
+        recorded: checkpoint of a bag.
     """
     names = {item.name for item in fields(FilterIdentity)}
     n = max(1, len(recorded.state))
@@ -164,6 +164,6 @@ def of_recorded(recorded: RecordedCheckpoint) -> Checkpoint:
 
 
 def _place(stamped: Recording | RecordedEstimate, stamp_ns: int) -> int | None:
-    """Number of the sample with a stamp."""
+    """Index of the sample with a stamp; None where there is none."""
     place = int(np.searchsorted(stamped.stamp_ns, stamp_ns))
     return place if place < len(stamped) and stamped.stamp_ns[place] == stamp_ns else None

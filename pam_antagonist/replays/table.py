@@ -19,7 +19,7 @@ _UNITS = {"angle": "rad", "velocity": "rad_s", "torque": "Nm"}
 def columns(replay: Replay) -> dict[str, NDArray[np.generic]]:
     """Columns of M estimates, by name; the unit stands at the end of each name.
 
-    The covariance is given by the standard deviations and the three covariances. What was not measured has no column.
+    Standard deviations and three covariances give the covariance. Quantities that were not measured have no column.
 
     Args:
         replay: of a recording.
@@ -53,7 +53,7 @@ def columns(replay: Replay) -> dict[str, NDArray[np.generic]]:
 
 
 def check_estimate(path: Path) -> None:
-    """Refuse a file name that :func:`write_estimate` would not take, before any work is done.
+    """Refuse a file name that :func:`write_estimate` would refuse, before the replay runs.
 
     Args:
         path: of the file.
