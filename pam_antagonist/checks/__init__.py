@@ -1,4 +1,4 @@
-"""Whether a recording is what it is taken for: the model, driven by the recorded voltages, tells."""
+"""Check units, wiring and stamps of a recording, by comparison with the model driven by the recorded voltages."""
 
 from pam_antagonist.checks.check import SHORTEST, Checked, check_recording
 from pam_antagonist.checks.wiring import Finding

@@ -1,9 +1,9 @@
-"""Is this a recording of this rig, as the package expects it?
+"""Check a recording against the model of its rig.
 
-The model is driven by the recorded voltages. What was measured then goes with the model, or it goes with the model
-after a correction: gauge pressures, another unit, exchanged lines or valves, an encoder that counts the other way,
-voltages that are stamped early. Correlations tell which. They hardly depend on the rig's parameters, so that this works
-before anything is identified.
+The recorded voltages drive the model. The measurements then agree with the model, either directly or after a
+correction: gauge pressures, another unit, exchanged lines or valves, an encoder that counts the other way, voltages
+that are stamped early. Correlations find the correction. They hardly depend on the rig's parameters, so the check works
+before any identification.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from pam_antagonist.rig import NO_ENCODER, Rig
 Floats = NDArray[np.float64]
 
 _STILL_VOLTAGE, _STILL_PRESSURE = 0.05, 2e3
-"""[V, Pa] Channels that move less are taken to stand still."""
+"""[V, Pa] Channels that move less count as constant."""
 _CLOCKS_APART = 0.1
-"""[s] Topics whose stamps lie further apart, against the recorder's clock, are stamped by different clocks."""
+"""[s] Topics whose delays against the recorder's clock differ by more are stamped by different clocks."""
 _OTHER_RATE = 1.05
-"""Sample periods that differ by more than this factor are said."""
+"""Sample periods that differ by more than this factor are reported."""
 SHORTEST = 5.0
 """[s] A shorter recording shows too little for these tests."""
 _SEALED_S = 0.05
-"""[s] A sealed joint moves slowly: so far apart are the points of its comparison."""
+"""[s] Distance of the compared samples of a sealed joint, which moves slowly."""
 _LONGEST = 120.0
-"""[s] More of a recording tells no more about what is tested here."""
+"""[s] Only this much of a recording is tested; more does not improve the result."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Checked:
 
     Attributes:
         findings: the worst first.
-        corrections: all that were found, together.
+        corrections: all corrections that were found.
         joint: ``free`` or ``locked``.
     """
 
@@ -62,7 +62,7 @@ class Checked:
 
     @property
     def wrong(self) -> tuple[Finding, ...]:
-        """What is certainly wrong."""
+        """Findings that are certainly wrong."""
         return tuple(finding for finding in self.findings if finding.status == "wrong")
 
 
@@ -76,11 +76,11 @@ def check_recording(recording: Recording, rig: Rig, joint: str = "auto", lock_an
         lock_angle: of a locked joint [rad], where it is known.
 
     Returns:
-        What was found, with the corrections to type.
+        The findings, with corrections as command line options.
 
     Raises:
-        BadInput: a recording that is too short to compare, or without finite voltages or pressures; one of a joint with
-            regulators for a rig with valves.
+        BadInput: a recording that is too short, has no finite voltages or pressures, or has another drive than the
+            rig.
     """
     name = recording.path.name
     recording.driven_by(rig.drive)
@@ -94,13 +94,13 @@ def check_recording(recording: Recording, rig: Rig, joint: str = "auto", lock_an
             raise BadInput(f"{name}: holds no finite {what}")
     jumped = resets(recording)
     if jumped is not None:
-        # A model that goes on over a reset goes with nothing.
+        # The model does not know resets, so that no channel would agree with it.
         joint = joint_condition(recording, joint, lock_angle).condition
         return Checked((Finding("wrong", f"{jumped.sentence} (sure)"),), Corrections(), joint)
     recording = recording.slice(0.0, _LONGEST)
     asked = regulators.commands(recording, rig)
     if any(finding.status == "wrong" for finding in asked):
-        # Driven by what is no command, the model goes with nothing.
+        # Driven by wrong commands, the model would agree with no channel.
         return Checked(tuple(asked), Corrections(), joint_condition(recording, joint, lock_angle).condition)
     now, unit_findings = _units_by_size(recording)
     condition = joint_condition(now.applied(recording), joint, lock_angle if joint == "locked" else None)
@@ -119,7 +119,7 @@ def check_recording(recording: Recording, rig: Rig, joint: str = "auto", lock_an
 
 
 def _encoder(recording: Recording, rig: Rig, condition: JointCondition) -> list[Finding]:
-    """Whether the estimator would believe the recorded encoder."""
+    """Whether the estimator accepts the recorded encoder."""
     if recording.angle_sensor is None:
         return []
     if rig.encoder is None:
@@ -135,7 +135,7 @@ def _encoder(recording: Recording, rig: Rig, condition: JointCondition) -> list[
 def _driven(
     recording: Recording, rig: Rig, now: Corrections, joint: str, lock_angle: float
 ) -> tuple[list[Finding], Corrections]:
-    """Everything that the voltages tell."""
+    """All tests that compare the recording with the model driven by its voltages."""
     model = predicted(recording, rig, joint, lock_angle)
     findings, exchanged = wiring.arrangement(recording, model)
     if exchanged is None:
@@ -154,7 +154,7 @@ def _driven(
 
 
 def _units_by_size(recording: Recording) -> tuple[Corrections, list[Finding]]:
-    """Units that the size of the values alone gives away: an angle beyond half a turn cannot be in rad."""
+    """Units that are evident from the values alone: an angle beyond half a turn is not in rad."""
     if recording.angle is None or not np.isfinite(recording.angle).any():
         return Corrections(), []
     largest = float(np.nanquantile(np.abs(recording.angle), 0.99))
@@ -166,7 +166,7 @@ def _units_by_size(recording: Recording) -> tuple[Corrections, list[Finding]]:
 
 
 def _still(recording: Recording, now: Corrections, rig: Rig) -> list[Finding]:
-    """Channels that never move: nothing can be learned from them."""
+    """Channels that are constant or missing, so that they cannot be tested."""
     out = []
     for muscle in (0, 1):
         still = _STILL_VOLTAGE if rig.drive == "valve" else _STILL_PRESSURE
@@ -187,7 +187,7 @@ def _still(recording: Recording, now: Corrections, rig: Rig) -> list[Finding]:
 
 
 def _clocks(recording: Recording) -> list[Finding]:
-    """Topics that are stamped by different clocks: their stamps differ, against the recorder's one clock."""
+    """Whether one clock stamps all topics, by their delays against the recorder's clock."""
     delays = {
         name: float(np.median(arrival.log_ns - arrival.stamp_ns)) * 1e-9
         for name, arrival in recording.received_ns.items()
@@ -207,7 +207,7 @@ def _clocks(recording: Recording) -> list[Finding]:
 
 
 def _rate(recording: Recording, rig: Rig) -> list[Finding]:
-    """The sample rate, and whether it is that of the rig file."""
+    """The sample rate, compared with the rig file's."""
     period = recording.sample_period_s
     spread = np.quantile(np.diff(recording.stamp_ns) * 1e-9, [0.05, 0.95]) if len(recording) > 2 else (period, period)
     text = f"{1.0 / period:.4g} samples a second"
@@ -220,7 +220,7 @@ def _rate(recording: Recording, rig: Rig) -> list[Finding]:
 
 
 def _sealed(recording: Recording, rig: Rig, now: Corrections) -> tuple[list[Finding], Corrections]:
-    """A sealed joint: its pressures follow its angle, and where its charge is known, also in their level."""
+    """Test a sealed joint: its pressures follow the angle, and a known charge also gives their level."""
     if recording.angle is None or range_of(now.angle(recording.angle)) < wiring.STILL_ANGLE:
         return [Finding("untested", "the joint does not move: exchanged lines and signs are not tested")], now
     p = rig.parameters("free", 0.0)

@@ -1,4 +1,4 @@
-"""Voltages that are stamped earlier or later than what they cause."""
+"""Delay between the stamps of the voltages and of the pressures."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
 
 _LATE = 0.010
-"""[s] Smaller delays than this are within what the model of the valves gets wrong."""
+"""[s] Smaller delays may be errors of the valve model."""
 _LATE_SHARE = 0.3
-"""A delay must take away this share of what the pressures differ from the model. A delay of 22 ms took away 0.42 to
-0.62 on rig A, effects of other kinds at most 0.20."""
+"""Least share of the pressures' difference from the model that a delay must explain. On rig A a delay of 22 ms
+explained 0.42 to 0.62, effects of other kinds at most 0.20."""
 
 
 def delay_of_voltages(
     corrected: Recording, rig: Rig, model: Prediction, joint: str, lock_angle: float, now: Corrections
 ) -> tuple[list[Finding], Corrections]:
-    """By how much the pressures are late against the voltages, beside what wrong orifice areas would do.
+    """Delay of the pressures against the voltages, separated from the effect of wrong orifice areas.
 
-    The pressures' difference from the model is regressed on the rate of the model's pressures, on what each orifice
-    area does, on the pressure itself and on a constant. The coefficient of the rate is the delay.
+    The pressures' difference from the model is regressed on the rate of the model's pressures, the effect of each
+    orifice area, the pressure itself and a constant. The coefficient of the rate is the delay.
 
     Args:
         corrected: the recording with the corrections so far.
         rig: of the model.
-        model: the model's prediction of it.
+        model: prediction for the corrected recording.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
         now: the corrections so far.
@@ -75,5 +75,5 @@ def delay_of_voltages(
         )
     found = replace(now, delay_voltage=round(delay, 3))
     options = tuple(replace(Corrections(), delay_voltage=round(delay, 3)).options())
-    # A delay is not applied by itself: a slow valve looks the same here.
+    # A positive delay is not applied automatically, because a slow valve looks the same.
     return [Finding("doubtful", text, options)], now if delay > 0.0 else found

@@ -1,4 +1,4 @@
-"""What a rig's model makes of the recorded voltages, at the samples of the recording."""
+"""Prediction of a rig's model from the recorded voltages, at the samples of the recording."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 SETTLE = 2.0
-"""[s] After this time the model has forgotten the pressures that it was started with."""
+"""[s] After this time the model no longer depends on the pressures at its start."""
 _START_S = 0.01
-"""[s] At the beginning, whose mean pressures are the start."""
+"""[s] Time at the beginning over which pressures are averaged for the start."""
 _STEP = 0.02
-"""Relative step by which an orifice area is moved to see what it does to the pressures."""
+"""Relative change of an orifice area, to find its effect on the pressures."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The model alone at the samples of a recording, without the time in which it settles.
+    """The model alone at the samples of a recording, without the settling time.
 
     Attributes:
         time: of the samples (K,) [s].
@@ -32,7 +32,7 @@ class Prediction:
         pressure_rate: their rates of change (K, 2) [Pa/s].
         angle: (K,) [rad].
         torque: (K,) [N m].
-        rows: which samples of the recording these are (K,).
+        rows: indices of the samples in the recording (K,).
     """
 
     time: Floats
@@ -53,8 +53,8 @@ def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, kno
         rig: the rig.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
-        known_start: whether the recorded pressures are absolute, in Pa and in place, so that the model starts from
-            them; otherwise it starts in the middle of the supply's range.
+        known_start: whether the model starts from the recorded pressures, which are then absolute, in Pa and not
+            exchanged; otherwise it starts midway between atmosphere and supply.
 
     Raises:
         BadInput: episodes without commands or pressures.
@@ -78,7 +78,7 @@ def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, kno
 def _in_one_piece(recording: Recording, rig: Rig, joint: str, lock_angle: float, known_start: bool) -> Prediction:
     period, step = recording.even_grid(rig.sample_period)
     voltage = np.full((int(step[-1]) + 1, 2), np.nan)
-    # The value of a sample was on the valves over the time that ends there.
+    # A sample's voltage was on the valves over the time up to the sample.
     voltage[step] = recording.voltage
     known = np.isfinite(voltage).all(axis=1)
     following = np.flatnonzero(known)[np.minimum(np.searchsorted(np.flatnonzero(known), np.arange(len(voltage))),
@@ -101,7 +101,7 @@ def _in_one_piece(recording: Recording, rig: Rig, joint: str, lock_angle: float,
 
 
 def with_other_areas(rig: Rig) -> list[Rig]:
-    """The rig with each of its four orifice areas a little larger: what a wrong area would do to the pressures."""
+    """Four rigs, each with one orifice area slightly larger, to find the effect of a wrong area."""
     out = []
     for name in ("valve_1", "valve_2"):
         valve = getattr(rig, name)
@@ -111,14 +111,14 @@ def with_other_areas(rig: Rig) -> list[Rig]:
 
 
 def remainder(columns: Floats, values: Floats) -> Floats:
-    """What a linear combination of columns (K, C) leaves of values (K,)."""
+    """Residual of a least-squares fit of columns (K, C) to values (K,)."""
     scale = np.linalg.norm(columns, axis=0)
     scaled = columns[:, scale > 0.0] / scale[scale > 0.0]
     return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-9)[0])
 
 
 def correlation(values: Floats, expected: Floats) -> float:
-    """Correlation of two series (K,), 0 where either stands still."""
+    """Correlation of two series (K,), 0 where either is constant."""
     known = np.isfinite(values) & np.isfinite(expected)
     if known.sum() < 10 or np.std(values[known]) == 0.0 or np.std(expected[known]) == 0.0:
         return 0.0

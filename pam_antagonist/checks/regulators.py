@@ -1,4 +1,4 @@
-"""What may be wrong with the commands of a joint with pressure regulators."""
+"""Check the commands of a joint with pressure regulators."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pam_antagonist.recording.units import UNITS
 from pam_antagonist.rig import Rig
 
 _SATURATED = 0.02
-"""Share of samples beyond the range from which on it is said: what the regulators did with those is not known."""
+"""Larger shares of samples beyond the range are reported: the regulators' output for them is not known."""
 _SLACK = 1.0
-"""[Pa] By so much a command at the end of the range may be rounded."""
+"""[Pa] Rounding of a command at the end of the range."""
 
 
 def commands(recording: Recording, rig: Rig) -> list[Finding]:
@@ -49,10 +49,10 @@ def commands(recording: Recording, rig: Rig) -> list[Finding]:
 
 
 def _unit(recording: Recording) -> str:
-    """The unit that the commands seem to be in; empty for Pa."""
+    """The apparent unit of the commands; empty for Pa."""
     top = float(np.nanquantile(np.abs(recording.voltage), 0.99))
     measured = float(np.nanquantile(np.abs(recording.pressure), 0.99))
     if top >= MIN_PRESSURE or not top > 0.0:
         return ""
-    # The unit in which commands and measured pressures are about alike.
+    # The unit in which commands and measured pressures agree best.
     return min(UNITS["pressure"], key=lambda unit: abs(np.log(top * UNITS["pressure"][unit] / max(measured, 1.0))))

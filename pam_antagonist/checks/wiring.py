@@ -1,7 +1,7 @@
-"""Units and wiring: the fewest corrections under which everything that was measured goes with the model.
+"""Units and wiring: the fewest corrections with which all measurements agree with the model.
 
-Each pressure goes with its own valve, or with the other one. The ratio to the model's pressures tells the unit, their
-difference tells gauge pressures. The signs of angle and torque then tell whether pressure lines, valves or a sensor's
+Each pressure follows its own valve or the other one. The ratio of the pressures to the model's gives the unit, their
+difference shows gauge pressures. The signs of angle and torque then show whether pressure lines, valves or a sensor's
 sign are exchanged.
 """
 
@@ -25,32 +25,32 @@ from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 Floats = NDArray[np.float64]
 Status = Literal["wrong", "doubtful", "good", "untested"]
 
-# Thresholds. On the 30 recordings of rig A the model's pressures correlate with those measured by 0.996 or more, with
-# those of the other muscle by 0.65 or less, and their ratio is 0.91 to 1.02; all of these are far from the bounds.
+# Thresholds. On the 30 recordings of rig A the correlation of the model's pressures is at least 0.996 with the measured
+# ones and at most 0.65 with those of the other muscle; their ratio is 0.91 to 1.02. All are far from the bounds.
 GOES_WITH = 0.9
-"""A channel goes with the model from this correlation on."""
+"""Least correlation of a channel that agrees with the model."""
 _LEAST_CONTRAST = 0.15
-"""By so much the correlation must be higher for one arrangement than for the other, to tell which it is."""
+"""Least difference of the correlations of the two arrangements, to decide for one."""
 _SAME_UNIT = 1.6
-"""A channel has the right unit if its ratio to the model lies within this factor of 1."""
+"""A channel has the right unit if its ratio to the model is within this factor of 1."""
 GAUGE_TOLERANCE = 25e3
-"""[Pa] How far from one atmosphere the offset of gauge pressures may seem to be, by what the rig file gets wrong."""
+"""[Pa] Tolerance of the offset of gauge pressures, one atmosphere, for errors of the rig file."""
 FAR_OFF = 40e3
-"""[Pa] Pressures that differ more from the model's are not what the rig file describes."""
+"""[Pa] Pressures that differ more from the model's do not fit the rig file."""
 _ANY_PRESSURE = 250e3
-"""[Pa] With the right unit the pressures lie nearer to the model's, gauge pressures included."""
+"""[Pa] Largest difference from the model's pressures in the right unit, also for gauge pressures."""
 STILL_ANGLE = math.radians(0.3)
-"""[rad] A joint that moves less is taken to stand still."""
+"""[rad] A joint that moves less counts as still."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was tested.
+    """Result of one test.
 
     Attributes:
-        status: ``wrong`` (and sure of it), ``doubtful``, ``good`` or ``untested``.
-        text: what was seen, and how sure it is.
-        options: what to type to correct it; empty where nothing can be typed.
+        status: ``wrong`` (certain), ``doubtful``, ``good`` or ``untested``.
+        text: the observation, and how certain it is.
+        options: command line options that correct it; empty where there are none.
     """
 
     status: Status
@@ -59,7 +59,7 @@ class Finding:
 
 
 def arrangement(recording: Recording, model: Prediction) -> tuple[list[Finding], bool | None]:
-    """Whether each pressure goes with its own valve or with the other one; None where that does not show."""
+    """Findings, and whether each pressure follows the other muscle's valve (None: it follows neither)."""
     straight, crossed = (
         min(correlation(recording.pressure[model.rows, (i + shift) % 2], model.pressure[:, i]) for i in (0, 1))
         for shift in (0, 1)
@@ -80,11 +80,11 @@ def arrangement(recording: Recording, model: Prediction) -> tuple[list[Finding],
 
 
 def pressure_unit_of(pressures: Floats, model: Prediction, now: Corrections) -> tuple[list[Finding], Corrections]:
-    """Unit and reference of the pressures, by their ratio to the model's and what is left then.
+    """Unit and reference of the pressures, by their ratio to the model's and the remaining offset.
 
     Args:
-        pressures: as recorded, in the unit that is sought, each beside its valve (K, 2).
-        model: what the voltages make of them.
+        pressures: as recorded, in an unknown unit, in the order of the valves (K, 2).
+        model: the model's prediction.
         now: corrections so far.
     """
     ratio = float(np.sqrt(np.prod([ratio_to(pressures[:, i], model.pressure[:, i]) for i in (0, 1)])))
@@ -120,12 +120,12 @@ def pressure_unit_of(pressures: Floats, model: Prediction, now: Corrections) -> 
 
 @dataclass(frozen=True)
 class Direction:
-    """How a measured channel goes with the model that has the recorded voltages.
+    """Sign and size of a measured channel relative to the model.
 
     Attributes:
         channel: ``angle`` or ``torque``.
-        sign: 1 where it goes with the model, -1 where it goes against it.
-        ratio: size over the size of the model's [-].
+        sign: 1 or -1, of the correlation with the model.
+        ratio: standard deviation over the model's [-].
     """
 
     channel: str
@@ -134,11 +134,11 @@ class Direction:
 
 
 def directions_of(recording: Recording, model: Prediction, now: Corrections, joint: str) -> list[Direction]:
-    """Sign and size of angle and torque against the model's, where they tell.
+    """Sign and size of angle and torque relative to the model, where they correlate with it.
 
     Args:
-        recording: as it is.
-        model: the model's prediction of it.
+        recording: without corrections.
+        model: the model's prediction for it.
         now: the corrections so far.
         joint: ``free`` or ``locked``.
     """
@@ -158,12 +158,12 @@ def directions_of(recording: Recording, model: Prediction, now: Corrections, joi
 def which_is_exchanged(
     exchanged: bool, directions: Sequence[Direction], now: Corrections
 ) -> tuple[list[Finding], Corrections]:
-    """The fewest corrections under which pressures, angle and torque all go with the model.
+    """The fewest corrections with which pressures, angle and torque agree with the model.
 
-    Exchanged pressure lines leave angle and torque as the voltages make them; exchanged valves turn both round.
+    Exchanged pressure lines do not change the signs of angle and torque; exchanged valves reverse both.
 
     Args:
-        exchanged: whether each pressure goes with the other valve.
+        exchanged: whether each pressure follows the other muscle's valve.
         directions: of the measured channels.
         now: corrections so far.
     """
@@ -214,11 +214,11 @@ def _in_words(options: Sequence[str]) -> str:
 
 
 def _nearest_unit(direction: Direction) -> tuple[str, bool]:
-    """The unit that a channel seems to have, and whether it is one."""
+    """The nearest unit of a channel, and whether the channel is in it and not in rad or N m."""
     unit, factor = min(UNITS[direction.channel].items(), key=lambda item: abs(math.log(item[1] * direction.ratio)))
     off = factor * direction.ratio
     base = "rad" if direction.channel == "angle" else "N m"
-    # A unit that is the usual one within a factor of 1.6 stays: a rig file may be that wrong.
+    # Within a factor of 1.6 the unit is rad or N m: the rig file may have such an error.
     if max(direction.ratio, 1.0 / direction.ratio) <= _SAME_UNIT:
         return base, False
     return unit, max(off, 1.0 / off) <= _SAME_UNIT
@@ -241,7 +241,7 @@ def _unit_of(direction: Direction) -> list[Finding]:
 
 
 def fits(corrected: Recording, model: Prediction) -> list[Finding]:
-    """How far the corrected pressures are from the model's: whether this is a recording of the rig at all."""
+    """RMS difference of the corrected pressures from the model's; a large one means another rig."""
     left = np.sqrt(np.nanmean((corrected.pressure[model.rows] - model.pressure) ** 2, axis=0))
     text = f"the model, driven by the voltages, is {left[0] / 1e3:.1f} and {left[1] / 1e3:.1f} kPa off (RMS)"
     if np.max(left) > FAR_OFF:
