@@ -1,4 +1,4 @@
-"""What may reach the valves, and what has to stop them; the rules that plant, bridge and controller share."""
+"""Safety rules that plant, bridge and controller share: which commands reach the valves, and what stops them."""
 
 from pam_antagonist.safety.action import ACTIONS, SafeAction, safe_action
 from pam_antagonist.safety.authority import Authority, Verdict

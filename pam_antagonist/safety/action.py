@@ -1,4 +1,4 @@
-"""What the valves get when nobody may command them."""
+"""Voltages of the valves while there is no valid command."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ ACTIONS = ("hold", "vent")
 
 @dataclass(frozen=True)
 class SafeAction:
-    """The safe voltages, and whether they stay.
+    """The safe voltages, constant or venting.
 
-    ``hold``: both valves get ``hold`` at once and keep it. It is a voltage at which a valve keeps its muscle about
-    where it is: the joint stays stiff, and holds a load. ``vent``: they get ``hold`` at once, and from there both go to
-    ``vent`` by ``rate``, together and so slowly that the joint grows soft without being thrown to one side.
+    Action ``hold``: both valves get ``hold`` at once and keep it. At this voltage a valve roughly keeps the pressure of
+    its muscle, so the joint stays stiff and holds a load. Action ``vent``: the valves get ``hold`` at once and then go
+    to ``vent`` together at ``rate``, so slowly that the joint becomes soft without a jerk to one side.
 
     Attributes:
-        hold: voltages (2,) at once [V]; of pressure regulators what these are asked for [Pa], here and below.
-        vent: voltages (2,) in the end [V]; None: those of ``hold``.
+        hold: voltages (2,) at once [V]; for pressure regulators the commanded pressures [Pa], here and below.
+        vent: voltages (2,) at the end [V]; None: those of ``hold``.
         rate: largest change of each voltage on the way from ``hold`` to ``vent`` [V/s].
     """
 
@@ -34,10 +34,10 @@ class SafeAction:
             raise BadInput(f"vent rate {self.rate!r}: expected a finite number above 0")
 
     def voltage(self, elapsed_ns: int) -> tuple[float, float]:
-        """The voltages (2,) [V] at a time after everything had to become safe.
+        """The safe voltages (2,) [V] at a time after the safe action began.
 
         Args:
-            elapsed_ns: since then [ns].
+            elapsed_ns: time since then [ns].
         """
         if self.vent is None:
             return self.hold
@@ -61,7 +61,7 @@ def safe_action(
         rate: parameter ``vent_rate`` [V/s], or ``vent_pressure_rate`` [Pa/s].
 
     Raises:
-        BadInput: no such action, or voltages beyond the valves' limits.
+        BadInput: an unknown action, or voltages beyond the valves' limits.
     """
     if choice not in ACTIONS:
         raise BadInput(f"parameter safe_action is {choice!r}: expected one of {', '.join(ACTIONS)}")

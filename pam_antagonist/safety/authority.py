@@ -1,8 +1,8 @@
 """Who may command the valves: one commander at a time.
 
-A subscriber in ROS 2 gets neither a publisher's name nor its identifier with a message, but the number that the
-publisher gave to it (``publication_sequence_number``): every publisher counts its own messages. Messages whose numbers
-go on from one another come from one publisher, and that is all that is needed to keep two of them apart.
+In ROS 2 a subscriber gets neither the name nor the identifier of a message's publisher, only the message's number
+(``publication_sequence_number``). Every publisher counts its own messages, so messages with consecutive numbers come
+from one publisher. This is enough to distinguish two publishers.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from __future__ import annotations
 from enum import Enum
 
 LONGEST_STEP = 100
-"""Largest difference between the numbers of two messages that follow one another. A commander sends one command a
-sample, at 1 kHz 20 within the time-out; five times that is left for bursts. Two publishers whose numbers are closer
-than this cannot be told apart."""
+"""Largest difference between the numbers of two consecutive messages of one publisher. A commander sends one command a
+sample, at 1 kHz 20 within the time-out; the limit allows bursts of five times as many. Two publishers whose numbers are
+closer than this cannot be distinguished."""
 
 
 class Verdict(Enum):
-    """What becomes of a command."""
+    """Decision about a command."""
 
     ACCEPTED = "accepted"
     LISTENING = "its publisher has not been heard alone for long enough"
@@ -27,17 +27,17 @@ class Verdict(Enum):
 class Authority:
     """Admits the commands of one publisher and refuses those of any other.
 
-    Whoever is heard first holds the valves until it is silent for ``timeout``; then they are free for the next one: a
-    controller that was killed and started again is obeyed. As long as there are several publishers on the topic (one
-    that was killed is still counted for some seconds), the next one has to be heard alone for ``timeout`` first. And
-    whoever was refused so far does not inherit the valves: a second commander must not get hold of a joint because
-    the first one stumbled. Where two are heard and none has a right, the verdict is ``UNCLEAR``: a reason to stop.
+    The first publisher holds the valves until it is silent for ``timeout``. Then another one may take over, so that a
+    restarted controller is obeyed. While the topic has several publishers (a killed one is still counted for some
+    seconds), a new one must first be heard alone for ``timeout``. A publisher that was refused does not take over when
+    the first one fails. If two publishers are heard and none holds the valves, the verdict is ``UNCLEAR``, and the
+    valves should stop.
 
     Args:
         timeout: silence after which the valves are free [s].
 
     Attributes:
-        refused: commands of second commanders so far.
+        refused: number of refused commands so far.
     """
 
     def __init__(self, timeout: float) -> None:
@@ -46,8 +46,8 @@ class Authority:
         self.release()
 
     def release(self) -> None:
-        """Nobody holds the valves any more, and whoever was refused may try again."""
-        self._last: int | None = None  # number of the last message of whoever holds the valves, or may do so soon
+        """Free the valves, and forget refused publishers."""
+        self._last: int | None = None  # number of the last message of the publisher that holds the valves, or may soon
         self._heard_ns = self._since_ns = 0
         self._holds = False
         self._rival_ns: int | None = None
@@ -56,13 +56,13 @@ class Authority:
         """Judge one command.
 
         Args:
-            sequence: number that its publisher gave to it; None where the middleware gives none: then two publishers
-                cannot be told apart, and more than one on the topic is ``UNCLEAR``.
-            publishers: how many there are on the topic now (``subscription.get_publisher_count()``).
-            now_ns: [ns], of one clock throughout.
+            sequence: the message's number at its publisher; None where the middleware gives none. Without numbers, more
+                than one publisher on the topic is ``UNCLEAR``.
+            publishers: number of publishers on the topic now (``subscription.get_publisher_count()``).
+            now_ns: time of one clock throughout [ns].
         """
         if publishers <= 1:
-            self._rival_ns = None  # whoever else there was is gone
+            self._rival_ns = None  # any other publisher is gone
             self._holds = True
             return self._follow(sequence, now_ns)
         if sequence is None:
@@ -72,7 +72,7 @@ class Authority:
             return self._follow(sequence, now_ns)
         if step is None or not 0 <= now_ns - self._heard_ns <= self._timeout:  # silent, or the clock was set back
             if self._rival_ns is not None and self._rival_ns >= self._heard_ns - self._timeout:
-                return Verdict.UNCLEAR  # it was refused until the other one fell silent
+                return Verdict.UNCLEAR  # a publisher was refused until the holder fell silent
             self._holds, self._since_ns = False, now_ns
             return self._follow(sequence, now_ns)
         if not self._holds or -LONGEST_STEP <= step <= 0:  # no publisher gives a number twice

@@ -1,26 +1,26 @@
-"""Whether the valves get what was commanded, as their owner tells it (``valve_state``)."""
+"""Whether the valves follow the commands, according to ``valve_state``."""
 
 from __future__ import annotations
 
 from pam_antagonist.safety.supervision import Persistent
 
-_PATIENCE = 0.06  # longer than slewing over the whole range takes, and than a command is under way [s]
-_LOOK = 0.025  # longest time between two looks that are counted as one after the other [s]
-_OLD = 0.05  # age beyond which nobody knows what is on the valves [s]
+_PATIENCE = 0.06  # longer than the latency of a command, and than slewing over the whole range [s]
+_LOOK = 0.025  # longest time between two checks that count as consecutive [s]
+_OLD = 0.05  # age at which the last known voltages are no longer used [s]
 
 
 class Following:
-    """Compares commands with what is on the valves.
+    """Compares commands with the voltages on the valves.
 
-    Who owns the valves may have stopped them, or may obey somebody else. A controller that does not notice goes on
-    adding up, and throws the joint when it is obeyed again.
+    The node that owns the valves may have stopped them, or may obey another commander. A controller that does not
+    notice would go on integrating, and would jerk the joint when it is obeyed again.
 
     Args:
-        start: voltages (2,) that the valves have at first [V]; of pressure regulators what these are asked for [Pa].
-        tolerance: between command and valve; commands of neighbouring samples differ by less.
+        start: initial voltages of the valves (2,) [V]; for pressure regulators the commanded pressures [Pa].
+        tolerance: largest normal difference between command and valve [V] or [Pa].
 
     Attributes:
-        astray_count: how often the valves were found astray.
+        astray_count: how often the valves did not follow.
     """
 
     def __init__(self, start: tuple[float, float], tolerance: float = 0.25) -> None:
@@ -31,17 +31,17 @@ class Following:
         self._apart = Persistent(_PATIENCE, _LOOK / 2.0)
 
     def saw(self, voltage: tuple[float, float], now_ns: int) -> None:
-        """What is on the valves (2,) [V] at a steady time [ns]."""
+        """Store the voltages on the valves (2,) [V] at a steady time [ns]."""
         self._voltage, self._seen_ns = voltage, now_ns
 
     def on_valves(self, now_ns: int) -> tuple[float, float] | None:
-        """The voltages (2,) [V] that the valves have now [ns]; None where that is not known."""
+        """The voltages on the valves (2,) [V] now [ns]; None where not known."""
         if self._seen_ns is None or now_ns - self._seen_ns > _OLD * 1e9:
             return None
         return self._voltage
 
     def astray(self, command: tuple[float, float], now_ns: int) -> bool:
-        """Whether the valves have had something else than the command for too long; then it starts to count anew.
+        """Whether the valves have differed from the command for too long; the time then starts anew.
 
         Args:
             command: the last one (2,) [V].

@@ -1,7 +1,7 @@
-"""What may reach the valves: the one gate between commands and hardware.
+"""Guard of the valves: the only way from commands to hardware.
 
-Every sample, whoever owns the valves asks :meth:`ValveGuard.output` and puts on them what it says. Use one clock for
-all times, best the steady one: with a clock that can be set, a guard that is set back starts its time-out anew.
+The node that owns the valves calls :meth:`ValveGuard.output` once a sample and applies the result. Use one clock for
+all times, preferably the steady one: when an adjustable clock is set back, the time-out starts anew.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from pam_antagonist.safety.authority import Authority, Verdict
 _SAME = 1e-9  # rounding [V]
 
 _HOLD = 5.0
-"""For so many time-outs a silent commander keeps its right. The valves are safe meanwhile; a controller whose estimates
-stay away for the time-out says nothing for a little longer than that, and must not lose the joint to somebody else."""
+"""Number of time-outs for which a silent commander stays the commander; the valves are safe meanwhile. A controller
+without estimates is silent for a little longer than the time-out, and must not lose the joint to another one."""
 
 
 class State(Enum):
-    """What the guard does."""
+    """State of the guard."""
 
     OBEYING = "obeys the commander"
     WAITING = "safe voltages: no command yet"
@@ -34,17 +34,17 @@ class State(Enum):
 
     @property
     def safe(self) -> bool:
-        """Whether the valves get what the safe action says."""
+        """Whether the valves get the safe action's voltages."""
         return self is not State.OBEYING
 
 
 class Decision(NamedTuple):
-    """What the valves get now, and why.
+    """Voltages of the valves now, and the reason.
 
     Attributes:
         voltage: (2,) [V].
         state: of the guard.
-        reason: why the guard has stopped the valves, else empty.
+        reason: reason of a stop, else empty.
     """
 
     voltage: tuple[float, float]
@@ -54,14 +54,14 @@ class Decision(NamedTuple):
 
 @dataclass
 class GuardCounts:
-    """What became of the commands so far.
+    """Numbers of commands and outputs so far.
 
     Attributes:
-        commands: accepted.
-        not_finite: left out, as if they had not come.
-        late: left out likewise, since they are too old.
-        clamped: of the accepted, beyond the valves' limits.
-        slewed: outputs that could not follow the command within one sample.
+        commands: accepted commands.
+        not_finite: commands that were ignored because they were not finite.
+        late: commands that were ignored because they were too old.
+        clamped: accepted commands beyond the valves' limits.
+        slewed: outputs that could not reach the command within one sample.
         safe: outputs of the safe action.
     """
 
@@ -74,19 +74,18 @@ class GuardCounts:
 
 
 class ValveGuard:
-    """Lets commands of one commander through: clamped, slew-limited, and only as long as they keep coming.
+    """Lets the commands of one commander through: clamped, slew-limited, and only while they keep coming.
 
-    In every other case the valves get the safe action's voltages, counted from the moment at which that began. They
-    are not slew-limited: the limit is there against commands that make no sense, and a stop has to be quick. A command
-    after that starts from the safe voltages, slew-limited.
+    Otherwise the valves get the safe action's voltages. These are not slew-limited: the limit protects against wrong
+    commands, and a stop has to be quick. A later command starts from the safe voltages, slew-limited.
 
-    :meth:`stop` latches: nothing but :meth:`clear` ends it. Everything else ends by itself with the next command.
+    :meth:`stop` latches until :meth:`clear`. All other safe states end with the next command.
 
-    Pressure regulators are guarded in the same way, with the pressures [Pa] that they are asked for as the voltages.
+    Pressure regulators are guarded in the same way, with commanded pressures [Pa] in place of voltages.
 
     Args:
         limits: of the valves [V].
-        action: what is safe.
+        action: the safe action.
         max_slew: largest change of each voltage while commands are obeyed [V/s].
         timeout: time without a command after which the safe action begins [s].
 
@@ -124,14 +123,14 @@ class ValveGuard:
 
     @property
     def stopped(self) -> str:
-        """Why it is stopped; empty if it is not."""
+        """Reason of the stop; empty if the guard is not stopped."""
         return self._reason
 
     def stop(self, reason: str) -> bool:
         """Give the valves the safe voltages from the next output on, until :meth:`clear`.
 
         Args:
-            reason: in words; of several stops the first one's reason stays, since the others may follow from it.
+            reason: in words; the first reason is kept, since later ones may be consequences.
 
         Returns:
             Whether this is a new stop.
@@ -143,7 +142,7 @@ class ValveGuard:
         return True
 
     def clear(self) -> str:
-        """Obey again, whoever is heard first from now on.
+        """End a stop; the first publisher from now on is obeyed.
 
         Returns:
             The reason of the stop that was cleared; empty where there was none.
@@ -154,7 +153,7 @@ class ValveGuard:
         return reason
 
     def set_active(self, active: bool) -> None:
-        """Take commands or not; a guard that is not active gives the safe voltages. A stop stays a stop."""
+        """Accept commands or not; an inactive guard gives the safe voltages. A stop is not ended."""
         if active != self._active:
             self._active = active
             self._command, self._heard = None, False
@@ -171,15 +170,15 @@ class ValveGuard:
         """Take a command.
 
         Args:
-            voltage: asked for (2,) [V], any numbers.
-            now_ns: when it came [ns].
-            sequence: the number that its publisher gave to it, see :class:`Authority`.
-            publishers: how many publishers there are.
-            late: whether it is too old: commands that lay somewhere on the way keep coming, and feed no watchdog.
+            voltage: command (2,) [V], any numbers.
+            now_ns: time of reception [ns].
+            sequence: the message's number at its publisher, see :class:`Authority`.
+            publishers: number of publishers.
+            late: whether the command is too old; it is then ignored and does not reset the time-out.
 
         Returns:
-            What became of it; ``UNCLEAR`` has stopped the guard. ``ACCEPTED`` does not mean obeyed: while the guard is
-            stopped or not active, it is not.
+            The decision; ``UNCLEAR`` has stopped the guard. An ``ACCEPTED`` command is not obeyed while the guard is
+            stopped or inactive.
         """
         verdict = self.authority.admit(sequence, publishers, now_ns)
         if verdict is Verdict.UNCLEAR:
@@ -187,7 +186,7 @@ class ValveGuard:
         if verdict is not Verdict.ACCEPTED:
             return verdict
         if not (math.isfinite(voltage[0]) and math.isfinite(voltage[1])):
-            self.counts.not_finite += 1  # as if it had not come: the time-out takes care
+            self.counts.not_finite += 1  # ignored, so that the time-out acts
             return verdict
         if late:
             self.counts.late += 1
@@ -202,10 +201,10 @@ class ValveGuard:
         return verdict
 
     def output(self, now_ns: int) -> Decision:
-        """What the valves get now.
+        """Voltages of the valves now.
 
         Args:
-            now_ns: [ns]; calls come in the order of time, once a sample.
+            now_ns: time [ns]; call once a sample, in the order of time.
         """
         if now_ns < self._heard_ns:
             self._heard_ns = min(self._heard_ns, now_ns + self._timeout)
@@ -220,7 +219,7 @@ class ValveGuard:
         self._safe_since_ns = None
         assert self._command is not None
         if self._command != self._last:
-            # The first output has nothing before it but the voltages that valves at rest have.
+            # The first output is not slew-limited, because there is no output before it.
             largest = self._slew * max(0, now_ns - before_ns) if before_ns is not None else math.inf
             self._last = (
                 self._last[0] + min(max(self._command[0] - self._last[0], -largest), largest),

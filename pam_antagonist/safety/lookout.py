@@ -1,26 +1,26 @@
-"""When a planned experiment has to end: a limit that is broken by more than noise."""
+"""End a planned experiment when a limit is exceeded by more than noise."""
 
 from __future__ import annotations
 
 TICK = 0.004
-"""[s] Between two looks."""
+"""[s] Time between two checks."""
 RETREAT = 1.0
-"""[s] Resting voltages after a limit was reached."""
+"""[s] Duration of the resting voltages after a limit was exceeded."""
 _TIMES = 3
-"""So many looks in a row have to find a limit broken: one is noise."""
+"""Number of consecutive checks that must find a limit exceeded; a single one may be noise."""
 
 
 class Lookout:
-    """Watches over an experiment, look by look."""
+    """Counts consecutive checks of an experiment that found a limit exceeded."""
 
     def __init__(self) -> None:
         self._times = 0
 
     def ends(self, broken: str) -> str:
-        """Why the experiment has to end, in words; empty where it goes on.
+        """Reason to end the experiment, in words; empty while it goes on.
 
         Args:
-            broken: what this look found broken, in words; empty for nothing.
+            broken: the limit that this check found exceeded, in words; empty for none.
         """
         self._times = self._times + 1 if broken else 0
         return broken if self._times >= _TIMES else ""

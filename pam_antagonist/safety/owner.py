@@ -1,8 +1,8 @@
 """Who may give references: one publisher at a time.
 
-A subscriber gets a number with each message, and every publisher counts its own messages (see
-:mod:`pam_antagonist.safety.authority`, which is as strict as valves need it). References are limited and slewed behind
-this, and many of them come once: so one that is heard alone is obeyed at once, and silence frees the joint for others.
+Publishers are distinguished by the numbers of their messages, as in :mod:`pam_antagonist.safety.authority`. The rule
+for valves there is stricter. References are limited and slewed later, and many are sent only once. So the first
+publisher is obeyed at once, and silence frees the joint for others.
 """
 
 from __future__ import annotations
@@ -12,16 +12,15 @@ _LONGEST_STEP = 100
 
 
 class ReferenceOwner:
-    """Admits the references of one publisher, and refuses another's while the first one is heard.
+    """Admits the references of one publisher, and refuses those of others while the first one is heard.
 
-    Two publishers whose numbers go on from one another by chance cannot be told apart; that there are two is seen
-    nevertheless.
+    Two publishers whose numbers are close by chance cannot be distinguished.
 
     Args:
         silence: time after which another publisher may take over [s].
 
     Attributes:
-        refused: references of others so far.
+        refused: number of refused references so far.
     """
 
     def __init__(self, silence: float = 1.0) -> None:
@@ -34,9 +33,9 @@ class ReferenceOwner:
         """Judge one reference.
 
         Args:
-            sequence: its number by publisher; None where the middleware gives none: then all are admitted, and that
-                there are several is only seen.
-            publishers: how many there are on the topic now.
+            sequence: the message's number at its publisher; None where the middleware gives none: then all are
+                admitted.
+            publishers: number of publishers on the topic now.
             now_ns: steady time [ns].
         """
         if publishers > 1 and self._last is not None and 0 <= now_ns - self._heard_ns <= self._silence:

@@ -1,9 +1,9 @@
-"""What has to stop a joint: pressures, and estimates, that cannot be right or must not be.
+"""Supervision of pressures and estimates: implausible or dangerous values stop a joint.
 
-Each supervision looks at one sample after another and says in words what is wrong, once it has been wrong for long
-enough; whoever asked then stops (:meth:`ValveGuard.stop`) and stays so. Times are those of the samples' stamps, so
-that a recording gives the same answer. A supervision goes on looking while the valves are stopped: :attr:`present`
-tells whether the cause is still there.
+Each supervision checks one sample after another. Once a problem has lasted long enough, it returns the reason in
+words, and the caller stops the joint (:meth:`ValveGuard.stop`). Times are counted in the samples' stamps, so that a
+recording gives the same result. Checks go on while the valves are stopped: :attr:`present` tells whether the cause is
+still there.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from pam_antagonist.estimation.filter import PATIENCE
 from pam_antagonist.estimation.memory import MISSING_PRESSURE_1, MISSING_PRESSURE_2, OUTLIER
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 
-_CHANCE = 1e-15  # of a sound sensor taken for frozen, a sample: once in 30,000 years at 1 kHz
-_SHARE = 0.15  # of the samples; with innovations twice as large as they should be, 18 % are out of bounds
-_FEWEST = 3.0  # samples, since after a stall there may be but a few
-_SLOWEST = 30.0  # low-pass of a sensor's amplifier, a sixth of what docs/how-to/hardware.md asks for [Hz]
-_GAP = 20  # samples in a row that are missing: the valves have become safe meanwhile, for want of commands
-_SETTLING = 2 * PATIENCE  # samples until the filter has taken the pressures behind a gap for what they are
+_CHANCE = 1e-15  # probability, for each sample, that a good sensor counts as frozen: once in 30,000 years at 1 kHz
+_SHARE = 0.15  # of the samples; with innovations twice as large as expected, 18 % are out of bounds
+_FEWEST = 3.0  # samples out of bounds, because a window may hold only a few after a stall
+_SLOWEST = 30.0  # assumed low-pass of a sensor's amplifier, a sixth of what docs/how-to/hardware.md asks for [Hz]
+_GAP = 20  # consecutive missing samples, after which the valves have become safe for lack of commands
+_SETTLING = 2 * PATIENCE  # samples until the filter accepts the pressures after a gap
 _NEVER = 3e9  # a century [s]
-_LONGEST_FROZEN = 1.0  # a sensor that may stand still for longer by chance cannot be judged so [s]
+_LONGEST_FROZEN = 1.0  # a sensor that may stay constant for longer by chance cannot be checked [s]
 
 
 def frozen_samples(noise: float, step: float, correlation: float = 0.0) -> float:
-    """How many equal readings in a row a sound sensor does not give.
+    """Number of equal consecutive readings that shows a frozen sensor.
 
-    At constant pressure a reading falls into the code of the one before with a probability of at most
-    p = erf(step / (2 sqrt(2) s)), where s = noise sqrt(1 - correlation^2) is what is left open by that one. So n in a
-    row have a probability of at most p^(n-1).
+    At constant pressure a reading has the same code as the one before with a probability of at most
+    p = erf(step / (2 sqrt(2) s)), where s = noise sqrt(1 - correlation^2) is the standard deviation given the reading
+    before. So n equal readings have a probability of at most p^(n-1).
 
     Args:
-        noise: standard deviation of its readings before the converter [Pa].
-        step: of its converter [Pa]; 0: none.
-        correlation: between the noise of one reading and that of the next, 0 to below 1 [-].
+        noise: standard deviation of the readings before the converter [Pa].
+        step: of the converter [Pa]; 0: none.
+        correlation: between the noise of two consecutive readings, 0 to below 1 [-].
 
     Returns:
-        The least n at which that is less than 1e-15; infinite for a sensor that is so quiet that it may stand still.
+        The least n with a probability below 1e-15; infinite for a sensor with too little noise.
     """
     if noise <= 0.0:
         return math.inf
@@ -50,16 +50,16 @@ def frozen_samples(noise: float, step: float, correlation: float = 0.0) -> float
 
 
 def frozen_time(noise: float, step: float, period: float, least: float = 0.02) -> float | None:
-    """Time of equal readings after which a sensor counts as frozen [s]; None: it cannot be judged so.
+    """Time of equal readings after which a sensor counts as frozen [s]; None: the sensor cannot be checked.
 
-    Amplifiers filter, which makes equal readings more likely: the noise is taken for that behind a low-pass of first
-    order and 30 Hz.
+    Filtering in an amplifier makes equal readings more likely. The noise is assumed to have passed a first-order
+    low-pass of 30 Hz.
 
     Args:
         noise: standard deviation of a reading [Pa].
         step: of the converter [Pa].
         period: between two readings [s].
-        least: not less than this, since some converters give every result several times [s].
+        least: lower bound, because some converters repeat each result several times [s].
     """
     correlation = math.exp(-2.0 * math.pi * _SLOWEST * period)
     time = max(least, frozen_samples(noise, step, correlation) * period)
@@ -67,12 +67,12 @@ def frozen_time(noise: float, step: float, period: float, least: float = 0.02) -
 
 
 class Persistent:
-    """Whether something has been so without a break for a time.
+    """Whether a condition has held without a break for a time.
 
-    Between two samples no more than two periods count: what was not looked at was not seen.
+    The time between two samples counts as two periods at most, because nothing was checked in between.
 
     Args:
-        time: that it takes [s].
+        time: required time [s].
         period: between two samples [s].
     """
 
@@ -85,14 +85,14 @@ class Persistent:
         self._so_far = 0
 
     def seen(self, stamp_ns: int) -> bool:
-        """It is so at this stamp [ns]; whether it has been for long enough."""
+        """The condition holds at this stamp [ns]; returns whether it has held for long enough."""
         if self._last is not None:
             self._so_far += min(max(stamp_ns - self._last, 0), self._longest)
         self._last = stamp_ns
         return self._so_far >= self._time
 
     def gone(self) -> None:
-        """It is not so."""
+        """The condition does not hold."""
         self._last = None
         self._so_far = 0
 
@@ -102,20 +102,20 @@ def _pair(time: float, period: float) -> tuple[Persistent, Persistent]:
 
 
 class PressureSupervision:
-    """Watches the two measured pressures, at whoever measures them.
+    """Checks the two measured pressures, in the node that measures them.
 
     Args:
         highest: pressure limit of each muscle (2,) absolute [Pa].
-        over_time: how long a pressure may be above it [s]; a single reading may be a spike of the sensor.
+        over_time: how long a pressure may exceed the limit [s]; a single reading may be a spike of the sensor.
         missing_time: how long a pressure may be missing (NaN or infinite) [s].
-        frozen_time: how long a pressure may keep exactly the same value [s]; None: any time.
+        frozen_time: how long a pressure may keep exactly the same value [s]; None: no limit.
         period: between two samples [s].
 
     Raises:
         BadInput: a limit or a time that is not above 0.
 
     Attributes:
-        present: what was wrong with the last sample for long enough, in words; empty if nothing was.
+        present: problem of the last sample that has lasted long enough, in words; empty if there is none.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class PressureSupervision:
         self._last = [math.nan, math.nan]
 
     def reset(self) -> None:
-        """Forget what was seen."""
+        """Forget all samples."""
         self.present = ""
         self._last = [math.nan, math.nan]
         for group in (self._over, self._missing, self._frozen):
@@ -149,15 +149,15 @@ class PressureSupervision:
                 item.gone()
 
     def check(self, stamp_ns: int, pressure_1: float, pressure_2: float) -> str:
-        """Look at one sample.
+        """Check one sample.
 
         Args:
-            stamp_ns: its stamp [ns].
+            stamp_ns: stamp of the sample [ns].
             pressure_1: measured, absolute [Pa], NaN where missing.
             pressure_2: likewise.
 
         Returns:
-            What has been wrong for long enough, in words; empty if nothing has.
+            The problem that has lasted long enough, in words; empty if there is none.
         """
         self.present = self._one(0, stamp_ns, pressure_1) or ""
         second = self._one(1, stamp_ns, pressure_2)
@@ -187,32 +187,32 @@ class PressureSupervision:
 
 
 class EstimateSupervision:
-    """Watches the estimates, at whoever acts on them.
+    """Checks the estimates, in the node that uses them.
 
-    A sample counts as out of bounds where its normalised innovation squared is above ``nis_limit``, or where a
-    pressure was refused as an outlier: measured and expected pressures disagree. One is chance, or a spike. A seventh
-    of the samples that ``nis_time`` holds is a sensor that is wrong, or a joint that is not the model's any more. With
-    100 samples that is noticed before the filter, which refuses 20 in a row, gives in and is dragged along. Too small
-    innovations are no reason to stop: a tuning may be cautious.
+    A sample is out of bounds if its normalised innovation squared exceeds ``nis_limit``, or if a pressure was refused
+    as an outlier: measured and expected pressures disagree. A single such sample may be chance or a spike. 15 % of the
+    samples within ``nis_time`` mean a wrong sensor, or a joint that no longer fits the model. With 100 samples this is
+    noticed in time: after 20 refused samples in a row the filter accepts the wrong pressures. Small innovations are no
+    reason to stop, because a tuning may be cautious.
 
-    Behind a gap of 20 samples or more nothing is counted for 40: the filter does not know what was on the valves
-    meanwhile, so that it has to refuse pressures until it gives in. Whoever acts on estimates should not act on these.
+    After a gap of 20 samples or more, the next 40 samples are not counted. The filter does not know the voltages during
+    the gap, and refuses pressures until it accepts the new ones. These estimates should not be used.
 
     Args:
         highest_angle: largest magnitude of the angle [rad].
-        angle_time: how long it may be larger [s].
+        angle_time: how long the angle may exceed it [s].
         nis_limit: bound of the normalised innovation squared of two pressures [-].
-        nis_time: the time over which samples out of bounds are counted [s].
-        blind_time: how long the filter may be without a pressure of either muscle [s]; None: for ever, as of a joint
-            whose pressures nobody measures.
+        nis_time: time over which samples out of bounds are counted [s].
+        blind_time: how long the filter may be without a pressure of either muscle [s]; None: no limit, for a joint
+            whose pressures are not measured.
         period: between two samples [s].
 
     Raises:
         BadInput: a limit or a time that is not above 0.
 
     Attributes:
-        present: what was wrong with the last estimate for long enough, in words; empty if nothing was.
-        settling: whether the last estimate stands behind a gap, so that it is not to be acted on.
+        present: problem of the last estimate that has lasted long enough, in words; empty if there is none.
+        settling: whether the last estimate follows a gap, so that it should not be used.
     """
 
     def __init__(
@@ -242,7 +242,7 @@ class EstimateSupervision:
         self._settled_ns = 0
 
     def reset(self) -> None:
-        """Forget what was seen."""
+        """Forget all estimates."""
         self.present = ""
         self._angle.gone()
         for item in self._blind:
@@ -252,18 +252,18 @@ class EstimateSupervision:
         self.settling, self._last_ns, self._settled_ns = False, None, 0
 
     def check(self, stamp_ns: int, angle: float, nis: float, flags: int) -> str:
-        """Look at one estimate.
+        """Check one estimate.
 
         Args:
-            stamp_ns: its stamp [ns].
+            stamp_ns: stamp of the estimate [ns].
             angle: estimated [rad].
             nis: normalised innovation squared, NaN where no pressure was used.
             flags: of the estimate.
 
         Returns:
-            What has been wrong for long enough, in words; empty if nothing has.
+            The problem that has lasted long enough, in words; empty if there is none.
         """
-        self.settling = self._behind_a_gap(stamp_ns)
+        self.settling = self._after_a_gap(stamp_ns)
         if self.settling:
             self._samples.clear()
             self._outside = 0
@@ -281,18 +281,18 @@ class EstimateSupervision:
             self._blind[1].gone()
         if abs(angle) <= self._highest:
             self._angle.gone()
-        elif math.isfinite(angle) and self._angle.seen(stamp_ns):  # one that is not finite is not acted on anyway
+        elif math.isfinite(angle) and self._angle.seen(stamp_ns):  # an angle that is not finite is not used anyway
             words = f"the estimated angle is {angle:+.3f} rad, beyond {self._highest:g} rad"
         self.present = words
         return words
 
-    def _behind_a_gap(self, stamp_ns: int) -> bool:
+    def _after_a_gap(self, stamp_ns: int) -> bool:
         last = self._last_ns
-        if last is None or not 0 <= last - stamp_ns <= RESTART_AFTER_NS:  # one that comes late leaves no gap behind it
+        if last is None or not 0 <= last - stamp_ns <= RESTART_AFTER_NS:  # a late estimate is ignored
             self._last_ns = stamp_ns
         if last is not None and stamp_ns - last > self._gap:
             self._settled_ns = stamp_ns + self._settle
-        # The clock may be set back: what lies too far ahead is no end of a settling.
+        # An end that is too far ahead is invalid: the clock was set back.
         return 0 < self._settled_ns - stamp_ns <= self._settle
 
     def _consistency(self, stamp_ns: int, outside: bool) -> str:
