@@ -1,1 +1,1 @@
-"""Real hardware: the serial protocol, its device, clocks, calibration, and a device to practise on (no ROS in here)."""
+"""Real hardware: serial protocol, device, clocks, calibration, and an emulated device (without ROS)."""

@@ -1,7 +1,7 @@
-"""From readings to SI units: a YAML file for each set of sensors, checked like a rig file.
+"""Calibration from readings to SI units: a YAML file for each set of sensors, checked like a rig file.
 
-A pressure is ``gain * reading + offset``, to which the atmosphere's is added where it is gauge; or it is
-``gain * (reading - at_rest)`` plus the atmosphere's, where ``at_rest`` is what the sensor shows with the muscle open.
+A pressure is ``gain * reading + offset``, plus the atmosphere for gauge pressures. Or it is
+``gain * (reading - at_rest)`` plus the atmosphere, where ``at_rest`` is the reading with the muscle open to the air.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pam_antagonist.safety import SafeAction
 from pam_antagonist.strict_yaml import Strict, read_mapping, validated
 
 EXAMPLE = "example"
-_HIGHEST_PRESSURE = 2.1e6  # what is above is no pneumatic muscle's [Pa]
+_HIGHEST_PRESSURE = 2.1e6  # no pneumatic muscle has a higher one [Pa]
 
 
 class PressureChannel(Strict):
@@ -62,7 +62,7 @@ class RegulatorChannel(Strict):
 
 
 class Calibration(Strict):
-    """What the sensors behind a device are. Read one with :func:`load_calibration`."""
+    """Sensors and regulators of a device. Read one with :func:`load_calibration`."""
 
     name: str
     unit: Literal["V", "code"] = Field(description="of the readings: V, or codes of the converter")
@@ -79,7 +79,7 @@ class Calibration(Strict):
 
 
 def calibration_names() -> list[str]:
-    """Names of the files that come with the package."""
+    """Names of the calibrations that come with the package."""
     return sorted(path.stem for path in (config_dir() / "hardware").glob("*.yaml"))
 
 
@@ -113,7 +113,7 @@ def _locate(name: str) -> Path:
 
 
 def _complaints(found: Calibration) -> Iterator[str]:
-    """What the schema cannot see."""
+    """Contradictions between entries, which the schema cannot check."""
     for name in ("pressure_1", "pressure_2", "torque"):
         channel = getattr(found, name)
         if channel is None:
@@ -144,7 +144,7 @@ def _complaints(found: Calibration) -> Iterator[str]:
 
 
 def _sensor_complaints(found: Calibration) -> Iterator[str]:
-    """Pressure sensors that are there and are said not to be, or the other way round."""
+    """Contradictions between ``pressure_sensors`` and the sensors of the file."""
     measured = found.pressure_sensors == "measured"
     if not measured and found.regulator_1 is None:
         yield "pressure_sensors is none: expected regulator_1 and regulator_2 as well; valves do not tell the pressures"
@@ -170,13 +170,13 @@ class _Linear:
     highest: float
 
     def value(self, reading: float) -> float:
-        """In SI units; NaN for a reading that no sensor in order shows."""
-        if not self.lowest <= reading <= self.highest:  # as well where it is no number
+        """Value in SI units; NaN for a reading outside the sensor's range."""
+        if not self.lowest <= reading <= self.highest:  # also true for NaN
             return math.nan
         return self.gain * reading + self.offset
 
     def reading(self, value: float) -> float:
-        """The reading that means a value."""
+        """The reading for a value."""
         return (value - self.offset) / self.gain
 
 
@@ -185,7 +185,7 @@ class Converter:
 
     Args:
         calibration: of the sensors.
-        rest: added to both pressures (2,) [Pa]: what they are off by, as measured at rest.
+        rest: correction that is added to both pressures (2,) [Pa], as measured at rest.
     """
 
     def __init__(self, calibration: Calibration, rest: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -210,7 +210,7 @@ class Converter:
         return channel.gain, channel.offset + atmosphere
 
     def check(self, info: DeviceInfo) -> None:
-        """Make sure that the device has what the calibration is for.
+        """Make sure that the device has the channels of the calibration.
 
         Raises:
             BadInput: other units, or a channel that the device does not have.
@@ -228,20 +228,20 @@ class Converter:
         return bool(self._pressures)
 
     def pressure(self, readings: tuple[float, float]) -> tuple[float, float]:
-        """Both pressures, absolute [Pa]; NaN where the sensor is out of order, or where there is none."""
+        """Both pressures, absolute [Pa]; NaN where the sensor is faulty or missing."""
         if not self._pressures:
             return math.nan, math.nan
         first, second = self._pressures
         return first.value(readings[0]) + self.rest[0], second.value(readings[1]) + self.rest[1]
 
     def suits(self, drive: str) -> None:
-        """Make sure that the calibration says what a rig needs.
+        """Make sure that the calibration fits a rig.
 
         Args:
             drive: of the rig, ``valve`` or ``regulator``.
 
         Raises:
-            BadInput: nothing of the regulators that the rig has, or no pressure sensors for a rig with valves.
+            BadInput: no regulators for a rig with regulators, or no pressure sensors for a rig with valves.
         """
         if drive == "regulator" and self._regulators is None:
             raise BadInput(
@@ -255,24 +255,24 @@ class Converter:
             )
 
     def asked(self, command: tuple[float, float]) -> tuple[float, float]:
-        """Absolute pressures [Pa] that the device's voltages (2,) [V] ask the regulators for; voltages without any."""
+        """Pressure commands (2,) [Pa absolute] of the device's voltages (2,) [V]; the voltages without regulators."""
         if self._regulators is None:
             return command
         (gain_1, offset_1), (gain_2, offset_2) = self._regulators
         return gain_1 * command[0] + offset_1, gain_2 * command[1] + offset_2
 
     def output(self, command: tuple[float, float]) -> tuple[float, float]:
-        """Voltages (2,) [V] by which the device asks for a command [Pa]; the command itself without regulators."""
+        """Voltages of the device (2,) [V] for pressure commands [Pa]; the command itself without regulators."""
         if self._regulators is None:
             return command
         (gain_1, offset_1), (gain_2, offset_2) = self._regulators
         return (command[0] - offset_1) / gain_1, (command[1] - offset_2) / gain_2
 
     def action(self, action: SafeAction) -> SafeAction:
-        """What is safe, in voltages of the device; neither muscle is vented faster than asked.
+        """A safe action in voltages of the device; neither muscle vents faster than the action's rate.
 
         Args:
-            action: in voltages, or of a joint with regulators in pressures.
+            action: in voltages, or in pressures for a joint with regulators.
         """
         if self._regulators is None:
             return action
@@ -283,15 +283,15 @@ class Converter:
         """Angle [rad], None without an encoder."""
         if encoder is None or self.calibration.encoder is None:
             return None
-        # counters of 32 bits wrap
+        # 32-bit counters wrap around
         return ((encoder - self._zero + 2**31) % 2**32 - 2**31) * self._step
 
     def torque(self, reading: float | None) -> float | None:
-        """Torque [N m], None without a meter, NaN where it is out of order."""
+        """Torque [N m], None without a torque meter, NaN where it is faulty."""
         return None if reading is None or self._torque is None else self._torque.value(reading)
 
     def readings(self, pressure: tuple[float, float], angle: float, torque: float) -> tuple[float, float, int, float]:
-        """What the sensors show, without an end at ``lowest`` and ``highest``: for a device to practise on.
+        """Readings of the sensors for the emulator, not limited to ``lowest`` and ``highest``.
 
         Args:
             pressure: of both muscles, absolute [Pa].
@@ -299,7 +299,7 @@ class Converter:
             torque: of the muscles [N m].
 
         Returns:
-            Readings of both pressures, counts of the encoder, reading of the torque meter; 0 where there is none.
+            Readings of both pressures, counts of the encoder, reading of the torque meter; 0 for missing sensors.
         """
         shown = [channel.reading(value) for channel, value in zip(self._pressures, pressure, strict=False)]
         first, second = shown or (0.0, 0.0)

@@ -1,10 +1,9 @@
-"""From the device's clock to the host's.
+"""Map from the device's clock to the host's.
 
-A sample reaches the host some time after it was taken: never less than the least delay of the line, often a little
-more, sometimes 300 ms more. So the arrivals lie above a straight line over the device's time, whose slope is how much
-faster the host's clock runs, and touch it now and then. The least delay of each second gives a point; a robust line
-under the points of the last 16 s is the map. Stamps follow that line by running a little faster or slower, never by a
-jump: samples that the device took evenly are stamped evenly.
+A sample reaches the host with the least delay of the line, often a little more, sometimes 300 ms more. So host time
+over device time has a straight lower bound, whose slope is the ratio of the clocks' rates. The least delay of each
+second gives a point, and the map is a robust line under the points of the last 16 s. Stamps approach this line by
+running slightly faster or slower, without jumps, so that evenly taken samples are stamped evenly.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ _COUNTER = 1 << 32
 
 
 class Unwrapped:
-    """A 32-bit counter of microseconds, which begins anew every 71.6 minutes, as one that does not."""
+    """Unwraps a 32-bit counter of microseconds, which wraps around every 71.6 minutes."""
 
     def __init__(self) -> None:
         self._last: int | None = None
         self._time = 0
 
     def __call__(self, counter: int) -> int | None:
-        """Time since the first call [µs]; None for a counter that went back, as that of a restarted device does."""
+        """Time since the first call [µs]; None for a counter that went back, as after a restart of the device."""
         if self._last is None:
             self._last = counter
             return 0
@@ -38,17 +37,17 @@ class Unwrapped:
 
 
 class ClockMap:
-    """Host time of device times, from when samples of them arrived.
+    """Host time of device times, from the times of arrival of samples.
 
     Args:
-        window_ns: over which the least delay is looked for [ns].
-        windows: how many of them the line is put under.
-        warm_up_ns: host time from the first arrival until the map is good for stamps [ns].
-        largest_rate: of the host's clock against the device's, as deviation from 1 [-]; what is beyond it is no drift.
-        largest_error_ns: between map and line, beyond which following it smoothly would take too long [ns].
+        window_ns: time over which the least delay is searched [ns].
+        windows: number of windows that the line uses.
+        warm_up_ns: host time from the first arrival until the map is used for stamps [ns].
+        largest_rate: largest deviation of the ratio of the clocks' rates from 1 [-]; more is no drift.
+        largest_error_ns: largest error of the map that is corrected smoothly [ns]; a larger one restarts the map.
 
     Attributes:
-        restarts: how often the map had to begin anew because it was too far off.
+        restarts: how often the map was restarted.
     """
 
     def __init__(
@@ -77,12 +76,12 @@ class ClockMap:
 
     @property
     def ready(self) -> bool:
-        """Whether there has been enough to go by."""
+        """Whether the warm-up is over."""
         return self._anchor is not None
 
     @property
     def drift(self) -> float:
-        """How much faster the host's clock runs than the device's [-]; NaN as long as that is not known."""
+        """Relative rate by which the host's clock is faster than the device's [-]; NaN while not known."""
         return self._drift if len(self._points) > 2 else math.nan
 
     @property
@@ -95,8 +94,8 @@ class ClockMap:
         """Take an arrival.
 
         Args:
-            device_ns: when the sample was taken, on the device's clock, increasing [ns].
-            host_ns: when it arrived, on the host's clock [ns].
+            device_ns: time of the sample on the device's clock, increasing [ns].
+            host_ns: time of its arrival on the host's clock [ns].
         """
         offset = host_ns - device_ns
         if self._first_ns is None:
@@ -114,14 +113,14 @@ class ClockMap:
             self._steer(device_ns)
 
     def host_ns(self, device_ns: int) -> int:
-        """Host time of a device time [ns]; grows with it. Only when :attr:`ready`."""
+        """Host time of a device time [ns]; strictly increasing. Only when :attr:`ready`."""
         assert self._anchor is not None
-        at, host = self._anchor
-        since = device_ns - at
+        device, host = self._anchor
+        since = device_ns - device
         return host + since + round(since * self._rate)
 
     def _steer(self, now_ns: int) -> None:
-        """From here on, run towards where the line will be at the end of the next window."""
+        """Set the rate so that the map meets the line at the end of the next window."""
         if len(self._points) > 2:
             self._drift = self._clipped(
                 median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._points, 2) if b[0] != a[0])

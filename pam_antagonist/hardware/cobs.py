@@ -1,23 +1,23 @@
-"""Consistent overhead byte stuffing: bytes without zeros, so that a zero can end a frame.
+"""Consistent overhead byte stuffing (COBS): encodes bytes without zeros, so that a zero can end a frame.
 
 Cheshire and Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Transactions on Networking 7 (1999). Frames here are
-short, so that the case of 254 bytes in a row without a zero, which needs a block of its own, does not come up.
+too short for the special case of 254 bytes without a zero.
 """
 
 from __future__ import annotations
 
 LONGEST = 253
-"""Most bytes that are encoded: one byte of overhead, no block of 254."""
+"""Largest number of bytes to encode, so that there is one byte of overhead and no block of 254."""
 
 
 def encode(data: bytes) -> bytes:
-    """The data without zeros, one byte longer.
+    """Encode data without zeros; the result is one byte longer.
 
     Args:
         data: at most ``LONGEST`` bytes.
 
     Raises:
-        ValueError: more than that.
+        ValueError: more bytes.
     """
     if len(data) > LONGEST:
         raise ValueError(f"{len(data)} bytes, expected at most {LONGEST}")
@@ -25,10 +25,10 @@ def encode(data: bytes) -> bytes:
 
 
 def decode(encoded: bytes) -> bytes | None:
-    """What was encoded; None where this is no encoding of anything.
+    """Decode; None for an invalid encoding.
 
     Args:
-        encoded: what stood between two zeros on the wire.
+        encoded: bytes between two zeros on the wire.
     """
     if not 0 < len(encoded) <= LONGEST + 1:
         return None

@@ -1,4 +1,4 @@
-"""A device at the level of samples: what the bridge needs of a microcontroller, a DAQ card, or anything else."""
+"""Interface of a device at the level of samples: what the bridge needs of a microcontroller or a DAQ card."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ SEQUENCES = 1 << 16
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What a device says about itself when it starts.
+    """Properties that a device reports when it starts.
 
     Attributes:
-        name: for people.
+        name: for display.
         unit: of the readings of pressures and torque, ``V`` or ``code``.
-        encoder: whether it has one.
+        encoder: whether it has an encoder.
         torque: whether it has a torque meter.
-        period_ns: between two samples [ns].
-        watchdog_ns: without a command until it puts the safe voltages on the valves by itself [ns]; None: it never
-            does, and a dead host leaves the valves as they are.
-        voltage_min: least voltage that it puts on a valve [V].
-        voltage_max: largest [V].
+        period_ns: time between two samples [ns].
+        watchdog_ns: time without a command until the device applies the safe voltages [ns]; None: it has no watchdog,
+            and the valves stay as they are when the host dies.
+        voltage_min: lowest output voltage [V].
+        voltage_max: highest output voltage [V].
     """
 
     name: str
@@ -40,12 +40,12 @@ class DeviceInfo:
 
 
 class RawSample(NamedTuple):
-    """What a device read at one time.
+    """One sample of a device, not yet converted.
 
     Attributes:
-        sequence: counts samples, modulo 65536, those that were lost as well.
-        device_ns: when it was read, on the device's clock, since the start [ns].
-        arrival_ns: when it arrived, on the host's steady clock (``time.monotonic_ns``) [ns].
+        sequence: number of the sample, modulo 65536; lost samples count.
+        device_ns: time of the sample on the device's clock, since the start [ns].
+        arrival_ns: time of arrival on the host's steady clock (``time.monotonic_ns``) [ns].
         pressure: readings of both muscles (2,) [V or code].
         voltage: on the valves over the sample that ends at ``device_ns`` (2,) [V].
         encoder: counts, None without an encoder.
@@ -66,37 +66,37 @@ class RawSample(NamedTuple):
 class Device(Protocol):
     """Hardware with two pressures and two valves, sampled by its own clock.
 
-    All is called by one thread, but for ``counters``, and ``close``, which may come at any time.
+    One thread makes all calls except ``counters`` and ``close``, which may come from any thread at any time.
     """
 
     def start(self, action: SafeAction) -> DeviceInfo:
         """Begin to sample, with safe voltages on the valves.
 
-        It is called again after every ``DeviceLost``. What it had open then is its own to close.
+        The method is called again after every ``DeviceLost``; it closes what it had opened before.
 
         Args:
-            action: what the valves get until the first command, and whenever commands stay away.
+            action: of the valves until the first command, and whenever commands stop.
 
         Raises:
-            DeviceLost: it cannot be reached.
+            DeviceLost: the device cannot be reached.
         """
 
     def samples(self, timeout_s: float) -> Sequence[RawSample]:
-        """The samples since the last call, as soon as there is one; none after the time [s].
+        """The samples since the last call, as soon as there is one; empty after the time [s].
 
         Raises:
-            DeviceLost: it is gone.
+            DeviceLost: the device is gone.
         """
 
     def command(self, voltage: tuple[float, float]) -> None:
         """Put voltages on the valves, with the next sample or at once (2,) [V]. Does not wait.
 
         Raises:
-            DeviceLost: it is gone.
+            DeviceLost: the device is gone.
         """
 
     def close(self) -> None:
-        """Safe voltages, and the end. May be called at any time, also twice."""
+        """Apply the safe voltages and close the device. May be called at any time, also twice."""
 
     def counters(self) -> Mapping[str, float]:
-        """What is worth telling about the line, for diagnostics: name with unit -> value."""
+        """Counters of the connection for diagnostics: name with unit -> value."""

@@ -1,6 +1,6 @@
-"""A device to practise on: the reference firmware on a pseudo-terminal, with the physics behind its sensors.
+"""Emulated device: the reference firmware on a pseudo-terminal, with a simulated joint behind its sensors.
 
-The host cannot tell it from a microcontroller on a serial port, apart from what USB adds to the delay.
+To the host it behaves like a microcontroller on a serial port, without the delay of USB.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from pam_antagonist.hardware.miswired import Miswired
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.simulation.plant import Plant
 
-_LONGEST_CATCH_UP = 1.0  # [s]; what is beyond is left out, with the overrun flag
+_LONGEST_CATCH_UP = 1.0  # [s] of late samples that are caught up; with more, all are skipped with the overrun flag
 _LOG_FLUSH = 0.05  # [s]
 LOG_HEADER = "time_ns,device_us,event,voltage_1,voltage_2,safe"
 
 
 class Port:
-    """A pseudo-terminal with a link to it that keeps its name.
+    """A pseudo-terminal, with a link of a fixed name.
 
     Args:
-        link: made, and removed with the port; None: none.
+        link: path of the link, which is removed with the port; None: no link.
 
     Raises:
-        BadInput: the link cannot be made, or something else is there.
+        BadInput: the link cannot be made, or the path exists and is no link.
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -58,7 +58,7 @@ class Port:
             raise BadInput(f"{link}: cannot be made: {error.strerror}") from None
 
     def wait(self, seconds: float) -> bytes:
-        """What the host sends, as soon as it does; nothing after the time."""
+        """Bytes from the host, as soon as there are some; empty after the time [s]."""
         ready, _, _ = select.select([self._master], [], [], max(seconds, 0.0))
         if ready:
             with suppress(OSError):
@@ -66,12 +66,12 @@ class Port:
         return b""
 
     def send(self, data: bytes) -> None:
-        """To the host; what does not fit, because it does not read, is lost."""
+        """Send to the host; bytes that do not fit into the buffer are lost."""
         with suppress(OSError):
             os.write(self._master, data)
 
     def close(self) -> None:
-        """As if pulled out."""
+        """Close the port, as if it were unplugged."""
         if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self.path:
             self._link.unlink()
         os.close(self._slave)
@@ -79,13 +79,13 @@ class Port:
 
 
 class VoltageLog:
-    """What the valves had and when: a CSV file with a row for every change.
+    """Log of the voltages on the valves: a CSV file with a row for every change.
 
     Columns: time since 1970 [ns], device's clock [µs], event (``voltage``, or a fault that begins or ends, as ``+flip``
-    and ``-flip``), both voltages [V], 1 where they are the safe ones for want of a valid command.
+    and ``-flip``), both voltages [V], 1 where they are the safe ones for lack of a valid command.
 
     Args:
-        file: takes the rows; None: nowhere.
+        file: gets the rows; None: no log.
     """
 
     def __init__(self, file: TextIO | None) -> None:
@@ -96,7 +96,7 @@ class VoltageLog:
             file.write(LOG_HEADER + "\n")
 
     def voltage(self, device_us: int, voltage: tuple[float, float], safe: bool) -> None:
-        """The valves have these voltages from now on.
+        """Log the voltages on the valves.
 
         Args:
             device_us: time of the device [µs].
@@ -104,14 +104,14 @@ class VoltageLog:
             safe: whether the firmware put the safe voltages there.
         """
         if (voltage, safe) != self._last:
-            turned = self._last is None or self._last[1] != safe
+            safe_changed = self._last is None or self._last[1] != safe
             self._last = voltage, safe
-            self._row(device_us, "voltage", turned)
+            self._row(device_us, "voltage", safe_changed)
         elif self._waiting and time.monotonic() - self._flushed > _LOG_FLUSH:
             self._flush()
 
     def event(self, device_us: int, name: str) -> None:
-        """Something else happened."""
+        """Log another event."""
         self._row(device_us, name, at_once=True)
 
     def _row(self, device_us: int, event: str, at_once: bool) -> None:
@@ -131,10 +131,10 @@ class VoltageLog:
 
 @dataclass(frozen=True)
 class DeviceClock:
-    """Its oscillator.
+    """Clock of the emulated device.
 
     Attributes:
-        drift: how much faster than the host's it runs [-].
+        drift: relative rate by which it is faster than the host's [-].
         first_us: counter at power-on [µs].
     """
 
@@ -146,18 +146,18 @@ class Emulator:
     """The device: its clock, firmware, sensors and port.
 
     Args:
-        plant: the joint behind it.
-        converter: says what the sensors show.
-        firmware: the logic.
-        faults: what goes wrong.
+        plant: the simulated joint.
+        converter: gives the readings of the sensors.
+        firmware: the device's logic.
+        faults: planned and ordered faults.
         log: of the voltages.
-        open_port: gives a port, also after one was pulled out.
-        clock: its oscillator.
-        regulated: whether its voltages are the commands of pressure regulators.
+        open_port: opens a port, also again after a fault closed one.
+        clock: the device's clock.
+        regulated: whether the voltages are commands of pressure regulators.
 
     Attributes:
         ticks: samples so far.
-        missed: samples that were left out because this process stood still for too long.
+        missed: samples that were skipped because this process stalled for too long.
     """
 
     def __init__(
@@ -187,14 +187,14 @@ class Emulator:
 
     @property
     def path(self) -> str:
-        """Of the port; empty while there is none."""
+        """Path of the port; empty while there is none."""
         return "" if self._port is None else self._port.path
 
     def run(self, stopping: Callable[[], bool]) -> None:
-        """Sample by the clock until told to stop."""
+        """Sample in real time until ``stopping`` returns true."""
         period = self._firmware.settings.period_us * 1e-6 / (1.0 + self._clock.drift)
         start = time.monotonic()
-        index = 0  # of the next sample, those that were missed counted
+        index = 0  # of the last sample; missed samples count
         while not stopping():
             self._listen(start + (index + 1) * period, start)
             overrun = Status(0)
@@ -214,11 +214,11 @@ class Emulator:
             self._port = None
 
     def _us(self, since_start: float) -> int:
-        """The device's clock."""
+        """Counter of the device's clock [µs] at a host time since the start [s]."""
         return (self._clock.first_us + int(since_start * (1.0 + self._clock.drift) * 1e6)) % (1 << 32)
 
     def _listen(self, until: float, start: float) -> None:
-        """Wait for the next tick, and hear what the host says as it comes."""
+        """Wait for the next tick, and answer the host meanwhile."""
         while (left := until - time.monotonic()) > 0.0:
             if self._port is None:
                 time.sleep(left)
@@ -235,7 +235,7 @@ class Emulator:
         firmware = self._firmware
         now_us = (self._clock.first_us + index * period_us) % (1 << 32)
         if self._port is not None and not self._faults.has("deaf"):
-            # What lay there while this process stood still.
+            # Bytes that came while this process stalled.
             data = self._faults.damaged(self._port.wait(0.0))
             if data:
                 self._send(firmware.receive(data, now_us))
@@ -251,7 +251,7 @@ class Emulator:
         self.ticks += 1
 
     def _plan(self, now_us: int) -> bool:
-        """Let faults begin and end; their time counts from the first command. Whether the device begins anew."""
+        """Begin and end faults, whose time counts from the first command; returns whether the device restarts."""
         if self._first_command_s is None:
             return False
         begun, ended = self._faults.at(time.monotonic() - self._first_command_s)
@@ -272,7 +272,7 @@ class Emulator:
         return "restart" in begun
 
     def _shown(self, channel: int, reading: float) -> float:
-        """What a pressure sensor shows, in order or not."""
+        """Reading of a pressure sensor with its faults."""
         if self._faults.hits("nan", channel):
             return math.nan
         if self._faults.hits("broken", channel):

@@ -1,7 +1,7 @@
-"""What a device has to do, as a reference: a state machine that is fed with bytes and ticks.
+"""Reference firmware of a device: a state machine with bytes and ticks as inputs.
 
-It is plain on purpose: no allocation that matters, no exceptions, 32-bit unsigned times, so that it can be written down
-in C line by line. It knows nothing of the host but the protocol, and trusts it in nothing.
+It is simple on purpose (no significant allocation, no exceptions, 32-bit unsigned times), so that it can be translated
+to C line by line. It checks everything that the host sends.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ _HALF_SEQUENCE = 1 << 15
 
 @dataclass(frozen=True)
 class Settings:
-    """What is burnt into the device.
+    """Fixed settings of the device.
 
     Attributes:
-        name: what it calls itself.
-        features: what it has.
+        name: of the device.
+        features: sensors, and unit of the readings.
         period_us: time between two samples [µs].
         watchdog_us: time without a valid command until the safe voltages [µs].
-        session_us: time without a valid command until it falls silent and waits for a hello [µs].
-        voltage_min: least voltage of its outputs [V].
-        voltage_max: largest [V].
-        safe_voltage: on the valves from power-on until a host asks for others (2,) [V].
+        session_us: time without a valid command until the device becomes silent and waits for a hello [µs].
+        voltage_min: lowest output voltage [V].
+        voltage_max: highest output voltage [V].
+        safe_voltage: on the valves from power-on until a host sends others (2,) [V].
     """
 
     name: str = "reference"
@@ -45,14 +45,14 @@ class Settings:
 
 @dataclass(frozen=True)
 class Readings:
-    """What the inputs show at a tick.
+    """Readings of the inputs at a tick.
 
     Attributes:
         pressure_1: [V or code].
         pressure_2: [V or code].
         encoder: counts.
         torque: [V or code].
-        fault: what the hardware itself found wrong.
+        fault: faults that the hardware itself found.
     """
 
     pressure_1: float
@@ -63,28 +63,28 @@ class Readings:
 
 
 class Firmware:
-    """The device's logic. :meth:`receive` for what comes from the host, :meth:`tick` at every sample.
+    """The device's logic: call :meth:`receive` with bytes of the host, and :meth:`tick` at every sample.
 
-    Commands take effect at the next tick, so that the voltages are constant over every sample, and the telemetry of
-    the sample can say what they were.
+    Commands take effect at the next tick, so that the voltages are constant over every sample, and the sample's
+    telemetry can report them.
 
     Args:
-        settings: what is burnt in.
+        settings: fixed settings of the device.
 
     Attributes:
         voltage: on the valves now (2,) [V]; changes at ticks and with a goodbye.
-        safe: whether these are the safe voltages for want of a valid command.
+        safe: whether these are the safe voltages for lack of a valid command.
         running: whether there is a session.
         watchdog_trips: how often the watchdog has acted.
-        refused: commands that were refused.
+        refused: number of refused commands.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
-        # As they arrive on the wire: 9.9 V is a little more as a float32 than as a float64, or a little less.
+        # Rounded to float32 like the commands, so that a command at the limit is accepted.
         self._lowest, self._highest = as_float32(self.settings.voltage_min), as_float32(self.settings.voltage_max)
         self.safe_voltage = self.settings.safe_voltage
-        self._vent, self._vent_step = self.safe_voltage, 0.0  # where they go from there, and how far a sample [V]
+        self._vent, self._vent_step = self.safe_voltage, 0.0  # end of venting, and step a sample [V]
         self.voltage = self.safe_voltage
         self.safe = True
         self.running = False
@@ -97,11 +97,11 @@ class Firmware:
         self._fresh = False  # a valid command has come, and the watchdog has not acted since
         self._newest: int | None = None  # sequence number of the newest command
         self._command_us = 0  # when it came
-        self._heard_us = 0  # when it, or the hello, came: a hello that comes twice does not count as a command
+        self._heard_us = 0  # when the newest command or hello came; a repeated hello does not count as a command
 
     @property
     def damaged(self) -> int:
-        """Frames that came damaged."""
+        """Number of damaged frames received."""
         return self._frames.damaged
 
     def receive(self, data: bytes, now_us: int) -> bytes:
@@ -112,13 +112,13 @@ class Firmware:
             now_us: device's clock [µs], modulo 2³².
 
         Returns:
-            What to answer at once.
+            Answer to send at once.
         """
         answer = b""
         for payload in self._frames.feed(data):
             version = protocol.version_of(payload)
             if version is not None and version != protocol.VERSION:
-                # A host of another version gets to know ours, whatever the rest of its hello looks like.
+                # Report our version; the rest of the hello may have another layout.
                 answer += self._welcome(0, Result.OTHER_VERSION)
                 continue
             message = protocol.unpack(payload)
@@ -143,7 +143,7 @@ class Firmware:
             self._vent, self._vent_step = vent, rate * self.settings.period_us * 1e-6
             self._fresh, self._newest = False, None
             self.running = True
-            # Muscles that are vented stay so: a host that comes back with the same wishes does not fill them again.
+            # A host that returns with the same safe action does not fill vented muscles again.
             if not self.safe or (self.safe_voltage, self._vent, self._vent_step) != before:
                 self._become_safe()
         self._heard_us = now_us
@@ -156,8 +156,8 @@ class Firmware:
         if (
             not self.running
             or command.session != self._session
-            or not 0 < ahead < _HALF_SEQUENCE  # twice, or overtaken
-            or delay_us >= self.settings.watchdog_us  # lay in some buffer, or comes from a host that sees nothing
+            or not 0 < ahead < _HALF_SEQUENCE  # repeated, or older than the newest
+            or delay_us >= self.settings.watchdog_us  # delayed in a buffer, or the host receives no samples
             or not self._allowed(voltage)
         ):
             self.refused += 1
@@ -178,13 +178,13 @@ class Firmware:
             readings: of the inputs, now.
 
         Returns:
-            The telemetry to send; nothing where no host has asked for it.
+            The telemetry to send; empty without a session.
         """
         silence_us = _since(self._command_us, now_us)
         sent = self._telemetry(now_us, silence_us, readings) if self.running else b""
         self._sequence = (self._sequence + 1) & 0xFFFF
         if self._fresh and silence_us >= self.settings.watchdog_us:
-            # Not asked again before a command comes: the clock wraps every 71 minutes, and old would look new.
+            # Latched until the next command: the clock wraps every 71 minutes, and an old command would look new.
             self._fresh = False
             self.watchdog_trips += 1
         if self.running and _since(self._heard_us, now_us) >= self.settings.session_us:
@@ -202,7 +202,7 @@ class Firmware:
         self.safe, self.voltage = True, self.safe_voltage
 
     def _vent_further(self) -> None:
-        """From the safe voltages to those that let the air out, by no more than the host allowed."""
+        """Go one step from the safe voltages towards the venting ones, at most at the host's rate."""
         step = self._vent_step
         first, second = (
             now + min(max(end - now, -step), step) for now, end in zip(self.voltage, self._vent, strict=True)
@@ -238,13 +238,13 @@ class Firmware:
 def _since(then_us: int, now_us: int) -> int:
     """Time from one reading of the clock to another [µs].
 
-    Bytes may be received between the moment that a tick is due and the tick: what lies ahead by less than half the
-    counter's range is no long time ago, but none.
+    Bytes may be received between the due time of a tick and the tick. So a time ahead by less than half the counter's
+    range counts as 0, not as a long time ago.
     """
     passed = (now_us - then_us) % _FULL
     return passed if passed < _FULL // 2 else 0
 
 
 def as_float32(value: float) -> float:
-    """What a number becomes on the wire."""
+    """A number rounded to float32, as on the wire."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])

@@ -1,4 +1,4 @@
-"""Frames: a payload with its check sum, stuffed, and a zero behind it."""
+"""Frames: a payload with its check sum, byte-stuffed, and a zero at the end."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ _LONGEST_FRAME = cobs.LONGEST + 1  # stuffed, without the zero
 
 
 def frame(payload: bytes) -> bytes:
-    """What goes over the wire for a payload of at most ``LONGEST_PAYLOAD`` bytes.
+    """The frame on the wire of a payload of at most ``LONGEST_PAYLOAD`` bytes.
 
     The check sum is the CRC-32 of IEEE 802.3 (reflected, 0xEDB88320, start and end inverted), least byte first.
-    Sixteen bits would not do: where one byte in a hundred is damaged, some 300 of the 1000 frames a second are, and
-    one of 65536 of those would pass for a good one: a wrong voltage every few minutes.
+    Sixteen bits are not enough: if one byte in a hundred is damaged, so are about 300 of the 1000 frames a second. One
+    in 65536 of these would be accepted, which is a wrong voltage every few minutes.
     """
     return cobs.encode(payload + zlib.crc32(payload).to_bytes(CRC_BYTES, "little")) + b"\0"
 
 
 class FrameReader:
-    """Finds the good frames in a stream of bytes, wherever it begins and whatever is wrong with it.
+    """Finds the valid frames in a stream of bytes that may be damaged and may begin anywhere.
 
     Attributes:
-        damaged: frames so far that were cut, stuffed wrongly, too long, or did not fit their check sum.
+        damaged: number of frames that were cut, wrongly stuffed, too long, or had a wrong check sum.
     """
 
     def __init__(self) -> None:
@@ -34,18 +34,18 @@ class FrameReader:
         self._skip = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take what came.
+        """Take received bytes.
 
         Args:
             data: bytes, in any portions.
 
         Returns:
-            Payloads of the frames that are complete and good, in order.
+            Payloads of the complete and valid frames, in order.
         """
         *pieces, rest = (self._rest + data).split(b"\0")
         payloads = []
         for piece in pieces:
-            if self._skip:  # the end of something too long, counted already
+            if self._skip:  # the end of a frame that was too long, counted already
                 self._skip = False
                 continue
             if not piece:  # two zeros in a row are allowed: a sender may begin with one
@@ -62,7 +62,7 @@ class FrameReader:
         return payloads
 
     def reset(self) -> None:
-        """Forget a frame that has only begun: another sender speaks from here on."""
+        """Forget an incomplete frame, because the following bytes come from another sender."""
         self._rest, self._skip = b"", False
 
 

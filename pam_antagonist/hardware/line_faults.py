@@ -1,4 +1,4 @@
-"""What goes wrong with a device, its line and its wiring, on purpose and at chosen times."""
+"""Simulated faults of a device, its line and its wiring, at chosen times."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ KINDS = {
     "leak": "the fitting of muscle 1 or 2 is not tight",
     "stuck": "valve 1 or 2 stays where it is",
 }
-"""Name -> what happens."""
+"""Name -> description."""
 
 _PROBABILITIES = ("flip", "drop")
 _CHANNELS = ("freeze", "nan", "broken", "leak", "stuck")
@@ -44,7 +44,7 @@ class LineFault:
         kind: one of ``KINDS``.
         value: share (0 to 1) or number of the channel; 0 where there is nothing to choose.
         begin: [s] after the first command.
-        end: [s], infinite for good.
+        end: [s]; infinite: never ends.
     """
 
     kind: str
@@ -57,7 +57,7 @@ def parse_fault(text: str) -> LineFault:
     """A fault as written on the command line: ``KIND[=VALUE][@BEGIN[-END]]``, such as ``flip=0.01@2-3``.
 
     Raises:
-        BadInput: no such fault, or numbers that make no sense.
+        BadInput: an unknown fault, or invalid numbers.
     """
     head, at, times = text.partition("@")
     kind, equals, number = head.partition("=")
@@ -89,21 +89,21 @@ def _number(text: str, number: str) -> float:
 
 
 class FaultOrders:
-    """A named pipe through which faults are begun and ended while the device runs.
+    """A named pipe for orders that begin and end faults while the device runs.
 
     Each line is an order: ``+KIND`` or ``+KIND=VALUE`` begins a fault, ``-KIND`` ends all of that kind.
 
     Args:
-        path: of the pipe, which is made.
+        path: of the pipe to make.
 
     Raises:
-        BadInput: it cannot be made.
+        BadInput: the pipe cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
         try:
             os.mkfifo(path)
-            # Its own writer as well, so that there is no end of file when one of the others leaves.
+            # Opened for writing as well, so that there is no end of file when a writer closes the pipe.
             self._pipe = os.open(path, os.O_RDWR | os.O_NONBLOCK)
         except OSError as error:
             raise BadInput(f"{path}: a named pipe cannot be made: {error.strerror}; expected a new name") from None
@@ -126,12 +126,12 @@ class FaultOrders:
 
 
 class FaultPlan:
-    """Which faults there are at a time.
+    """The faults that are present at a time.
 
     Args:
-        faults: all of them that are known beforehand.
-        seed: of what is left to chance.
-        orders: gives what is ordered meanwhile, see :class:`FaultOrders`; None: nothing is.
+        faults: planned faults.
+        seed: of the random numbers.
+        orders: returns new orders, see :class:`FaultOrders`; None: no orders.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class FaultPlan:
         """Begin or end a fault by order.
 
         Raises:
-            BadInput: no such order.
+            BadInput: an unknown order.
         """
         sign, text = order[0], order[1:]
         if sign == "+":
@@ -157,7 +157,7 @@ class FaultPlan:
             raise BadInput(f"order {order!r}: expected +KIND, +KIND=VALUE or -KIND, with one of {', '.join(KINDS)}")
 
     def at(self, time: float) -> tuple[list[str], list[str]]:
-        """Go on to a time [s]; names of faults that begin, and of those that end."""
+        """Advance to a time [s]; returns the names of faults that begin, and of those that end."""
         for order in () if self._orders is None else self._orders():
             self._obey(order)
         now: dict[str, tuple[float, ...]] = {}
@@ -168,19 +168,19 @@ class FaultPlan:
         return [kind for kind in now if kind not in before], [kind for kind in before if kind not in now]
 
     def has(self, kind: str) -> bool:
-        """Whether there is such a fault now."""
+        """Whether a fault of this kind is present now."""
         return kind in self._now
 
     def hits(self, kind: str, channel: int) -> bool:
-        """Whether a channel (1 or 2) has such a fault now."""
+        """Whether a channel (1 or 2) has a fault of this kind now."""
         return channel in self._now.get(kind, ())
 
     def dropped(self) -> bool:
-        """Whether the next frame gets lost."""
+        """Whether the next frame is lost."""
         return self._random.random() < max(self._now.get("drop", (0.0,)))
 
     def damaged(self, data: bytes) -> bytes:
-        """Bytes as they come out of the line."""
+        """Bytes after the faults of the line."""
         share = max(self._now.get("flip", (0.0,)))
         if share == 0.0:
             return data

@@ -1,4 +1,4 @@
-"""A device kept going: started, calibrated, stamped, and started anew after it was lost. One thread."""
+"""Runs a device in one thread: starts it, converts and stamps its samples, and restarts it after a loss."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from pam_antagonist.hardware.transport import DeviceLost
 from pam_antagonist.safety import SafeAction
 
 SILENCE = 0.25
-"""Time without a sample after which a device is greeted anew [s]."""
-_LOOK = 0.5e-3  # at commands, while no sample comes [s]
+"""Time without a sample after which a device is restarted [s]."""
+_LOOK = 0.5e-3  # longest wait for a sample before commands are checked [s]
 _RETRY = 0.2  # [s]
-_CLOCK_STEP = 50_000_000  # of the host's clock, beyond what disciplining it does [ns]
+_CLOCK_STEP = 50_000_000  # step of the host's clock, larger than its normal adjustment [ns]
 _JOIN = 0.3  # [s]
 
 
@@ -29,7 +29,7 @@ class Sample(NamedTuple):
 
     Attributes:
         stamp_ns: host time at which it was taken [ns].
-        pressure: of both muscles, absolute, NaN where there is none to be trusted (2,) [Pa].
+        pressure: of both muscles, absolute, NaN where missing or faulty (2,) [Pa].
         voltage: on the valves over the sample that ends at the stamp (2,) [V].
         angle: [rad], None without an encoder.
         torque: [N m], None without a torque meter.
@@ -46,13 +46,13 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a device has to be like.
+    """Required properties of a device.
 
     Attributes:
-        period_ns: between two samples [ns].
-        voltage_min: least voltage that is going to be commanded [V].
-        voltage_max: largest [V].
-        action: for the valves without commands.
+        period_ns: time between two samples [ns].
+        voltage_min: lowest voltage of all commands [V].
+        voltage_max: highest voltage of all commands [V].
+        action: safe action of the valves.
     """
 
     period_ns: int
@@ -63,17 +63,17 @@ class Wanted:
 
 @dataclass
 class LinkCounts:
-    """What has happened so far.
+    """Counters since the start.
 
     Attributes:
-        samples: delivered.
-        lost: samples of the device that never came, by their numbers.
-        without_stamp: that came before the clocks were known.
-        backwards: left out because their stamps would have gone back.
-        clock_steps: of the host's clock.
+        samples: delivered samples.
+        lost: samples that never came, by their numbers.
+        without_stamp: samples before the clock map was ready.
+        backwards: samples left out because their stamps would have decreased.
+        clock_steps: steps of the host's clock.
         sessions: how often a device was started.
         lost_devices: how often the device was lost.
-        safe_by_itself: samples with the device's own safe voltages for want of a command.
+        safe_by_itself: samples with the device's own safe voltages for lack of a command.
     """
 
     samples: int = 0
@@ -92,17 +92,17 @@ class Link:
     Args:
         device: the hardware.
         converter: of its readings.
-        wanted: what it has to be like.
-        now_ns: the clock that stamps are in [ns].
+        wanted: required properties.
+        now_ns: the clock of the stamps [ns].
         deliver: takes each sample, on the link's thread.
-        attend: called on the link's thread after every look at the device, samples or not, twice a millisecond or more
-            often: the place to command it.
+        attend: called on the link's thread after every check for samples, at least every 0.5 ms; it may command the
+            device.
 
     Attributes:
-        counts: what has happened so far.
+        counts: counters since the start.
         info: of the device; None while there is none.
-        trouble: why there is none, in words; empty while all is well.
-        clock: from the device's to the host's.
+        trouble: why there is no device, in words; empty while it runs.
+        clock: map from the device's clock to the host's.
     """
 
     def __init__(
@@ -133,25 +133,25 @@ class Link:
         self._failure: BaseException | None = None
 
     def start(self) -> None:
-        """Begin. The thread ends with :meth:`stop`, and does not keep the process alive."""
+        """Start the thread. It ends with :meth:`stop`, and does not keep the process alive."""
         self._stop.clear()
         self.trouble = "waits for the device"
         self._thread = threading.Thread(target=self._run, name="device", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End, with safe voltages on the valves."""
+        """Stop the thread and close the device, with safe voltages on the valves."""
         self._stop.set()
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.join(_JOIN)
-        self._device.close()  # ends a greeting that nobody answers, too
+        self._device.close()  # also ends a handshake without an answer
         if thread is not None:
             thread.join(_JOIN)
         self.info, self.trouble = None, "stopped"
 
     def check(self) -> None:
-        """Raise on the caller's thread what has ended this one, if anything has."""
+        """Raise the exception that ended the link's thread, if there was one."""
         if self._failure is not None:
             raise self._failure
 
@@ -165,7 +165,7 @@ class Link:
                     self.counts.lost_devices += self.info is not None
                     self.info, self.trouble = None, str(error)
                     self._stop.wait(_RETRY)
-        except BaseException as error:  # a defect: it must not be swallowed with the thread
+        except BaseException as error:  # a defect, which must not be lost with the thread
             self.info, self.trouble = None, f"defect: {error!r}"
             self._failure = error
             self._device.close()
@@ -180,7 +180,7 @@ class Link:
             raise DeviceLost(
                 f"{info.name} samples every {info.period_ns * 1e-6:g} ms, the rig every {wanted.period_ns * 1e-6:g} ms"
             )
-        # what is a little beyond them is rounding
+        # tolerance for rounding
         if info.voltage_min > wanted.voltage_min + 1e-6 or info.voltage_max < wanted.voltage_max - 1e-6:
             raise DeviceLost(
                 f"{info.name} gives {info.voltage_min:g} to {info.voltage_max:g} V, the rig's valves get "
@@ -205,17 +205,17 @@ class Link:
                 for sample in samples:
                     self._take(sample, offset)
             elif time.monotonic() - last_received > SILENCE:
-                # not while this process stood still: then there would have been something to read
+                # a stall of this process is not the cause: samples would be waiting
                 raise DeviceLost(f"silent for {time.monotonic() - last_received:.2f} s")
             self._attend()
 
     def _host_offset(self) -> int:
-        """From the steady clock to the one that stamps are in [ns]."""
+        """Difference between the clock of the stamps and the steady clock [ns]."""
         steady = time.monotonic_ns()
         offset = self._now_ns() - steady
         if self._offset_ns is not None and abs(offset - self._offset_ns) > _CLOCK_STEP:
             self.counts.clock_steps += 1
-            self._last_stamp = None  # time itself went back, or ahead
+            self._last_stamp = None  # stamps may decrease after the step
             self._new_clock()
         self._offset_ns = offset
         return offset

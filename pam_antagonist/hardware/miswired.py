@@ -1,4 +1,4 @@
-"""A joint that is not wired as its rig file says, for trials of whoever has to notice."""
+"""A simulated joint with wiring faults, to test that they are detected."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pam_antagonist.hardware.line_faults import FaultPlan
 from pam_antagonist.simulation.plant import Plant, PlantSample
 
 _LEAK = 2.5e-8
-"""[m²] Of a fitting that is not tight: half of a valve's inflow area."""
+"""[m²] Area of a leaking fitting: half of a valve's inflow area."""
 _OFF = 1.001
-"""Pressure behind a supply that is off, over the atmosphere's [-]."""
+"""Pressure of a supply that is off, relative to the atmosphere [-]."""
 
 
 class Miswired:
-    """A simulated joint with the faults of a wiring in front of it.
+    """A simulated joint behind faulty wiring.
 
     Args:
-        plant: the joint itself.
-        faults: which of them there are now.
+        plant: the joint.
+        faults: the faults.
     """
 
     def __init__(self, plant: Plant, faults: FaultPlan) -> None:
@@ -32,10 +32,10 @@ class Miswired:
         """Advance one sample period.
 
         Args:
-            voltage: that the device puts out (2,) [V].
+            voltage: outputs of the device (2,) [V].
 
         Returns:
-            What the sensors show at its end.
+            Sensor values at the end of the period.
         """
         faults = self._faults
         if (wanted := self._wanted()) != self._changed:
@@ -55,7 +55,7 @@ class Miswired:
         return sample
 
     def _wanted(self) -> dict[str, float]:
-        """Parameters of the joint that a fault changes, by dotted path."""
+        """Parameters of the joint that faults change, by dotted path."""
         out = {f"effects.leak.area_{i}": _LEAK for i in (1, 2) if self._faults.hits("leak", i)}
         if self._faults.has("no_supply"):
             out["supply.pressure"] = self._off

@@ -1,7 +1,7 @@
-"""The messages between host and device, byte by byte; docs/reference/protocol.md has them as tables.
+"""Messages between host and device, byte by byte; docs/reference/protocol.md lists them as tables.
 
-Everything is little-endian and packed. The first byte of a payload is its kind. The second one of ``Hello`` and
-``Welcome`` is the version of the protocol: these two bytes stay where they are in every version.
+All fields are little-endian and packed. The first byte of a payload is its kind. The second byte of ``Hello`` and
+``Welcome`` is the version of the protocol. These two bytes are the same in every version.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ class Kind(IntEnum):
 
 
 class Result(IntEnum):
-    """What a device says to a hello."""
+    """A device's answer to a hello."""
 
     ACCEPTED = 0
     OTHER_VERSION = 1
     SAFE_VOLTAGE_REFUSED = 2
-    """Not finite, or beyond its outputs; or the rate is negative."""
+    """The voltages are not finite or out of range, or the rate is negative."""
 
 
 class Feature(IntFlag):
-    """What a device has."""
+    """Features of a device."""
 
     ENCODER = 1
     TORQUE = 2
@@ -48,14 +48,14 @@ class Feature(IntFlag):
 
 
 class Status(IntFlag):
-    """How a device is, in every sample; several may be set."""
+    """State of a device, in every sample; several flags may be set."""
 
     SAFE = 1
     """The valves had the safe voltages over this sample: no valid command in time."""
     PRESSURE_1_FAULT = 2
-    """The reading of pressure 1 is not to be used (converter, wire)."""
+    """The reading of pressure 1 is invalid (converter, wire)."""
     PRESSURE_2_FAULT = 4
-    """The same of pressure 2."""
+    """The reading of pressure 2 is invalid."""
     OUTPUT_FAULT = 8
     """The voltages could not be put on the valves."""
     OVERRUN = 16
@@ -69,12 +69,12 @@ class Hello(NamedTuple):
 
     Attributes:
         version: of the protocol.
-        session: number of this session, any other than the last one.
-        safe_voltage_1: what valve 1 gets at once without commands [V].
-        safe_voltage_2: the same of valve 2 [V].
-        vent_voltage_1: where that of valve 1 goes from there, slowly [V].
-        vent_voltage_2: the same of valve 2 [V].
-        vent_rate: largest change on the way [V/s]; 0: it stays.
+        session: number of this session, other than the last one.
+        safe_voltage_1: safe voltage of valve 1, applied at once without commands [V].
+        safe_voltage_2: safe voltage of valve 2 [V].
+        vent_voltage_1: final voltage of valve 1 when venting [V].
+        vent_voltage_2: final voltage of valve 2 when venting [V].
+        vent_rate: rate from safe to final voltages [V/s]; 0: the safe voltages stay.
     """
 
     version: int
@@ -96,8 +96,8 @@ class Welcome(NamedTuple):
         features: a ``Feature``.
         period_us: time between two samples [µs].
         watchdog_us: time without a valid command until the safe voltages [µs].
-        voltage_min: least voltage that the device puts on a valve [V].
-        voltage_max: largest [V].
+        voltage_min: lowest output voltage [V].
+        voltage_max: highest output voltage [V].
         name: of the device, up to 16 bytes of ASCII.
     """
 
@@ -118,7 +118,7 @@ class Command(NamedTuple):
     Attributes:
         session: of the hello.
         sequence: counts commands, modulo 65536.
-        seen: sequence number of the newest sample that the host had when it sent this.
+        seen: sequence number of the newest sample at the host when it sent the command.
         voltage_1: for valve 1 [V].
         voltage_2: for valve 2 [V].
     """
@@ -134,7 +134,7 @@ class Telemetry(NamedTuple):
     """Device to host: one sample.
 
     Attributes:
-        sequence: counts samples, modulo 65536; one that the device missed counts as well.
+        sequence: counts samples, modulo 65536; samples that the device missed count.
         time_us: device's clock when the pressures were read [µs], modulo 2³².
         pressure_1: reading of muscle 1 [V or code].
         pressure_2: reading of muscle 2 [V or code].
@@ -144,10 +144,10 @@ class Telemetry(NamedTuple):
         voltage_2: on valve 2 over that sample [V].
         status: a ``Status``.
         command: sequence number of the newest command that was accepted.
-        command_age_us: from its arrival to ``time_us`` [µs], at most 65535, which also means none yet.
+        command_age_us: time from the command's arrival to ``time_us`` [µs]; 65535: longer, or no command yet.
         watchdog_trips: how often the watchdog has acted, modulo 65536.
-        damaged: frames that came damaged, modulo 65536.
-        refused: commands that were refused, modulo 65536: other session, old, not finite, out of range.
+        damaged: damaged frames received, modulo 65536.
+        refused: refused commands, modulo 65536: other session, old, not finite, out of range.
     """
 
     sequence: int
@@ -195,10 +195,10 @@ def pack(message: Message) -> bytes:
 
 
 def unpack(payload: bytes) -> Message | None:
-    """The message in a payload; None for a kind or a length that this version does not know.
+    """The message in a payload; None for an unknown kind or length.
 
     Args:
-        payload: of a frame whose check sum was right.
+        payload: of a valid frame.
     """
     known = _KINDS.get(payload[0]) if payload else None
     if known is None:
@@ -217,7 +217,7 @@ def version_of(payload: bytes) -> int | None:
 
 
 def text_name(name: bytes) -> str:
-    """A device's name for people; whatever is not printable ASCII is replaced."""
+    """A device's name for display; characters other than printable ASCII are replaced."""
     text = name.split(b"\0")[0].decode("ascii", "replace")
     return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in text)
 

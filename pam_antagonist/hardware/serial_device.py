@@ -1,4 +1,4 @@
-"""The host's end of the protocol: a device behind a transport."""
+"""The host's side of the protocol: a device that is reached by a transport."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pam_antagonist.hardware.transport import DeviceLost, Transport
 from pam_antagonist.safety import SafeAction
 
 _HELLO_EVERY = 0.1  # [s]
-_HELLO_FOR = 3.0  # boards that restart when their port is opened need two seconds [s]
+_HELLO_FOR = 3.0  # [s]; boards that restart when their port is opened need two seconds
 _NO_COMMAND_YET = 0xFFFF
 
 
@@ -26,15 +26,15 @@ class SerialDevice:
     """A microcontroller that speaks the protocol.
 
     Args:
-        open_transport: gives a fresh transport; called again after the device was lost.
+        open_transport: opens a new transport; called again after the device was lost.
         hello_for_s: how long a device may take to answer [s].
-        seed: of the session numbers; None: another one every time.
+        seed: of the session numbers; None: random.
 
     Attributes:
         sessions: handshakes so far.
-        damaged: frames from the device that were damaged.
-        strange: good frames that made no sense here.
-        telemetry: the newest one; None before the first.
+        damaged: damaged frames from the device.
+        strange: valid frames with an unknown message.
+        telemetry: the newest telemetry; None before the first.
     """
 
     def __init__(
@@ -65,11 +65,11 @@ class SerialDevice:
 
     @property
     def damaged(self) -> int:
-        """Frames from the device that were damaged."""
+        """Number of damaged frames from the device."""
         return self._frames.damaged
 
     def start(self, action: SafeAction) -> DeviceInfo:
-        """See :meth:`Device.start`: opens the transport unless it is open, and shakes hands.
+        """See :meth:`Device.start`; opens the transport if needed, and does the handshake.
 
         Raises:
             DeviceLost: no port, no answer, another version, or safe voltages that the device refuses.
@@ -83,7 +83,7 @@ class SerialDevice:
         hello = frame(protocol.pack(Hello(protocol.VERSION, self._session, *action.hold, *vent, rate)))
         end = time.monotonic() + self._hello_for_s
         while time.monotonic() < end and not self._closed:
-            self._write(b"\0" + hello)  # the zero ends whatever somebody had begun to send
+            self._write(b"\0" + hello)  # the zero ends an incomplete frame
             until = time.monotonic() + _HELLO_EVERY
             while (left := until - time.monotonic()) > 0.0:
                 for payload in self._frames.feed(self._read(left)):
@@ -95,7 +95,7 @@ class SerialDevice:
         raise DeviceLost("no answer to the greeting: is this its port, and does its firmware run?")
 
     def _answer(self, payload: bytes) -> DeviceInfo | None:
-        """What a welcome says; None for anything else."""
+        """Device information from a welcome; None for another message."""
         if payload[0] != protocol.Kind.WELCOME:
             return None
         version = protocol.version_of(payload)
@@ -125,7 +125,7 @@ class SerialDevice:
         """See :meth:`Device.samples`.
 
         Raises:
-            DeviceLost: the transport is gone, or the device's clock went back: it has started anew.
+            DeviceLost: the transport is gone, or the device's clock went back because it restarted.
         """
         data = self._read(timeout_s)
         if not data:
@@ -162,7 +162,7 @@ class SerialDevice:
         )
 
     def _time(self, telemetry: Telemetry, arrival_ns: int) -> None:
-        """Way there and back of the newest command, without the time that it lay at the device."""
+        """Measure the round trip of the newest command, without its waiting time at the device."""
         if telemetry.command_age_us == _NO_COMMAND_YET or telemetry.command == self._acknowledged:
             return
         self._acknowledged = telemetry.command
@@ -171,7 +171,7 @@ class SerialDevice:
             self._round_trips.append(arrival_ns - sent - telemetry.command_age_us * 1000)
 
     def command(self, voltage: tuple[float, float]) -> None:
-        """See :meth:`Device.command`. Before the first sample there is nothing to answer to, and nothing is sent."""
+        """See :meth:`Device.command`. Sends nothing before the first sample, which every command has to refer to."""
         if self.telemetry is None:
             return
         self._sequence = sequence = (self._sequence + 1) % SEQUENCES
@@ -180,7 +180,7 @@ class SerialDevice:
         self._write(frame(protocol.pack(Command(self._session, sequence, self.telemetry.sequence, *voltage))))
 
     def close(self) -> None:
-        """See :meth:`Device.close`: says goodbye, so that the device need not wait for its watchdog."""
+        """See :meth:`Device.close`; sends a goodbye, so that the valves are safe before the watchdog acts."""
         self._closed = True
         if self._transport is not None:
             with suppress(DeviceLost):

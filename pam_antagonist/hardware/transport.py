@@ -1,4 +1,4 @@
-"""How bytes get to a device and back: one small interface, and the serial port."""
+"""Transport of bytes to and from a device: an interface, and the serial port."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from pam_antagonist.optional import needs
 
 
 class DeviceLost(Exception):
-    """The device cannot be reached, or is not what was expected. The message says why, in one line."""
+    """The device cannot be reached, or is not the expected one. The message says why, in one line."""
 
 
 class Transport(Protocol):
     """Bytes to and from a device."""
 
     def fileno(self) -> int:
-        """What ``select`` waits for."""
+        """File descriptor for ``select``."""
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, as soon as there is something; nothing after the time [s].
+        """Received bytes, as soon as there are some; empty after the time [s].
 
         Raises:
             DeviceLost: unplugged.
         """
 
     def write(self, data: bytes) -> None:
-        """Send, without waiting: what does not fit into the line's buffer is left out, never sent late.
+        """Send without waiting; bytes that do not fit into the buffer are dropped, never sent late.
 
         Raises:
             DeviceLost: unplugged.
         """
 
     def close(self) -> None:
-        """Let go of it. Twice does no harm."""
+        """Close the transport. May be called twice."""
 
 
 class SerialTransport:
     """A serial port, opened by pyserial: exclusively, raw, eight bits, no parity, one stop bit, no flow control.
 
     Args:
-        port: such as ``/dev/ttyACM0``, or a link below ``/dev/serial/by-id`` that stays the same.
-        baud: of a port that has one; USB devices ignore it.
+        port: such as ``/dev/ttyACM0``, or a link below ``/dev/serial/by-id``, whose name is fixed.
+        baud: bit rate [1/s]; USB devices ignore it.
 
     Raises:
         DeviceLost: not there, in use by another program, or no serial port.
@@ -76,7 +76,7 @@ class SerialTransport:
             data = os.read(self._fd, 65_536)
         except (OSError, ValueError) as error:
             raise DeviceLost(f"{self._port} is gone: {_reason(error)}") from None
-        if not data:  # ready, and nothing there: what Linux says about a port that was pulled out
+        if not data:  # Linux reports an unplugged port as readable without data
             raise DeviceLost(f"{self._port} is gone: end of file")
         return data
 

@@ -1,4 +1,4 @@
-"""Zero of the pressure sensors: what they show while the muscles are open to the air, whose pressure is known."""
+"""Zero of the pressure sensors, measured while the muscles are open to the air."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter
 
 _SAMPLES = 1000
-_FARTHEST = 30e3  # a sensor that is further off is broken, or the muscle is not open [Pa]
-_LOUDEST = 3e3  # standard deviation, above which air still moves [Pa]
+_FARTHEST = 30e3  # [Pa] largest error; with more, the sensor is broken or the muscle is not open
+_LOUDEST = 3e3  # [Pa] largest standard deviation; with more, air still moves
 
 
 class ZeroPressureMeasurement:
     """The last thousand samples of both pressures.
 
     Args:
-        converter: what they come from, with what it adds to them now.
+        converter: of the samples, with its present correction.
     """
 
     def __init__(self, converter: Converter) -> None:
@@ -29,14 +29,14 @@ class ZeroPressureMeasurement:
         self._pressures.append(pressure)
 
     def clear(self) -> None:
-        """Forget them: from here on they are converted in another way."""
+        """Forget all samples, because the conversion changes."""
         self._pressures.clear()
 
     def result(self) -> tuple[float, float]:
-        """What has to be added to both pressures (2,) [Pa], so that they are the atmosphere's.
+        """Correction to add to both pressures (2,) [Pa], so that they equal the atmosphere.
 
         Raises:
-            BadInput: no sensors, too few samples yet, or pressures that are not those of open muscles.
+            BadInput: no sensors, too few samples, or muscles that are not open to the air.
         """
         if not self._converter.measures_pressures:
             raise BadInput("sensors at rest: the calibration has no pressure sensors (pressure_sensors: none)")
@@ -48,7 +48,7 @@ class ZeroPressureMeasurement:
     def _one(self, muscle: int) -> float:
         values = [pressure[muscle] - self._converter.rest[muscle] for pressure in self._pressures]
         off = statistics.fmean(values) - self._converter.calibration.atmosphere
-        if not abs(off) <= _FARTHEST:  # as well where it is no number
+        if not abs(off) <= _FARTHEST:  # also true for NaN
             raise BadInput(
                 f"sensors at rest: pressure {muscle + 1} is {off:+.0f} Pa off the atmosphere's, expected at most "
                 f"{_FARTHEST:g}: is the muscle open to the air?"
