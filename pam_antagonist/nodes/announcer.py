@@ -1,4 +1,4 @@
-"""Says on ``/diagnostics`` what a command is at, for the live page and for whoever listens there."""
+"""Reports the progress of a command on ``/diagnostics``, for the live page and other listeners."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from pam_antagonist.nodes.spin import tune_middleware
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 
 STATUS = "step"
-"""Name of the one part that a command reports."""
+"""Name of the only part that a command reports."""
 _PERIOD = 0.5
 
 
 class Announcer:
-    """A node that says once in half a second what a command does, and how far it is. Use it as a context manager.
+    """A node that reports every half second what a command does, and its progress. Use it as a context manager.
 
-    It commands nothing and listens to nothing.
+    The node commands nothing and has no subscriptions.
 
     Args:
         name: of the command, and of the node.
@@ -55,11 +55,11 @@ class Announcer:
         rclpy.shutdown(context=self._context)
 
     def say(self, text: str, seconds: float | None = None) -> None:
-        """Begin something.
+        """Begin a step of the command.
 
         Args:
-            text: what.
-            seconds: how long it takes [s]; None: not known.
+            text: name of the step.
+            seconds: its duration [s]; None: not known.
         """
         self._said = text, time.monotonic(), seconds
 

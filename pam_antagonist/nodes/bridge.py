@@ -1,4 +1,4 @@
-"""Executable ``bridge``: its parameters and its way into the node."""
+"""Executable ``bridge``: parameters and entry point."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def main(argv: list[str] | None = None, device: Callable[[], Device] | None = No
 
     Args:
         argv: arguments; default: those of the process.
-        device: makes the hardware; default: the serial port that the parameters name.
+        device: makes the device; default: a device at the serial port of the parameters.
     """
 
     def create(_options: None, **node_options: Any) -> BridgeNode:

@@ -1,4 +1,4 @@
-"""What the bridge tells about its device on ``/diagnostics`` (no ROS in here)."""
+"""Health of the bridge's device for ``/diagnostics`` (without ROS)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TROUBLE = (
     "commands refused by the device",
     "watchdog trips of the device",
 )
-"""Counters of a device that are no trouble as long as they stand still."""
+"""Counters of a device that cause a warning when they rise."""
 
 
 class BridgeHealth:
@@ -33,7 +33,7 @@ class BridgeHealth:
         self._before: dict[str, float] = {}
 
     def parts(self, steady_ns: int) -> Mapping[str, Health]:
-        """Once every ``diagnostics_period``; ``steady_ns`` is steady time [ns]."""
+        """The health of both parts; called every ``diagnostics_period`` with the steady time [ns]."""
         return {"device": self._of_device(steady_ns), "clock": self._of_clock()}
 
     def _of_device(self, steady_ns: int) -> Health:
@@ -43,7 +43,7 @@ class BridgeHealth:
         watched = {name: counters[name] for name in _TROUBLE if name in counters and math.isfinite(counters[name])}
         watched["samples lost"] = float(counts.lost)
         watched["devices lost"] = float(counts.lost_devices)
-        # A counter of a new device begins anew: what it has counted before is none of ours.
+        # The first value of a counter is only the baseline: the device may have counted before.
         more = {name: value - self._before.get(name, value) for name, value in watched.items()}
         self._before = watched
         risen = [f"{name}: {change:g} more" for name, change in more.items() if change > 0]

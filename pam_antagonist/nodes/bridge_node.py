@@ -37,16 +37,16 @@ _DEVICE_STOPS = (
 _Conversion = Callable[[tuple[float, float]], tuple[float, float]]
 
 
-def _as_it_is(command: tuple[float, float]) -> tuple[float, float]:
-    """Commands of a joint with valves are the device's voltages."""
+def _unchanged(command: tuple[float, float]) -> tuple[float, float]:
+    """For a joint with valves, commands are the device's voltages."""
     return command
 
 
 class _SharedPort(ValvePort):
-    """A port that two threads use: that of the device, and the executor's.
+    """A valve port that two threads use: the device's and the executor's.
 
     Args:
-        lock: of everything in it.
+        lock: protects the port.
         others: as :class:`ValvePort`.
     """
 
@@ -67,14 +67,14 @@ class _SharedPort(ValvePort):
 
 
 class BridgeNode(PamNode):
-    """Publishes what a device samples, and gives it the commander's voltages as far as the rules let them through.
+    """Publishes a device's samples, and sends it the commands that pass the valve guard.
 
-    One thread reads the device, publishes, takes commands and sends them on, so that nothing that the executor has to
-    do delays them. A command goes to the device when it comes; without one, what the guard says goes out every period,
-    so that the device's watchdog acts for want of this process only.
+    One thread reads the device, publishes, takes commands and sends them, so that the executor's work does not delay
+    them. A command goes to the device at once. Without a command, the guard's voltages are sent every period, so that
+    the device's watchdog acts only when this process fails.
 
     Args:
-        device: makes the hardware; None: the serial port of the parameters.
+        device: makes the device; None: a device at the serial port of the parameters.
         options: as :class:`PamNode`.
     """
 
@@ -89,7 +89,7 @@ class BridgeNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Everything but the device.
+        """Make everything except the connection to the device.
 
         Raises:
             BadInput: simulated time, which no hardware follows, or a rig or calibration that cannot be used.
@@ -104,9 +104,9 @@ class BridgeNode(PamNode):
         self._converter = Converter(load_calibration(values["hardware"]), (first, second))
         self.port = _SharedPort(self._lock, self, rig)
         drive = self.port.drive
-        # The device puts out voltages. Those of regulators are pressures to everybody else.
-        self._output: _Conversion = _as_it_is
-        self._asked: _Conversion = _as_it_is
+        # The device's outputs are voltages; for a rig with regulators all other commands are pressures.
+        self._output: _Conversion = _unchanged
+        self._asked: _Conversion = _unchanged
         action = drive.action
         self._converter.suits(rig.drive)
         if rig.drive == "regulator":
@@ -136,20 +136,20 @@ class BridgeNode(PamNode):
 
     @override
     def activate(self) -> None:
-        """Open the device, and take commands."""
+        """Open the device and take commands."""
         self.port.listen()
         self._link.start()
 
     @override
     def deactivate(self) -> None:
-        """Let go of the device, which has its safe voltages from then on."""
+        """Close the device, which then applies its safe voltages."""
         with self._lock:
             self.port.rest()
         self._link.stop()
 
     @override
     def close(self) -> None:
-        """The end, whatever the state."""
+        """Close the device in any state."""
         link = getattr(self, "_link", None)
         if link is not None:
             link.stop()
@@ -161,7 +161,7 @@ class BridgeNode(PamNode):
         with self._lock:
             if self._session != self._link.counts.sessions:
                 self._session = self._link.counts.sessions
-                # What was asked for while there was no device is not for this one.
+                # Commands from the time without a device are not for the new one.
                 self.port.guard.set_active(False)
                 self.port.poll(now)
                 self.port.guard.set_active(True)
@@ -212,7 +212,7 @@ class BridgeNode(PamNode):
         return {**self._health.parts(steady_ns), **port}
 
     def _log_trouble(self, trouble: str) -> None:
-        """Into the log, once for each trouble."""
+        """Log each problem once."""
         if trouble == self._logged or not self.active:
             return
         self._logged = trouble
@@ -223,7 +223,7 @@ class BridgeNode(PamNode):
 
 
 class JointOutput:
-    """``measured/joint_states`` with the channels that there are; nothing where there is none.
+    """Publishes ``measured/joint_states`` with the available channels, and ``angle_sensor`` if wanted.
 
     Args:
         node: publishes.

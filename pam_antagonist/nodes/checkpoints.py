@@ -1,4 +1,4 @@
-"""Checkpoints of the filter on a topic: what a replay of a recording that was begun later goes on from."""
+"""Checkpoints of the filter on a topic, from which a replay of a later recording can go on."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import FilterCheckpoint
 
 PERIOD = 1.0
-"""Time between two checkpoints [s]: a recording begins with no more than that which cannot be replayed bit for bit."""
+"""Time between two checkpoints [s]; at most this much at the start of a recording cannot be replayed bit for bit."""
 
 
 class CheckpointPublisher:
-    """Publishes checkpoints; the last one is kept for those who come later.
+    """Publishes checkpoints; the last one is kept for late subscribers.
 
     Args:
-        node: being configured; the publisher ends with its clean-up.
+        node: being configured; the publisher ends with the node's clean-up.
         frame_id: in every header.
     """
 
@@ -27,10 +27,10 @@ class CheckpointPublisher:
         self._last: tuple[int, int] | None = None
 
     def publish(self, checkpoint: Checkpoint | None) -> None:
-        """Publish what the filter remembers, unless there is nothing new.
+        """Publish a checkpoint, unless it is the same as the last one.
 
         Args:
-            checkpoint: None of a filter that is not started.
+            checkpoint: of the filter; None if the filter is not started.
         """
         if checkpoint is None or (checkpoint.started_ns, checkpoint.stamp_ns) == self._last:
             return

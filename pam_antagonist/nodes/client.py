@@ -26,23 +26,23 @@ from pam_antagonist.recording.topics import COMMAND_TOPICS, DEFAULT_NAMESPACE, T
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, PressureCommand, ValveCommand
 
 _SUBSCRIBERS = 2
-"""Of what a client publishes: the node that obeys, and the recorder."""
+"""Expected subscribers of a client's topic: the node that obeys, and the recorder."""
 _TICK = 0.004  # between two commands [s]; the valves take the last one until then
 _PROGRESS_PERIOD = 0.2  # between two reports of progress [s]
 _Self = TypeVar("_Self", bound="PipelineClient")
 
 
 class PipelineClient:
-    """A node without an executor. It takes the latest message when asked, and costs nothing in between.
+    """A node without an executor. It takes the latest messages on request, and needs no time in between.
 
-    Use it as a context manager. Inside, SIGINT and SIGTERM become a ``KeyboardInterrupt`` with the next call of a
-    method, or at the end. In the middle of a call into rclpy, the exception would become another one.
+    Use it as a context manager. Inside, SIGINT and SIGTERM raise a ``KeyboardInterrupt`` in the next method call, or at
+    the end. Raised during a call into rclpy, it would be replaced by another exception.
 
     Args:
         name: of the node.
         namespace: of the pipeline.
-        subscribed: types of messages by topic (logical name).
-        published: topic (logical name), type of message and quality of service of what it publishes.
+        subscribed: logical name of a topic -> message type.
+        published: logical name, message type and quality of service of the published topic.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class PipelineClient:
             self._check()
 
     def latest(self, topic: str) -> Any:
-        """The newest message of a topic (logical name), None if none has come."""
+        """The newest message of a topic (logical name); None before the first."""
         self._check()
         subscription = self._topics[topic]
         with subscription.handle:
@@ -95,12 +95,12 @@ class PipelineClient:
 
     @property
     def listeners(self) -> int:
-        """How many nodes listen to what this one publishes."""
+        """Number of subscribers of the published topic."""
         self._check()
         return int(self._publisher.get_subscription_count())
 
     def missing(self) -> str:
-        """What does not deliver or listen yet, in words; empty when everything does."""
+        """Topics without messages or subscribers, in words; empty when the pipeline is complete."""
         parts = [f"nothing on {TOPICS[topic].relative}" for topic in self._topics if self.latest(topic) is None]
         if self.listeners < _SUBSCRIBERS:
             parts.append(f"nobody listens to {TOPICS[self._published].relative}")
@@ -134,9 +134,9 @@ class VoltageClient(PipelineClient):
         """Command a profile in real time.
 
         Args:
-            voltage: (N, 2) [V], a row a period.
+            voltage: (N, 2) [V], one row for each period.
             period: [s].
-            check: called often; it raises when there is no point in going on.
+            check: called often; it raises to end the profile.
             progress: called with the time since the start [s].
         """
         start, reported = time.monotonic(), 0.0
@@ -154,7 +154,7 @@ class ReferenceClient(PipelineClient):
 
     Args:
         namespace: of the pipeline.
-        listening: False: it publishes alone, and costs the pipeline no delivery of its messages.
+        listening: False: only publish, so that the pipeline does not deliver messages to this node.
         drive: of the joint's rig: ``valve`` or ``regulator``.
     """
 
@@ -173,20 +173,20 @@ class ReferenceClient(PipelineClient):
         """Publish a reference, stamped now.
 
         Args:
-            mode: what the value is.
+            mode: of the reference.
             value: [rad] or [N m].
-            stiffness: [N m/rad], for the modes that have one; NaN: not asked.
+            stiffness: [N m/rad], for the modes that have one; NaN: not given.
             damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none.
         """
         self._publish(JointReference(mode=int(mode), value=value, stiffness=stiffness, damping=damping))
 
     def may_push(self) -> bool:
-        """Whether the simulated joint is there to be pushed."""
+        """Whether there is a simulated joint that can be pushed."""
         self._check()
         return bool(self._plant.service_is_ready())
 
     def push(self, torque: float) -> None:
-        """Push the simulated joint from now on, until told otherwise.
+        """Push the simulated joint until the next call.
 
         Args:
             torque: about +z [N m].
@@ -195,7 +195,7 @@ class ReferenceClient(PipelineClient):
         self._plant.call_async(SetParameters.Request(parameters=[Parameter("push", value=torque).to_parameter_msg()]))
 
     def read(self, mode: Mode) -> tuple[float, float]:
-        """Estimate and measurement now, [rad] or [N m]; NaN where nothing has come."""
+        """Estimate and measurement now, [rad] or [N m]; NaN before the first message."""
         estimate, measured = self.latest("joint_estimate"), self.latest("measured_joint_states")
         if mode.quantity is Mode.ANGLE:
             return (

@@ -1,8 +1,8 @@
-"""Parameters on a node's command line, which win over parameter files (no ROS in here).
+"""Give parameters on a node's command line priority over parameter files (without ROS).
 
-To ROS, ``-p name:=value`` is a rule for all nodes (``/**``). A section of a file that names the node is a rule for this
-node, and wins, wherever it stands. So a value that somebody types would be silently ignored. Given to the node once
-more, as its own arguments, it wins.
+In ROS, ``-p name:=value`` is a rule for all nodes (``/**``). A section of a file that names the node has priority, so a
+value on the command line would be silently ignored. The value gets priority when it is repeated in the node's own
+arguments.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ def own_parameters(arguments: Sequence[str]) -> list[str]:
     """The arguments of a node (``cli_args``) that repeat the parameters of its command line.
 
     Args:
-        arguments: of the process, those of ROS among others.
+        arguments: all arguments of the process.
 
     Returns:
-        Arguments in the form of ROS; empty where no parameter is given.
+        ROS arguments; empty where no parameter is given.
 
     Example:
         >>> own_parameters(["--out", "bag", "--ros-args", "-p", "seed:=3", "--params-file", "a.yaml"])

@@ -1,7 +1,7 @@
-"""What a rig is driven by, as its nodes see it: voltages on valves, or pressures asked of regulators.
+"""Commands of a rig's drive: voltages of valves, or pressures of regulators.
 
-Everything behind this is the same for both: limits, slew, time-out and safe commands of :mod:`pam_antagonist.safety`,
-and the layout of the messages.
+Both drives share the limits, slew, time-out and safe commands of :mod:`pam_antagonist.safety`, and the layout of the
+messages.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from pam_antagonist.safety import SafeAction, safe_action
 from pam_antagonist_msgs.msg import PressureCommand, ValveCommand
 
 _ASTRAY_VOLTAGE, _ASTRAY_PRESSURE = 0.25, 25e3
-"""[V], [Pa] Between command and valve or regulator; commands of neighbouring samples differ by less."""
+"""[V], [Pa] Largest normal difference between command and output; commands of consecutive samples differ by less."""
 
 
 class Topics(NamedTuple):
-    """Where commands go, and where it is told what became of them.
+    """Topics of the commands and of the outputs.
 
     Attributes:
-        message: class of both.
+        message: message class of both topics.
         command: topic of the commands, relative.
-        state: topic of what valves or regulators got, relative.
+        state: topic of the voltages or pressures that valves or regulators got, relative.
         frame_id: of the messages.
     """
 
@@ -36,14 +36,14 @@ class Topics(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What may be commanded, in V of valves or Pa of regulators.
+    """Limits of the commands, in V for valves or Pa for regulators.
 
     Attributes:
         topics: of the commands.
         limits: of both valves or regulators.
-        action: what is safe.
+        action: the safe action.
         slew: largest change of each command [V/s] or [Pa/s].
-        astray: difference between command and what valves or regulators have that means something.
+        astray: largest normal difference between command and output [V] or [Pa].
     """
 
     topics: Topics
@@ -61,11 +61,11 @@ def topics_of(rig: Rig) -> Topics:
 
 
 def drive_of(rig: Rig, values: Mapping[str, Any]) -> Drive:
-    """What a rig may be commanded.
+    """Limits of the commands of a rig.
 
     Args:
         rig: of the node.
-        values: its parameters by name, ``SAFETY`` among them.
+        values: the node's parameters by name, including ``SAFETY``.
 
     Raises:
         BadInput: safe values beyond the limits.

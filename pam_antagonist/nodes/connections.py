@@ -1,8 +1,8 @@
-"""Whether a node's topics are connected to everybody who offers or wants them.
+"""Detects publishers and subscribers that a node's topics are not connected to.
 
-Quality of service that does not match is silent in ROS 2: a best-effort driver and a reliable subscriber find each
-other and exchange nothing. So each node compares how many publishers or subscribers of its topics there are with how
-many it is connected to. Only where that differs it asks who they are.
+ROS 2 does not report incompatible quality of service: a best-effort driver and a reliable subscriber find each other
+and exchange nothing. So each node compares the number of publishers or subscribers of its topics with the number that
+it is connected to. Only where they differ, it looks up their names.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 OVERRIDES = QoSOverridingOptions.with_default_policies()
-"""What ``qos_overrides`` may change: reliability, history and depth. Not durability: what lay somewhere on the way is
-never to reach the valves, or to pass for a new reference."""
+"""Policies that ``qos_overrides`` may change: reliability, history and depth. Durability is fixed, because an old
+command must not reach the valves, and an old reference must not count as new."""
 
 _FIXED = ("/diagnostics", "/rosout", "/parameter_events", "/clock")
 
 QOS_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidQoSProfileException, RuntimeError, ValueError)
-"""What rclpy may raise for overrides that it cannot use."""
+"""Exceptions of rclpy for invalid overrides."""
 
 
 def overridable(topic: str, profile: Any, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """A profile of its own, and rclpy's option, for a topic whose quality of service a user may change.
+    """A copied profile and rclpy's options for a topic whose quality of service a user may change.
 
     Args:
-        topic: its name; ``/diagnostics`` and what ROS itself has stay as they are.
+        topic: name of the topic; ``/diagnostics`` and the topics of ROS itself cannot be changed.
         profile: the default.
-        options: what the caller gives to rclpy.
+        options: the caller's options for rclpy.
     """
     if topic in _FIXED or not isinstance(profile, QoSProfile):
         return profile, options
@@ -45,7 +45,7 @@ def overridable(topic: str, profile: Any, options: dict[str, Any]) -> tuple[Any,
 
 
 def refused(topic: str, error: Exception) -> Exception:
-    """What to tell a user whose override cannot be used; other errors as they are."""
+    """A ``BadInput`` for an invalid override; other errors are returned unchanged."""
     if type(error).__name__ == "RCLError" or (isinstance(error, RuntimeError) and "QoS override" not in str(error)):
         return error
     return BadInput(f"qos_overrides of {topic}: {error}; expected reliability, history or depth as in ROS 2")
@@ -60,29 +60,29 @@ class _Entity:
 
 
 class Connections:
-    """The topics of a node, and who is not connected to them."""
+    """The publishers and subscriptions of a node, and their missing connections."""
 
     def __init__(self) -> None:
         self._entities: dict[int, _Entity] = {}
 
     def add(self, topic: str, entity: Any, profile: Any, subscribes: bool) -> None:
-        """Watch over a publisher or a subscription.
+        """Watch a publisher or a subscription.
 
         Args:
-            topic: its full name.
+            topic: full name of the topic.
             entity: the publisher or subscription.
-            profile: its quality of service.
+            profile: quality of service.
             subscribes: whether it is a subscription.
         """
         if isinstance(profile, QoSProfile):
             self._entities[id(entity)] = _Entity(topic, entity, profile, subscribes)
 
     def remove(self, entity: Any) -> None:
-        """It is being destroyed."""
+        """Stop watching an entity that is destroyed."""
         self._entities.pop(id(entity), None)
 
     def problems(self, node: Node) -> list[str]:
-        """Who is not connected for reasons of quality of service, in words."""
+        """Nodes that are not connected because of quality of service, in words."""
         return [words for item in list(self._entities.values()) for words in self._of(node, item)]
 
     def _of(self, node: Node, item: _Entity) -> list[str]:
@@ -124,7 +124,7 @@ def _who(info: Any) -> str:
 
 
 def _difference(offered: QoSProfile, asked: QoSProfile, topic: str, side: str) -> str:
-    """What does not match, and what to type."""
+    """The difference of two profiles, and how to correct it."""
     if offered.reliability != asked.reliability:
         pair = f"{offered.reliability.name} offered, {asked.reliability.name} asked for".lower().replace("_", " ")
         better = "best_effort" if side == "subscription" else "reliable"

@@ -1,4 +1,4 @@
-"""Executable ``controller``: its parameters and its way into the node."""
+"""Executable ``controller``: parameters and entry point."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ PARAMETERS = (
     Parameter("max_torque", 3.0, "magnitude to which a reference of the torque is limited [N m]", 0.0, 1e3),
     Parameter("max_angle_rate", 0.0, "fastest change of the angle's reference [rad/s]; 0: any", 0.0, 1e3),
     Parameter("max_torque_rate", 0.0, "fastest change of the torque's reference [N m/s]; 0: any", 0.0, 1e5),
-    # An angle that nobody repeats is a place to stay. A torque that nobody repeats drives a free joint to its stop.
+    # An old angle reference only holds the joint. An old torque reference drives a free joint to its stop.
     Parameter(
         "angle_reference_timeout",
         0.0,
@@ -139,11 +139,11 @@ PARAMETERS = (
     Parameter("max_age", 0.02, "age beyond which an estimate is not acted on [s]", 0.002, 10.0),
     Parameter("resume_time", 0.5, "longest interruption after which the integral goes on as it was [s]", 0.001, 60.0),
     Parameter("start_enabled", True, "whether it commands as soon as it is active, without a call of enable"),
-    # A degree beyond the stop of the paper's joint: no estimate of a sound joint is there.
+    # One degree beyond the stop of the paper's joint, which a correct estimate does not reach.
     Parameter("stop_angle", 0.4538, "magnitude of the estimated angle that stops it [rad]", 0.01, 1.6),
     Parameter("stop_angle_time", 0.01, "time beyond stop_angle after which it stops [s]", 0.001, 1.0),
-    # 99.9 % of two pressures that are as expected stay below. On recordings of joints that are off their model by one
-    # or two per cent, and on those with an effect that it lacks, at most 2 % of the samples in any 0.1 s are above.
+    # 99.9 % quantile for two pressures. On recordings of joints whose parameters differ from the model by one or two
+    # per cent, or that have an unmodelled effect, at most 2 % of the samples in any 0.1 s are above.
     Parameter("nis_limit", 13.8, "normalised innovation squared that counts as out of bounds [-]", 0.1, 1e9),
     Parameter("nis_time", 0.1, "it stops when 15 % of the samples of this time are out of bounds [s]", 0.01, 60.0),
     Parameter("blind_time", 0.1, "how long an estimate may be without one of the pressures [s]", 0.001, 10.0),

@@ -1,4 +1,4 @@
-"""The controller behind its topics."""
+"""The controller node."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist_msgs.msg import JointEstimate
 
 _GAIN_NAMES = tuple(parameter.name for parameter in PARAMETERS if not parameter.read_only)
-_CHECKS = 4  # looks at the time-out, and at the valves, within it
+_CHECKS = 4  # checks of the estimates' time-out and of the valves, within ``max_age``
 
 
 class ControllerNode(PamNode):
-    """One command for each estimate; safe voltages whenever there is nothing to go by.
+    """Sends one command for each estimate; safe voltages without a valid estimate or reference.
 
     Args:
-        linked: whether the estimator is in the same process: then it gives its estimates to :meth:`estimate`, and
-            ``joint_estimate`` is not listened to.
+        linked: whether the estimator is in the same process and calls :meth:`estimate`; then the node does not
+            subscribe to ``joint_estimate``.
         options: as :class:`PamNode`.
 
     Attributes:
-        stopped: why it has stopped; empty where it has not.
-        deliver: is called with each command: stamp [ns], voltages (2,) [V]. None: nobody is.
+        stopped: reason of the stop; empty if the node is not stopped.
+        deliver: called with each command: stamp [ns], voltages (2,) [V]; None: not called.
     """
 
     stopped = ""
@@ -55,7 +55,7 @@ class ControllerNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """A controller at rest."""
+        """Make the laws, the supervision and the publishers."""
         values = self.values
         COMPILING.tell = self.get_logger().info
         rig = load_rig(values["rig"], regulators=True)
@@ -99,12 +99,12 @@ class ControllerNode(PamNode):
 
     @override
     def cleanup(self) -> None:
-        """Nothing may be retuned any more."""
+        """Stop accepting parameter changes."""
         self.remove_on_set_parameters_callback(self._on_parameters)
 
     @override
     def activate(self) -> None:
-        """Listen, and watch over those who are listened to; a reference from before does not count any more."""
+        """Subscribe and start the supervision; earlier references are forgotten."""
         self._heard_ns = None
         self._laws.stop()
         self._supervision.reset()
@@ -117,20 +117,20 @@ class ControllerNode(PamNode):
 
     @override
     def deactivate(self) -> None:
-        """Leave the valves at the safe voltages, and be silent."""
+        """Send the safe voltages once, then be silent."""
         if self._enabled:
             self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
 
     @override
     def close(self) -> None:
-        """The same at the end."""
+        """Deactivate at the end."""
         if self.active:
             self.deactivate()
 
     # ---------------------------------------------------------------- services
 
     def _on_enable(self, request: Any, response: Any) -> Any:
-        """Command, from the voltages that are on the valves; or do not, so that somebody else may."""
+        """Start commanding from the voltages on the valves, or stop commanding so that another node may."""
         wanted = bool(request.data)
         response.success = True
         if not self.active:
@@ -167,14 +167,14 @@ class ControllerNode(PamNode):
         """Safe voltages until ``clear_stop``.
 
         Args:
-            reason: in words; of several the first one's stays.
+            reason: in words; the first reason is kept.
         """
         if not self.stopped:
             self.stopped = reason
             self.get_logger().error(f"stopped: {reason}")
 
     def _look(self) -> None:
-        """See what is on the valves; an inactive node does not hear it."""
+        """Read the voltages on the valves; only while active."""
         if not self.active:
             return
         for data, _ in take(self._valve_state):
@@ -183,7 +183,7 @@ class ControllerNode(PamNode):
                 self._following.saw((self._limits.clip(first), self._limits.clip(second)), time.monotonic_ns())
 
     def _from_the_valves(self) -> None:
-        """Start anew from what is on the valves, or, where nobody tells, from what was commanded last."""
+        """Restart the laws at the voltages on the valves; where these are not known, at the last command."""
         self._look()
         self._voltage = self._following.on_valves(time.monotonic_ns()) or self._voltage
         self._laws.stop(self._voltage)
@@ -194,11 +194,11 @@ class ControllerNode(PamNode):
         self.estimate(*self._estimate(data))
 
     def estimate(self, stamp: int, *values: float) -> None:
-        """Answer an estimate with a command.
+        """Send the command for an estimate.
 
         Args:
             stamp: of the sample [ns].
-            values: those of ``wire.ESTIMATE_FOR_CONTROL``.
+            values: as in ``wire.ESTIMATE_FOR_CONTROL``.
         """
         if not self.active:
             return
@@ -233,10 +233,10 @@ class ControllerNode(PamNode):
         self.input.repeat(stamp)
 
     def _watch(self) -> None:
-        """Safe voltages at every look as long as estimates stay away.
+        """Send safe voltages while no estimates come, and check that the valves follow.
 
-        They are stamped just after the last sample that was answered, a nanosecond apart: so the stamps never
-        decrease, also when the missing estimates come after all, and none of these commands passes for a sample's.
+        These commands are stamped from the last answered sample on, a nanosecond apart. So stamps never decrease, even
+        if the missing estimates come late, and no such command has the stamp of a sample.
         """
         self._look()
         if self._heard_ns is None or not self._enabled:
@@ -251,7 +251,7 @@ class ControllerNode(PamNode):
             self._silent = True
             self._send(self._laws.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
         elif self._following.astray(self._voltage, time.monotonic_ns()):
-            # Stopped, or somebody else's: once it obeys again, it must not jump to what has been adding up here.
+            # The valves are stopped or obey another node. The command must not jump when they obey again.
             self._from_the_valves()
 
     def _send(self, command: Command, stamp_ns: int) -> None:
@@ -276,7 +276,7 @@ class ControllerNode(PamNode):
         self._last = command.status
 
     def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
-        """Take new gains, all or none of them, without a bump."""
+        """Apply new gains without a bump, either all or none."""
         values = dict(self.values)
         try:
             for parameter in changed:

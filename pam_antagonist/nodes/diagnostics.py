@@ -1,4 +1,4 @@
-"""Publishing what a node counts on ``/diagnostics``."""
+"""Publisher of a node's health on ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 class DiagnosticsPublisher:
-    """Sends the health of a node's parts.
+    """Publishes the health of a node's parts.
 
     Args:
         node: the node.
-        hardware_id: what it is about: the joint's name.
+        hardware_id: name of the joint.
     """
 
     def __init__(self, node: Node, hardware_id: str) -> None:
@@ -29,7 +29,7 @@ class DiagnosticsPublisher:
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
 
     def publish(self, parts: Mapping[str, Health]) -> None:
-        """Send one message with a status a part, named "node: part"."""
+        """Publish one message with a status for each part, named "node: part"."""
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         for part, health in parts.items():

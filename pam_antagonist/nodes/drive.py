@@ -1,4 +1,4 @@
-"""A client that commands a planned experiment and retreats when a limit is reached."""
+"""A client that commands a planned experiment, and returns to rest when a limit is exceeded."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PRESSURES = ("pressure_1", "pressure_2")
 
 
 class DriveClient(PipelineClient):
-    """Commands valve voltages in a pipeline without a controller, and watches what the sensors show meanwhile.
+    """Commands valve voltages in a pipeline without a controller, and watches the sensors.
 
     Args:
         namespace: of the pipeline.
@@ -39,29 +39,29 @@ class DriveClient(PipelineClient):
         self._publish(ValveCommand(voltage=[float(value) for value in voltage]))
 
     def now_ns(self) -> int:
-        """Time by the clock that stamps samples [ns]."""
+        """Time of the clock that stamps samples [ns]."""
         return int(self._node.get_clock().now().nanoseconds)
 
     @override
     def missing(self) -> str:
-        """What does not deliver or listen yet; a joint without an encoder is complete."""
+        """Topics without messages or subscribers, in words; an encoder is not required."""
         return ", ".join(part for part in super().missing().split(", ") if "joint_states" not in part)
 
     def seen(self) -> tuple[Floats, float]:
-        """Measured pressures (2,) [Pa] and angle [rad] now; NaN where nothing has come."""
+        """Measured pressures (2,) [Pa] and angle [rad] now; NaN before the first message."""
         messages = [self.latest(topic) for topic in _PRESSURES]
         pressures = np.array([math.nan if one is None else one.fluid_pressure for one in messages])
         joint = self.latest("measured_joint_states")
         return pressures, joint.position[0] if joint is not None and joint.position else math.nan
 
     def settle(self, rest: Floats, within: Callable[[Floats], bool], check: Callable[[], None], longest: float) -> None:
-        """Hold the resting voltages until the pressures are where a plan may begin.
+        """Hold the resting voltages until the pressures are in the range where a plan may begin.
 
         Args:
             rest: voltages (2,) [V].
-            within: whether pressures (2,) [Pa] are there.
-            check: called often; it raises when there is no point in going on.
-            longest: time after which the plan begins all the same [s].
+            within: whether pressures (2,) [Pa] are in this range.
+            check: called often; it raises to end the experiment.
+            longest: time after which the plan begins in any case [s].
         """
         end = time.monotonic() + longest
         while time.monotonic() < end and not within(self.seen()[0]):
@@ -77,18 +77,18 @@ class DriveClient(PipelineClient):
         check: Callable[[], None],
         progress: Callable[[float], None],
     ) -> str:
-        """Command a plan in real time; where a limit is reached, rest and end.
+        """Command a plan in real time; when a limit is exceeded, hold the resting voltages and end.
 
         Args:
-            voltage: (N, 2) [V], a row a period.
+            voltage: (N, 2) [V], one row for each period.
             period: [s].
-            rest: voltages of a retreat (2,) [V].
-            broken: says in words which limit pressures (2,) [Pa] and angle [rad] break; empty for none.
-            check: called often; it raises when there is no point in going on.
-            progress: takes how many seconds more are done.
+            rest: resting voltages (2,) [V].
+            broken: returns which limit the pressures (2,) [Pa] or the angle [rad] exceed, in words; empty for none.
+            check: called often; it raises to end the experiment.
+            progress: called with the time since the last call [s].
 
         Returns:
-            Why it ended early, in words; empty where it did not.
+            Why the plan ended early, in words; empty if it did not.
         """
         begin, reported, lookout = time.monotonic(), 0.0, Lookout()
         while (elapsed := time.monotonic() - begin) < len(voltage) * period:

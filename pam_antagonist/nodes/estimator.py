@@ -1,4 +1,4 @@
-"""Executable ``estimator``: its parameters and its way into the node."""
+"""Executable ``estimator``: parameters and entry point."""
 
 from __future__ import annotations
 

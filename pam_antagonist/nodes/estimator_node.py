@@ -1,4 +1,4 @@
-"""The estimator behind its topics."""
+"""The estimator node."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from pam_antagonist.rig import load_rig
 from pam_antagonist_msgs.msg import JointEstimate
 from pam_antagonist_msgs.srv import SetState
 
-_CHECKS = 2  # looks for samples that wait in vain, within the time that they may
+_CHECKS = 2  # checks for incomplete samples, within ``pairing_timeout``
 
 _TUNING = next(parameter for parameter in PARAMETERS if parameter.name == "tuning")
 
 
 class EstimatorNode(PamNode):
-    """Pairs the messages of a sample, steps the filter and publishes: one estimate a sample, in order.
+    """Pairs the messages of a sample, steps the filter and publishes one estimate for each sample, in order.
 
     Args:
-        linked: whether the plant is in the same process: then it gives its samples to :meth:`sample`, and their topics
-            are not listened to.
+        linked: whether the plant is in the same process and calls :meth:`sample`; then the node does not subscribe to
+            the samples' topics.
         options: as :class:`PamNode`.
 
     Attributes:
-        deliver: is called with each estimate: stamp [ns], and the values of ``wire.ESTIMATE_FOR_CONTROL``. None: nobody
-            is.
+        deliver: called with each estimate: stamp [ns], and the values of ``wire.ESTIMATE_FOR_CONTROL``; None: not
+            called.
     """
 
     deliver: Callable[..., None] | None = None
@@ -54,7 +54,7 @@ class EstimatorNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """A filter that waits for its first sample."""
+        """Make the filter, which waits for its first sample, and the publishers."""
         values = self.values
         COMPILING.tell = self.get_logger().info
         self._rig = rig = load_rig(values["rig"], regulators=True)
@@ -91,12 +91,12 @@ class EstimatorNode(PamNode):
 
     @override
     def cleanup(self) -> None:
-        """Nothing may be retuned any more."""
+        """Stop accepting parameter changes."""
         self.remove_on_set_parameters_callback(self._on_parameters)
 
     @override
     def activate(self) -> None:
-        """Listen. What was before is too long ago to go on from."""
+        """Reset the filter and subscribe."""
         self._estimator.reset()
         self._pairing.reset()
         self._last = None
@@ -138,7 +138,7 @@ class EstimatorNode(PamNode):
         except BadInput as error:
             response.success, response.message = False, str(error)
         else:
-            self._remember()  # a replay cannot know it otherwise
+            self._remember()  # so that a replay knows the state
             response.success = True
             response.message = (
                 f"angle {request.angle:.4f} rad, velocity {request.velocity:.4f} rad/s, "
@@ -148,7 +148,7 @@ class EstimatorNode(PamNode):
         return response
 
     def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
-        """Take another tuning; the filter starts again with the next sample."""
+        """Change the tuning; the filter restarts at the next sample."""
         for parameter in changed:
             if parameter.name == "tuning":
                 try:
@@ -223,7 +223,7 @@ class EstimatorNode(PamNode):
                 self.deliver(sample.stamp_ns, *wire.for_control(data, flags))
 
     def _encoder_health(self, now: Counts, before: Counts) -> dict[str, Health]:
-        """Part ``encoder``, where one is used: whether it is believed."""
+        """Part ``encoder`` where one is used: whether its angles are used or refused."""
         if not self._encoder:
             return {}
         complaint = self._estimator.encoder_complaint

@@ -1,4 +1,4 @@
-"""Messages that were lost, by the publisher's own numbering (no ROS in here)."""
+"""Counts lost messages by their sequence numbers (without ROS)."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from collections.abc import Callable
 
 
 class Gaps:
-    """Counts what is missing between the messages of one topic.
+    """Counts missing messages of one topic.
 
-    The middleware numbers the messages of a publisher, but does not say which publisher a message is from. So gaps are
-    counted while there is one publisher only. With a second one, counting ends.
+    The middleware numbers the messages of each publisher, but does not tell which publisher a message is from. So gaps
+    are counted only while there is one publisher. Counting ends with a second one.
 
     Args:
-        publishers: number of publishers now; asked only where a number is not the next one.
+        publishers: returns the present number of publishers; called only at a gap.
 
     Attributes:
-        missing: messages so far.
-        countable: whether there has never been more than one publisher when it mattered.
+        missing: number of missing messages so far.
+        countable: False once a gap was found with several publishers.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:
@@ -26,7 +26,7 @@ class Gaps:
         self.countable = True
 
     def add(self, number: int | None) -> None:
-        """Take the number of a message in the order of reception; None where the middleware has none."""
+        """Take the number of a message, in the order of reception; None where the middleware gives none."""
         if number is None or number <= 0 or not self.countable:
             return
         last, self._last = self._last, number
@@ -34,5 +34,5 @@ class Gaps:
             return
         if self._publishers() > 1:
             self.countable = False
-        elif number > last:  # else the publisher was started anew
+        elif number > last:  # otherwise the publisher restarted
             self.missing += number - last - 1

@@ -1,4 +1,4 @@
-"""What a node counts for ``/diagnostics`` (no ROS in here)."""
+"""Health and statistics of a node for ``/diagnostics`` (without ROS)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Health:
     """The state of one part of a node.
 
     Attributes:
-        level: how bad it is.
+        level: severity.
         message: one sentence.
         values: name with unit -> value.
     """
@@ -34,13 +34,13 @@ class Health:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median, 99th percentile and largest of some values; NaN if there were none.
+    """Median, 99th percentile and maximum of some values; NaN without values.
 
     Attributes:
-        count: how many values there were.
+        count: number of values.
         median: of the values.
-        p99: their 99th percentile.
-        largest: the largest one.
+        p99: 99th percentile.
+        largest: maximum.
     """
 
     count: int
@@ -49,12 +49,12 @@ class Spread:
     largest: float
 
     def as_values(self, name: str, unit: str, scale: float = 1.0) -> dict[str, str]:
-        """For ``Health.values``.
+        """Entries for ``Health.values``.
 
         Args:
             name: of the quantity.
-            unit: in which it is shown.
-            scale: each value is divided by it.
+            unit: to be shown.
+            scale: divisor of each value.
         """
         return {
             f"{name} median [{unit}]": f"{self.median / scale:.3f}",
@@ -64,19 +64,19 @@ class Spread:
 
 
 class Window:
-    """Values since the last look."""
+    """Collects values between two reports."""
 
     def __init__(self, limit: int = 20_000) -> None:
         self._values: list[float] = []
         self._limit = limit
 
     def add(self, value: float) -> None:
-        """Take one value; beyond the limit it is left out."""
+        """Add a value; values beyond the limit are left out."""
         if len(self._values) < self._limit:
             self._values.append(value)
 
     def take(self) -> Spread:
-        """What came since the last call; starts anew."""
+        """Statistics of the values since the last call."""
         values = sorted(self._values)
         self._values.clear()
         if not values:
@@ -86,7 +86,7 @@ class Window:
 
 
 class Rate:
-    """How often something happens a second."""
+    """Rate of events [1/s]."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -96,7 +96,7 @@ class Rate:
         """Rate [1/s] since the last call; NaN at the first.
 
         Args:
-            count: how often it has happened so far.
+            count: number of events so far.
             now_ns: steady time [ns].
         """
         if self._since is None or now_ns <= self._since:

@@ -1,4 +1,4 @@
-"""Executable ``joints``: its parameters and its way into the nodes."""
+"""Executable ``joints``: parameters and entry point."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ _RENAMES = re.compile(r"__(ns|node|name):=")
 
 
 def refuse_renames(arguments: Sequence[str]) -> None:
-    """Refuse a namespace or a name for all nodes of the process, which would make them one.
+    """Refuse a remapped namespace or name, which would apply to all nodes of the process.
 
     Args:
         arguments: of the command line.
 
     Raises:
-        BadInput: there is one.
+        BadInput: the arguments contain one.
     """
     for word in arguments:
         if _RENAMES.match(word):
@@ -67,7 +67,7 @@ def _create(_options: None, **node_options: Any) -> JointsNode:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the nodes; see ``joints --help``."""
-    # Fast DDS sends from a thread of its own, thus on another core: of six joints at 500 Hz with a recorder, sending
+    # Fast DDS then sends from a thread of its own on another core. For six joints at 500 Hz with a recorder, sending
     # takes a quarter of a core.
     os.environ.setdefault("RMW_FASTRTPS_PUBLICATION_MODE", "ASYNCHRONOUS")
     return run_node(_create, argv, name="joints", description=DESCRIPTION, table=PARAMETERS, check=refuse_renames)

@@ -1,4 +1,4 @@
-"""Several joints in one process, and what concerns all of them."""
+"""Several joints in one process, with a common health report and stop."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pam_antagonist.nodes.shared_timers import SharedTimers
 from pam_antagonist.recording.topics import normalize_namespace
 
 _TYPES = "start_type_description_service"
-_TICK = 0.001  # between two looks which of the nodes' timers are due [s]
+_TICK = 0.001  # time between two checks of the nodes' timers [s]
 if TYPE_CHECKING:
     from pam_antagonist.nodes.bridge_node import BridgeNode
 
@@ -33,7 +33,7 @@ class Joint(NamedTuple):
 
     Attributes:
         namespace: absolute, such as ``/left/elbow``.
-        source: who owns the valves; None where that is somebody else.
+        source: the node that owns the valves; None if it runs elsewhere.
         estimator: of the joint.
         controller: of the joint.
     """
@@ -45,15 +45,15 @@ class Joint(NamedTuple):
 
     @property
     def nodes(self) -> tuple[PamNode, ...]:
-        """All of them; who listens comes before who publishes."""
+        """All nodes; subscribers before publishers."""
         here = (self.controller, self.estimator)
         return here if self.source is None else (*here, self.source)
 
 
 def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
-    """Plant or bridge, estimator and controller of one joint, linked: for whichever executor you have.
+    """Make plant or bridge, estimator and controller of one joint, linked by direct calls.
 
-    All of them belong into one single-threaded executor. What one hands on to the next, it does in its own callback.
+    Add all of them to one single-threaded executor: each node calls the next one in its own callback.
 
     Args:
         namespace: of the joint.
@@ -63,7 +63,7 @@ def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
     Raises:
         BadInput: a parameter that cannot be used.
     """
-    # The service that describes message types costs 0.2 MB a node, and the node of all joints has it already.
+    # The service that describes message types takes 0.2 MB in each node, and the node ``joints`` has it already.
     overrides = [Parameter(_TYPES, value=False), *options.pop("parameter_overrides", ())]
     options = {"also_known": _KNOWN, **options, "namespace": namespace, "parameter_overrides": overrides}
     estimator_node = EstimatorNode(linked=source == "plant", **options)
@@ -76,14 +76,14 @@ def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
         return Joint(namespace, plant_node, estimator_node, controller_node)
     if source == "none":
         return Joint(namespace, None, estimator_node, controller_node)
-    from pam_antagonist.nodes.bridge_node import BridgeNode  # its libraries are needed with hardware alone
+    from pam_antagonist.nodes.bridge_node import BridgeNode  # its libraries are needed only for hardware
 
-    # A bridge has a thread of its own: commands and samples go through the middleware, which may be used by any.
+    # A bridge has a thread of its own, so commands and samples go through the middleware, which is thread-safe.
     return Joint(namespace, BridgeNode(**options), estimator_node, controller_node)
 
 
 class JointsNode(PamNode):
-    """Makes the joints, tells how they are, and stops all of them.
+    """Makes the joints, reports their health, and can stop all of them.
 
     Args:
         options: as :class:`PamNode`, for this node and for those of the joints.
@@ -100,14 +100,14 @@ class JointsNode(PamNode):
         super().__init__("joints", joints.PARAMETERS, also_known=_KNOWN, **{"namespace": "/", **options})
         timers = SharedTimers()
         self.create_timer(_TICK, timers.run, clock=self._steady)
-        # Whatever the state of this node: its joints have life cycles of their own, and can be stopped at any time.
+        # Made in every state of this node: its joints have life cycles of their own, and can be stopped at any time.
         self._make({**{name: value for name, value in options.items() if name != "namespace"}, "timers": timers})
         self.members = [node for joint in self.joints for node in joint.nodes]
         self.create_service(Trigger, "~/stop_all", self._on_stop_all)
 
     @override
     def configure(self) -> None:
-        """Tell how the joints are."""
+        """Start the report of the joints' health."""
         self.start_diagnostics("robot")
 
     def _make(self, options: Mapping[str, Any]) -> None:
@@ -133,7 +133,7 @@ class JointsNode(PamNode):
                     raise BadInput(f"{joint.namespace}: {node.get_name()} and controller have different joint_names")
 
     def _on_stop_all(self, _request: Any, response: Any) -> Any:
-        """Stop the valves of every joint, or, where these are not owned here, its controller."""
+        """Stop the valves of every joint; where another process owns them, stop the controller."""
         by_controller = []
         for joint in self.joints:
             port = getattr(joint.source, "port", None)
@@ -151,7 +151,7 @@ class JointsNode(PamNode):
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """Part ``joints``: which of them are stopped."""
+        """Part ``joints``: which joints are stopped or not active."""
         states = {joint.namespace: _state(joint) for joint in self.joints}
         stopped = [name for name, words in states.items() if words.startswith("stopped")]
         if stopped:

@@ -1,4 +1,4 @@
-"""Arguments of the launch files, as far as they say the same (no ROS in here)."""
+"""Common handling of the launch files' arguments (without ROS)."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 RESPAWN_DELAY = 2.0
-"""[s] until a node that has ended is started again."""
+"""[s] Delay before an ended node is started again."""
 STOP_TIME = "15"
-"""[s] for a node to end after Ctrl-C, on a machine that is busy compiling, before launch insists."""
+"""[s] Time for a node to end after Ctrl-C before launch kills it, on a machine that is busy compiling."""
 _SWITCHES = ("use_sim_time", "autostart")
 
 
 def refuse_unknown(file: str, given: Sequence[str], known: Sequence[str]) -> None:
-    """Refuse arguments on the command line that a launch file does not have; launch would silently ignore them.
+    """Refuse unknown arguments of a launch file, which launch would silently ignore.
 
-    Where another launch file includes it, the arguments are that file's matter.
+    An included launch file is not checked, because the arguments belong to the including file.
 
     Args:
         file: name of the launch file.
         given: arguments, such as ``rig:=my_rig``.
-        known: names that it has.
+        known: names of the file's arguments.
 
     Raises:
         ValueError: an unknown argument.
@@ -38,14 +38,14 @@ def refuse_unknown(file: str, given: Sequence[str], known: Sequence[str]) -> Non
 
 
 def value_of(name: str, text: str) -> str | bool:
-    """The value of a parameter that was given as an argument: a switch as true or false, all else as text.
+    """Value of a parameter that was given as an argument: a bool for switches, otherwise the text.
 
     Args:
         name: of the parameter.
-        text: as it was typed.
+        text: of the argument.
 
     Raises:
-        ValueError: neither true nor false where one of them is needed.
+        ValueError: a switch is neither true nor false.
     """
     if name not in _SWITCHES:
         return text

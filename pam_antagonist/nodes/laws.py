@@ -1,4 +1,4 @@
-"""The controller's laws from its parameters, and what ``/diagnostics`` says of them."""
+"""Make the controller's laws from its parameters, and describe them for ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def pi_gains(values: Mapping[str, Any], mode: Mode) -> Gains:
 
     Args:
         values: parameters by name.
-        mode: that they are for.
+        mode: of the reference.
     """
     name = mode.name.lower()
     velocity = values["angle_velocity"] if mode is Mode.ANGLE else 0.0
@@ -48,12 +48,12 @@ def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_v
 
     Args:
         values: parameters by name.
-        rig: that is controlled.
+        rig: of the joint.
         limits: of both valves.
         safe_voltage: (2,) [V].
 
     Raises:
-        BadInput: the law in force cannot be had.
+        BadInput: the chosen law is not possible for this rig.
     """
     period, resume, blend = rig.sample_period, values["resume_time"], values["blend_time"]
     pi = None
@@ -70,7 +70,7 @@ def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_v
     except BadInput:
         if values["law"] == "model" or pi is None:
             raise
-        return Laws(pi, None, None)  # a rig whose supply leaves no such pressures has the PI as before
+        return Laws(pi, None, None)  # the supply is too low for the model law: only the PI remains
     model = ModelController(
         p, box, model_gains(values), sample_period=period, limits=limits, safe_voltage=safe_voltage,
         resume_time=resume, blend_time=min(blend, ModelController.BLEND_TIME),
@@ -80,7 +80,7 @@ def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_v
 
 
 def _governor(values: Mapping[str, Any], p: np.ndarray, box: Box) -> Governor:
-    """The governor whose limits lie by ``supply_margin`` around the pressures that the law asks for."""
+    """The governor; its pressure limits are the law's range, widened by ``supply_margin``."""
 
     def limit(name: str) -> float:
         return float(values[name]) or math.inf
@@ -93,16 +93,16 @@ def _governor(values: Mapping[str, Any], p: np.ndarray, box: Box) -> Governor:
 
 
 def retune(laws: Laws, before: Mapping[str, Any], after: Mapping[str, Any], mode: Mode | None) -> None:
-    """Take parameters that have changed, all or none of them, without a bump.
+    """Apply changed parameters without a bump, either all or none.
 
     Args:
         laws: to retune.
         before: parameters by name.
         after: the new ones.
-        mode: of the reference that is followed now; None: none is.
+        mode: of the present reference; None without one.
 
     Raises:
-        BadInput: one that cannot be taken.
+        BadInput: an invalid parameter.
     """
     gains = {each: pi_gains(after, each) for each in PI_MODES}
     of_model = model_gains(after)
@@ -115,7 +115,7 @@ def retune(laws: Laws, before: Mapping[str, Any], after: Mapping[str, Any], mode
 
 
 def described(laws: Laws) -> dict[str, object]:
-    """What the law in force does, for ``/diagnostics``."""
+    """State of the active law, for ``/diagnostics``."""
     if laws.pi is not None and (laws.name == "pi" or laws.model is None):
         return {"law": "pi", "integral term [V]": f"{laws.pi.integral:.4f}"}
     assert laws.model is not None  # there is one law at least

@@ -1,4 +1,4 @@
-"""Who on the network hears the nodes: nobody but this machine, unless somebody asked for more (no ROS in here)."""
+"""Limit discovery to this machine, unless the user chose another range (without ROS)."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from collections.abc import MutableMapping
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 _ASKED = (RANGE, "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER")
-"""Variables of ROS 2 by which a user says who is to be found."""
+"""Environment variables of ROS 2 that set the range of discovery."""
 
 
 def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> bool:
-    """Have nodes of this process find those of this machine only, before ROS is initialised.
+    """Limit discovery of this process's nodes to this machine; call before ROS is initialised.
 
-    The default of ROS 2 is the whole subnet, where anybody may publish a command to the valves. A user who has set any
-    of the variables about discovery, if only to that default, has decided, and is left alone.
+    By default ROS 2 discovers the whole subnet, where anybody could publish commands to the valves. If the user has set
+    any of the variables of discovery, nothing is changed.
 
     Args:
         environment: of the process.
 
     Returns:
-        Whether that was done.
+        Whether the limit was set.
     """
     if any(environment.get(name) for name in _ASKED):
         return False
@@ -30,7 +30,7 @@ def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> 
 
 
 def local_only(environment: MutableMapping[str, str] = os.environ) -> bool:
-    """Whether nothing is to be heard from outside of this machine."""
+    """Whether discovery is limited to this machine."""
     return environment.get(RANGE) == "LOCALHOST" and not environment.get("ROS_STATIC_PEERS")
 
 

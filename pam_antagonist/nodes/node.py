@@ -1,4 +1,4 @@
-"""What the nodes have in common."""
+"""Base class of the nodes."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Param
 from pam_antagonist.nodes.shared_timers import SharedTimers
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 
-_ANSWER = 0.5  # from a shutdown to the end of the process [s]
+_ANSWER = 0.5  # [s] from a shutdown request to the end of the process, so that the answer can be sent
 
 SHARED_PARAMETERS = (
     *("rig", "joint", "joint_name", "lock_angle", "frame_id", "tuning", "max_age"),
     *("safe_voltage", "safe_action", "vent_voltage", "vent_rate", "command_timeout", "max_command_age"),
     *("max_slew", "max_pressure"),
 )
-"""Parameters that a file for a whole pipeline may give to every node, whether it has them or not."""
+"""Parameters that a parameter file may set for all nodes of a pipeline, also for nodes that do not have them."""
 
 JOINTS_PARAMETERS = ("joints", "source")
-"""Those of executable ``joints``: on its command line they reach each node of the process."""
+"""Parameters of the executable ``joints``; on its command line they reach every node of the process."""
 
 
 class _Gate:
-    """Lets calls through until it is shut: an executor may have a timer or a message in its queue still."""
+    """Passes calls on until it is closed, because an executor may still have a timer or a message in its queue."""
 
     __slots__ = ("callback", "open")
 
@@ -52,7 +52,7 @@ class _Gate:
 
 
 class _Owned(NamedTuple):
-    """Something that ends with the transition that is the opposite of the one that it was made in."""
+    """An entity that was made in a transition, and is destroyed in the opposite one."""
 
     stage: str
     destroy: Callable[[Any], object]
@@ -63,33 +63,33 @@ class _Owned(NamedTuple):
 class PamNode(LifecycleNode):  # type: ignore[misc]
     """A managed node with checked parameters and diagnostics.
 
-    A node overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`, :meth:`cleanup` as far as it needs them;
-    each may raise ``BadInput``, which makes the transition fail with the reason in the log. With ``autostart`` (the
-    default) it configures itself when it is made, and activates itself right before spinning. Timers, publishers,
-    subscriptions and services that are made in a transition by this class's methods end with the opposite one.
+    A node overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`, :meth:`cleanup` as needed. Each may raise
+    ``BadInput``; the transition then fails, and the log gives the reason. With ``autostart`` (the default) the node
+    configures itself when it is made, and activates itself right before spinning. Timers, publishers, subscriptions and
+    services that a transition makes by this class's methods are destroyed in the opposite transition.
 
-    Timers run on the steady clock, so that a jump of the system clock cannot stop them; whatever is compared with a
-    stamp is read from the node's clock, which follows ``use_sim_time``.
+    Timers run on the steady clock, so that a jump of the system clock cannot stop them. Times that are compared with
+    stamps come from the node's clock, which follows ``use_sim_time``.
 
-    Messages go out by plain publishers: that an inactive node is silent is a matter of what calls them. A
-    ``LifecyclePublisher`` would look at its state once more for each of 4000 messages a second.
+    Publishers are plain ones, and the callers make sure that an inactive node is silent. A ``LifecyclePublisher`` would
+    check its state again for each of 4000 messages a second.
 
     Args:
         name: of the node, unless it is remapped.
-        table: its parameters.
-        timers: where its steady timers go; None: each is the executor's.
-        also_known: names of parameters that are not this node's and may be given to it all the same.
+        table: the node's parameters.
+        timers: gets the node's steady timers; None: they belong to the executor.
+        also_known: names of other nodes' parameters, which are accepted and ignored.
         options: of ``rclpy.node.Node``, such as ``namespace``, ``context``, ``cli_args`` or ``parameter_overrides``.
 
     Attributes:
         values: the parameters.
-        active: whether it is in the state "active".
-        about_rig: what ``/diagnostics`` says about its rig, where it has one.
-        finished: set by a node that has nothing left to do, or was shut down by its lifecycle service.
-        members: nodes that run in the same executor, and start and end with this one.
+        active: whether the node is in the state "active".
+        about_rig: name and fingerprint of the rig for ``/diagnostics``.
+        finished: set when the node has finished, or was shut down by its lifecycle service.
+        members: nodes in the same executor that start and end with this one.
 
     Raises:
-        BadInput: a parameter that cannot be used.
+        BadInput: an invalid parameter.
     """
 
     finished = False
@@ -123,25 +123,25 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     # ---------------------------------------------------------------- for the nodes
 
     def configure(self) -> None:
-        """Read what is needed, compile, make publishers and services. Slow things belong here."""
+        """Read files, compile, make publishers and services. Slow work belongs here."""
 
     def activate(self) -> None:
-        """Begin: subscriptions and timers. Called when everything that takes time is done.
+        """Make subscriptions and timers. Called after all slow work is done.
 
-        What is subscribed to earlier piles up until then, and comes late.
+        Messages of earlier subscriptions would pile up and come late.
         """
 
     def deactivate(self) -> None:
-        """Before subscriptions and timers end: last messages."""
+        """Send last messages, before subscriptions and timers are destroyed."""
 
     def cleanup(self) -> None:
-        """Forget what :meth:`configure` made, apart from entities of ROS, which end by themselves."""
+        """Undo :meth:`configure`, except for entities of ROS, which are destroyed automatically."""
 
     def close(self) -> None:
-        """Last messages, while there still is a context to send them. Called once, before the node is destroyed."""
+        """Send last messages while the context still exists. Called once, before the node is destroyed."""
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """The state of each part; called once every ``diagnostics_period``, from :meth:`start_diagnostics` on.
+        """Health of each part; called every ``diagnostics_period`` after :meth:`start_diagnostics`.
 
         Args:
             steady_ns: steady time [ns].
@@ -149,22 +149,22 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         raise NotImplementedError
 
     def start_diagnostics(self, hardware_id: str) -> None:
-        """Send :meth:`health` from now on."""
+        """Publish :meth:`health` periodically from now on."""
         self._diagnostics = DiagnosticsPublisher(self, hardware_id)
         self.steady_timer(self.values["diagnostics_period"], self._diagnose)
 
     def steady_timer(self, period: float, callback: Any) -> Any:
-        """A timer [s] on the steady clock."""
+        """Make a timer on the steady clock, with a period [s]."""
         if self._timers_shared is not None:
             gate = _Gate(callback)
             return self._own(self._timers_shared.remove, self._timers_shared.add(period, gate.tick), gate)
         return self.create_timer(period, callback, clock=self._steady)
 
     def collect(self, kind: Any, topic: str, profile: Any) -> Subscription:
-        """A subscription that nobody is woken up for: its serialised messages are taken with :func:`take`.
+        """Make a subscription that does not wake the executor; :func:`take` returns its serialised messages.
 
-        That costs less than being woken, and it is the only way to what the middleware knows about a message: with a
-        callback that takes it as well, the ``EventsExecutor`` of rclpy 7.1 ends with "SystemError: null argument".
+        This costs less than a callback, and is the only way to get the middleware's information about a message: with a
+        callback for it, the ``EventsExecutor`` of rclpy 7.1 fails with "SystemError: null argument".
 
         Args:
             kind: type of the messages.
@@ -181,12 +181,12 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
-        """Those that an executor is to wake up for: not the collected ones."""
+        """Subscriptions that wake the executor, without those of :meth:`collect`."""
         collected = set(map(id, self._collected.values()))
         return (item for item in super().subscriptions if id(item) not in collected)
 
     def create_publisher(self, kind: Any, topic: str, profile: Any, **options: Any) -> Any:
-        """As rclpy; the publisher belongs to the state that is being reached. ``qos_overrides`` count."""
+        """As rclpy; the opposite transition destroys the publisher. Supports ``qos_overrides``."""
         profile, options = overridable(topic, profile, options)
         try:
             publisher = super().create_publisher(kind, topic, profile, **options)
@@ -196,7 +196,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         return self._own(self._unpublish, publisher)
 
     def create_subscription(self, kind: Any, topic: str, callback: Any, profile: Any, **options: Any) -> Any:
-        """As rclpy; the callback is called only in the state that made it. ``qos_overrides`` count."""
+        """As rclpy; the opposite transition destroys the subscription. Supports ``qos_overrides``."""
         gate = _Gate(callback)
         profile, options = overridable(topic, profile, options)
         try:
@@ -207,37 +207,37 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         return self._own(self._unsubscribe, entity, gate)
 
     def create_timer(self, period: float, callback: Any, *args: Any, **options: Any) -> Any:
-        """As rclpy; the callback is called only while the node is in the state that made it."""
+        """As rclpy; the opposite transition destroys the timer."""
         gate = _Gate(callback)
         return self._own(self.destroy_timer, super().create_timer(period, gate.tick, *args, **options), gate)
 
     def create_service(self, *args: Any, **options: Any) -> Any:
-        """As rclpy; the service belongs to the state that is being reached."""
+        """As rclpy; the opposite transition destroys the service."""
         return self._own(self.destroy_service, super().create_service(*args, **options))
 
     # ---------------------------------------------------------------- transitions
 
     def start(self) -> None:
-        """Activate, where that is wanted. Called when everything that takes time is done, right before spinning."""
+        """Activate with ``autostart``. Called right before spinning, after all slow work is done."""
         if self.values["autostart"]:
             self._require(self.trigger_activate)
 
     def _require(self, transition: Callable[[], Any]) -> None:
-        """A transition whose failure is the caller's to know.
+        """Make a transition, and raise its error if it fails.
 
         Raises:
-            BadInput: what it failed of.
+            BadInput: the reason of the failure.
         """
         self._transition_error = None
         if transition() is not TransitionCallbackReturn.SUCCESS:
             raise self._transition_error or RuntimeError(f"{self.get_name()} could not be started")
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Reach ``inactive``: what :meth:`configure` makes."""
+        """Reach ``inactive`` by :meth:`configure`."""
         return self._reach("configured", self.configure, super().on_configure, state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Reach ``active``: what :meth:`activate` makes."""
+        """Reach ``active`` by :meth:`activate`."""
         self.active = True
         outcome = self._reach("active", self.activate, super().on_activate, state)
         self.active = outcome is TransitionCallbackReturn.SUCCESS
@@ -246,19 +246,19 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         return outcome
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave ``active``: what :meth:`activate` made is destroyed."""
+        """Leave ``active``; the entities of :meth:`activate` are destroyed."""
         self._leave("active")
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave ``inactive``: what :meth:`configure` made is destroyed."""
+        """Leave ``inactive``; the entities of :meth:`configure` are destroyed."""
         self._leave("configured")
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """From whatever state; the process ends, and with it everything else."""
+        """Shut down from any state; the process ends."""
         self._leave("active")
-        # Not at once: whoever asked for it is to get an answer, and everybody else the last messages.
+        # Delayed, so that the caller gets an answer, and subscribers get the last messages.
         self.create_timer(_ANSWER, self._finish, clock=self._steady)
         return super().on_shutdown(state)
 
@@ -287,7 +287,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         return base(state)
 
     def _leave(self, stage: str) -> None:
-        """Undo what was done to reach a stage, if it was reached."""
+        """Undo a stage, if it was reached."""
         if stage == "active" and self.active:
             self.deactivate()
             self.active = False
@@ -323,13 +323,13 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         parts["connections"] = self._connections.health(self)
         parts["lifecycle"] = Health(level, state, self.about_rig)
         self._diagnostics.publish(parts)
-        # The automatic collection is off, and what existed before the first sample is out of its sight (see spin.py):
-        # what is left to look through takes microseconds.
+        # Automatic collection is off, and objects from before the first sample are frozen (see spin.py), so this takes
+        # only microseconds.
         gc.collect()
 
 
 def take(subscription: Subscription) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
-    """What a collected subscription has: each message with what the middleware knows about it, oldest first."""
+    """Messages of a subscription of :meth:`PamNode.collect`, oldest first, each with the middleware's information."""
     handle = subscription.handle
     with handle:
         while (taken := handle.take_message(subscription.msg_type, True)) is not None:

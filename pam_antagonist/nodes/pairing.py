@@ -1,13 +1,12 @@
-"""Pairing of the three messages of one sample by their stamp (no ROS in here).
+"""Pairing of the messages of one sample by their stamp (without ROS).
 
-A sample is final as soon as every topic has delivered a message with its stamp or a later one. If a topic stays
-away, a sample is also final when it is older than the time-out: counted in stamps, against the newest stamp that
-has come, *and* in waiting time. What is missing then is NaN. Samples come out in the order of their stamps, so what
-comes out does not depend on the order of arrival; only what is lost on the way can change it.
+A sample is final as soon as every topic has delivered a message with the sample's stamp or a later one. If a topic is
+missing, a sample is final after the time-out, counted in stamps against the newest stamp *and* in waiting time. Missing
+values are NaN. Samples come out in the order of their stamps. So the result does not depend on the order of arrival,
+only on which messages are lost.
 
-Who takes messages from a queue looks for time-outs (:meth:`SamplePairing.expire`) behind whatever is in the queue, not
-with every message: after a stall of the machine one topic's messages may all come before the next one's, and
-those that are already there must not be taken for lost.
+Call :meth:`SamplePairing.expire` after the queue is empty, not after every message. After a stall of the machine, all
+messages of one topic may come before those of the next topic, and messages in the queue are not lost.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 PRESSURE_1, PRESSURE_2, VALVES, ANGLE = range(4)
-"""The topics of a sample, the last one where a measured angle is used."""
+"""The topics of a sample; ANGLE only where a measured angle is used."""
 
 _FIRST = (0, 1, 2, 4)  # where each topic's values start in a sample
-_BITS = 5  # behind the values: which topics have come
-_LIMIT = 5000  # samples that wait; more only come from stamps that make no sense
+_BITS = 5  # index of the bit mask of received topics, after the values
+_LIMIT = 5000  # largest number of waiting samples; only invalid stamps lead to more
 
 
 class Sample(NamedTuple):
@@ -47,12 +46,12 @@ class Sample(NamedTuple):
 
 @dataclass
 class PairingCounts:
-    """What the pairing has seen.
+    """Counters of the pairing.
 
     Attributes:
-        samples: that came out.
-        incomplete: of these, with a topic missing.
-        late: messages that came after their sample had gone.
+        samples: final samples.
+        incomplete: final samples with a missing topic.
+        late: messages that came after their sample was final.
         duplicates: second messages of one topic with the same stamp.
         restarts: jumps backwards in time.
     """
@@ -65,13 +64,13 @@ class PairingCounts:
 
 
 class SamplePairing:
-    """Puts messages together to samples.
+    """Combines messages to samples.
 
     Args:
-        timeout: how long a sample may wait for a topic [s].
-        restart_after: a message that is older than the last sample by more than this is a new start [s].
+        timeout: how long a sample waits for a topic [s].
+        restart_after: a message that is older than the last final sample by more than this restarts the pairing [s].
         clock: current time [ns], for the waiting time.
-        topics: that a sample has.
+        topics: topics of a sample.
     """
 
     def __init__(
@@ -90,18 +89,18 @@ class SamplePairing:
         self.reset()
 
     def reset(self) -> None:
-        """Forget every message that waits, and the time of the last sample."""
+        """Forget all waiting messages, and the last final sample."""
         self._waiting: dict[int, list[float]] = {}
         self._arrival: dict[int, int] = {}
         self._newest: dict[int, int | None] = dict.fromkeys(self._topics)
         self._final: int | None = None
 
     def add(self, topic: int, stamp_ns: int, *values: float) -> list[Sample]:
-        """Take one message.
+        """Add one message.
 
         Args:
             topic: PRESSURE_1, PRESSURE_2, VALVES or ANGLE.
-            stamp_ns: its stamp [ns].
+            stamp_ns: stamp of the message [ns].
             values: one pressure [Pa], two voltages [V], or one angle [rad].
 
         Returns:
@@ -132,13 +131,13 @@ class SamplePairing:
         return self._pop_until(min(newest))  # type: ignore[type-var]
 
     def whole(self, sample: Sample) -> list[Sample]:
-        """Take a sample whose messages never were apart; its values may be NaN. Not together with :meth:`add`.
+        """Add a sample that was not split into messages; values may be NaN. Do not combine with :meth:`add`.
 
         Args:
             sample: of a plant in the same process.
 
         Returns:
-            It alone; nothing where its stamp is none after the last one's.
+            The sample; empty where its stamp is not after the last one.
         """
         if self._final is not None and sample.stamp_ns <= self._final:
             if self._final - sample.stamp_ns <= self._restart:

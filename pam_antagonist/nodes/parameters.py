@@ -1,4 +1,4 @@
-"""Parameters of the nodes: one table a node serves its declaration, its checks and its ``--help``."""
+"""Parameters of the nodes: one table for each node, for declaration, checks and ``--help``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Value = bool | int | float | str | list[float] | list[str]
 
 _TYPES = {bool: "true or false", int: "an integer", float: "a number", str: "a text", list: "a list of numbers"}
 
-# What ROS itself, or a parameter file shared by a whole pipeline, may set on any node.
+# Parameters that ROS itself, or a parameter file for a whole pipeline, may set on any node.
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
 _ROS_PREFIXES = ("qos_overrides.", "diagnostic_updater.")
 
@@ -28,14 +28,14 @@ class Parameter:
 
     Attributes:
         name: as in ``-p name:=value``.
-        default: its value if nothing is given; its type is the parameter's.
+        default: default value; gives the parameter's type.
         description: one line with the unit in brackets.
-        low: least value, of each element of a list; None: no bound.
-        high: largest value.
+        low: lowest value, also of each element of a list; None: no bound.
+        high: highest value, likewise.
         length: number of elements of a list of numbers.
         choices: allowed values of a text; empty: any.
-        solid: whether a text must not be empty and holds no spaces.
-        read_only: whether it is fixed once the node runs.
+        solid: whether a text must not be empty or contain spaces.
+        read_only: whether the parameter is fixed while the node runs.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Parameter:
 
     @property
     def expected(self) -> str:
-        """What a value has to be, in words."""
+        """The allowed values, in words."""
         text = _TYPES[type(self.default)]
         if isinstance(self.default, list):
             text = "a list of texts" if self._texts else f"a list of {self.length} numbers"
@@ -141,10 +141,10 @@ VENT_PRESSURE_RATE = Parameter(
     1e7,
 )
 SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE, SAFE_PRESSURE, VENT_PRESSURE, VENT_PRESSURE_RATE)
-"""What every node that may give the valves safe voltages has to know."""
+"""Parameters of every node that may apply safe voltages."""
 
-# 2 V/ms: a full stroke in 5 ms, about what a proportional valve itself takes for it. So it costs no control, and a
-# single command that makes no sense moves a valve by a fifth of its range at most.
+# 2 V/ms: a full stroke in 5 ms, about as fast as a proportional valve itself. So the limit does not slow down control,
+# and a single wrong command moves a valve by at most a fifth of its range.
 VALVE_OWNER = (
     *SAFETY,
     Parameter("command_timeout", 0.02, "time without a command until the valves become safe [s]", 0.002, 1.0),
@@ -156,7 +156,7 @@ VALVE_OWNER = (
         10.0,
     ),
     Parameter("max_slew", 2000.0, "largest change of a valve's voltage by commands [V/s]", 1.0, 1e6),
-    # The whole range in 30 ms, quicker than a regulator; a command that makes no sense moves it by 20 kPa at 1 kHz.
+    # The whole range in 30 ms, faster than a regulator; a single wrong command moves it by at most 20 kPa at 1 kHz.
     Parameter(
         "max_pressure_slew",
         2e7,
@@ -181,23 +181,23 @@ VALVE_OWNER = (
         60.0,
     ),
 )
-"""What a node that owns the valves, the plant or a bridge, has beside that: see docs/how-to/safety.md."""
+"""Parameters of a node that owns the valves, the plant or a bridge; see docs/how-to/safety.md."""
 
 ANGLE_SENSORS = ("none", "encoder")
-"""What may measure the angle for the estimator."""
+"""Sensors that may measure the angle for the estimator."""
 PRESSURE_SENSORS = ("measured", "none")
-"""Whether the pressures are measured. Without, the estimator goes by what the regulators are asked for."""
+"""Whether the pressures are measured. With ``none`` the estimator uses the regulators' commands."""
 
 
 def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
-    """Refuse to do without measured pressures where nothing else tells them.
+    """Refuse a rig with valves without measured pressures.
 
     Args:
         pressure_sensors: one of ``PRESSURE_SENSORS``.
         rig: of the joint.
 
     Raises:
-        BadInput: a rig with valves, whose voltages tell no pressure.
+        BadInput: a rig with valves, whose pressures do not follow from the voltages.
     """
     if pressure_sensors == "none" and rig.drive == "valve":
         raise BadInput(
@@ -214,14 +214,14 @@ def declare(node: Node, table: Sequence[Parameter], known_elsewhere: Sequence[st
     """Declare the parameters of a table and return their values.
 
     Args:
-        node: that has none of them yet.
-        table: its parameters.
-        known_elsewhere: names that other nodes of the pipeline have; a shared parameter file may set them.
+        node: the node, before any declaration.
+        table: the node's parameters.
+        known_elsewhere: names of other nodes' parameters, which a shared parameter file may set.
 
     Raises:
-        BadInput: a value that is out of range or of the wrong type, or a name that no node knows.
+        BadInput: a value that is out of range or of the wrong type, or an unknown name.
     """
-    # rclpy offers the given values only through declarations, which cannot tell a misspelled name from none at all.
+    # rclpy gives overrides only to declarations, so that a misspelled name would be silently ignored.
     given = dict(getattr(node, "_parameter_overrides", {}))
     names = [parameter.name for parameter in table]
     for name in given:
@@ -264,7 +264,7 @@ def _descriptor(parameter: Parameter) -> Any:
 
 
 def help_text(table: Sequence[Parameter]) -> str:
-    """One paragraph a parameter, for ``--help``."""
+    """Text for ``--help``, with one paragraph for each parameter."""
     lines = []
     for parameter in table:
         fixed = "" if parameter.read_only else "; may change while the node runs"

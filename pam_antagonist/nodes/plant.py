@@ -1,4 +1,4 @@
-"""Executable ``plant``: its parameters and its way into the node."""
+"""Executable ``plant``: parameters and entry point."""
 
 from __future__ import annotations
 

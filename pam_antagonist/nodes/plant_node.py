@@ -1,4 +1,4 @@
-"""The simulated joint that stands in for a real one."""
+"""The node of the simulated joint."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import NO_ENCODER, load_rig
 from pam_antagonist.simulation.plant import Plant
 
-_BURST = 25  # samples in a row while catching up, before commands are looked at again
-_JUMP = 1.0  # lateness of the samples that is not caught up with [s]
-_JUMP_BACK = 0.5  # by which the clock may be behind the samples, which then wait for it: as the estimator takes it [s]
-_SETTLE = 0.3  # time that subscribers have to find the publishers, after these have found them [s]
+_BURST = 25  # largest number of samples while catching up, before commands are read again
+_JUMP = 1.0  # [s] largest lateness of the samples that is caught up
+_JUMP_BACK = 0.5  # [s] largest time that the samples wait for a clock behind them; as in the estimator
+_SETTLE = 0.3  # [s] time for subscribers to find the publishers, after the publishers have found them
 
 
 class PlantNode(PamNode):
-    """Runs the physics in real time, finer and off its declared values, behind noisy sensors.
+    """Simulates the joint in real time, with finer steps, deviating parameters and noisy sensors.
 
-    Sample k is stamped start + k T, without drift, and is published when the clock has reached that. After a stall
-    every missed sample is made up for, as a device that runs on by itself would have sent them.
+    Sample k is stamped start + k T, without drift, and is published when the clock reaches this time. After a stall all
+    missed samples are published, as by a device that runs independently.
 
     Args:
-        linked: whether the controller is in the same process: then it gives its commands to :meth:`command`, and
-            ``valve_command`` is not listened to.
+        linked: whether the controller is in the same process and calls :meth:`command`; then the node does not
+            subscribe to ``valve_command``.
         options: as :class:`PamNode`.
 
     Attributes:
-        deliver: is called with each sample: stamp [ns], two pressures [Pa], two voltages [V], the encoder's
-            angle [rad], NaN where it publishes none. None: nobody is.
+        deliver: called with each sample: stamp [ns], two pressures [Pa], two voltages [V], and the encoder's
+            angle [rad], NaN where none is published; None: not called.
     """
 
     deliver: Callable[[int, float, float, float, float, float], None] | None = None
@@ -55,10 +55,10 @@ class PlantNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """A joint at rest.
+        """Make a joint at rest.
 
         Raises:
-            BadInput: an encoder that the rig file says nothing of, or valves without measured pressures.
+            BadInput: an encoder that is not in the rig file, or valves without measured pressures.
         """
         values = self.values
         COMPILING.tell = self.get_logger().info
@@ -75,10 +75,10 @@ class PlantNode(PamNode):
             noise=values["noise"],
             initial_pressure=tuple(values["initial_pressure"]),
         )
-        # Compiles, or loads, what a step needs; a plant of its own, so that the real one starts at rest.
+        # Compiles or loads the code of a step; uses another plant, so that this one starts at rest.
         Plant(rig, joint=values["joint"], lock_angle=values["lock_angle"]).step(self.port.drive.action.hold)
         self._next: int | None = None
-        self._now: int | None = None  # while samples are made [ns]
+        self._now: int | None = None  # present time while samples are made [ns]
         self._found_ns: int | None = None
         self._samples = self._jumps = self._jumps_before = 0
         self._lateness, self._rate = Window(), Rate()
@@ -112,11 +112,11 @@ class PlantNode(PamNode):
 
     @override
     def cleanup(self) -> None:
-        """Nobody can push it any more."""
+        """Stop accepting parameter changes."""
         self.remove_on_set_parameters_callback(self._on_parameters)
 
     def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
-        """Push the joint from the next sample on."""
+        """Apply a new push from the next sample on."""
         entry = next(item for item in PARAMETERS if item.name == "push")
         try:
             for parameter in changed:
@@ -128,12 +128,12 @@ class PlantNode(PamNode):
 
     @override
     def activate(self) -> None:
-        """Take commands, let time pass, and tell of it."""
+        """Take commands and publish samples."""
         self.port.listen()
 
     @override
     def deactivate(self) -> None:
-        """Safe voltages, and silence; a joint cannot be stopped, so its time goes on."""
+        """Apply safe voltages and be silent; the simulated time goes on."""
         self.port.rest()
 
     def _tick(self) -> None:
@@ -160,7 +160,7 @@ class PlantNode(PamNode):
         self._now = None
 
     def _may_start(self, now: int) -> bool:
-        """Whether the subscribers that are waited for can receive by now."""
+        """Whether all expected subscribers are connected."""
         wanted: int = self.values["wait_for_subscribers"]
         if wanted == 0:
             return True
@@ -199,8 +199,8 @@ class PlantNode(PamNode):
         """Take a command of the controller in the same process.
 
         Args:
-            stamp_ns: of the sample that it answers [ns].
-            voltage: asked for (2,) [V].
+            stamp_ns: of the command's sample [ns].
+            voltage: command (2,) [V].
         """
         self.port.command(stamp_ns, voltage, self.now_ns() if self._now is None else self._now)
 

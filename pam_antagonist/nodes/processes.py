@@ -1,4 +1,4 @@
-"""Starting nodes as processes of their own, watching them, and stopping every one of them (no ROS in here)."""
+"""Start nodes as separate processes, watch them, and stop all of them (without ROS)."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from types import TracebackType
 
 from pam_antagonist.nodes.spin import PARENT_VARIABLE, PRIORITY_VARIABLE
 
-_START_LIMIT = 300.0  # for the nodes to start, which may have to compile first, on a busy machine [s]
-_KILL_AFTER = 5.0  # time a process has to end by itself [s]
-_DOMAINS = 100  # with ports below those that Linux gives away by itself
+_START_LIMIT = 300.0  # [s] longest time to start, including compiling on a busy machine
+_KILL_AFTER = 5.0  # [s] time for a process to end before it is killed
+_DOMAINS = 100  # their ports are below the ephemeral ports of Linux
 _FIRST_PORT, _PORTS_A_DOMAIN, _PARTICIPANTS = 7410, 250, 20
 _PRIORITY, _RECORDER_PRIORITY = 2, 1  # of the real-time scheduler; the recorder has long queues
 
 
 class ProcessFailed(Exception):
-    """A process ended although nobody asked it to. The message is what it said, in one line."""
+    """A process ended unexpectedly. The message is its last output, in one line."""
 
 
 @dataclass
@@ -34,7 +34,7 @@ class Process:
     Attributes:
         name: of the executable.
         popen: the process.
-        log: file with what it writes.
+        log: file with its output.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Process:
     log: Path
 
     def last_words(self) -> str:
-        """The line that says why it ended: its last ``error:`` line, else the last line of all."""
+        """The line that tells why the process ended: the last ``error:`` line, otherwise the last line."""
         try:
             lines = [line.strip() for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
         except OSError:
@@ -53,11 +53,11 @@ class Process:
 
 
 def free_domain() -> int:
-    """A ROS domain that nobody on this machine uses: two pipelines in one domain would hear each other."""
+    """An unused ROS domain on this machine; two pipelines in one domain would receive each other's messages."""
     domains = list(range(1, _DOMAINS + 1))
     random.shuffle(domains)
     for domain in domains:
-        # Where DDS puts the participants of a domain (RTPS, section 9.6.1.1). The first of them may have left again.
+        # Ports of the participants of a domain (RTPS, section 9.6.1.1). The first participants may have left again.
         ports = (_FIRST_PORT + _PORTS_A_DOMAIN * domain + 2 * k for k in range(_PARTICIPANTS))
         if all(_unused(port) for port in ports):
             return domain
@@ -102,13 +102,12 @@ def _yaml(value: object) -> str:
 class Processes:
     """A group of executables of this package that start and end together.
 
-    Use it as a context manager: whatever happens inside, every process is gone afterwards, in the order given to
-    :meth:`stop` or in the order of their start. They have a session of their own, so that Ctrl-C reaches the caller
-    alone, and they end by themselves when the caller is killed. Where that is allowed they run under the real-time
-    scheduler.
+    Use it as a context manager: at its end all processes are stopped, in the order of their start. They have a session
+    of their own, so that only the caller gets Ctrl-C, and they end when the caller is killed. If permitted, they run
+    under the real-time scheduler.
 
     Args:
-        logs: folder for one log a process; it must exist.
+        logs: existing folder for the log files, one for each process.
     """
 
     def __init__(self, logs: Path) -> None:
@@ -136,7 +135,7 @@ class Processes:
             name: of the executable, such as ``plant``; the first argument of the module.
             arguments: the rest of its command line.
             environment: added to the caller's.
-            module: of Python that runs it.
+            module: Python module that runs it.
         """
         log = self._logs / f"{name}.log"
         priority = _RECORDER_PRIORITY if name == "record" else _PRIORITY
@@ -155,10 +154,10 @@ class Processes:
         return process
 
     def check(self) -> None:
-        """Make sure that all of them run.
+        """Make sure that all processes run.
 
         Raises:
-            ProcessFailed: one has ended.
+            ProcessFailed: a process has ended.
         """
         for process in self.running.values():
             if process.popen.poll() is not None:
@@ -166,13 +165,13 @@ class Processes:
                 raise ProcessFailed(f"{process.name} ended with status {status}: {process.last_words()}")
 
     def wait(self, missing: Callable[[], str]) -> None:
-        """Wait until nothing is missing any more.
+        """Wait until nothing is missing.
 
         Args:
-            missing: says in words what is, and nothing when nothing is.
+            missing: returns what is missing, in words; empty for nothing.
 
         Raises:
-            ProcessFailed: one has ended, or something is missing still after the time that compiling may take.
+            ProcessFailed: a process has ended, or something is still missing after the longest time to start.
         """
         begin = time.monotonic()
         while what := missing():
@@ -182,13 +181,13 @@ class Processes:
             time.sleep(0.01)
 
     def stop(self, *names: str) -> dict[str, int]:
-        """End processes one after the other and wait for each; kill what does not end.
+        """End processes one after the other and wait for each; kill those that do not end.
 
         Args:
-            names: which, in this order; none: all, in the order of their start.
+            names: processes to end, in this order; none: all, in the order of their start.
 
         Returns:
-            Exit status of each.
+            Name -> exit status.
         """
         statuses = {}
         for name in names or tuple(self.running):
@@ -198,7 +197,7 @@ class Processes:
 
 
 def _end(popen: subprocess.Popen[bytes]) -> int:
-    """SIGINT, then SIGKILL."""
+    """End a process by SIGINT, then by SIGKILL."""
     deadline = time.monotonic() + _KILL_AFTER
     if popen.poll() is None:
         popen.send_signal(signal.SIGINT)

@@ -1,16 +1,16 @@
-"""Quality of service of every topic, chosen once.
+"""Quality of service of every topic.
 
-* ``STREAM``: the 1 kHz topics, published and subscribed. Reliable and a second deep: single stalls of 100 to 300 ms
-  come from any shared machine, and what was sent meanwhile is to arrive late, flagged, rather than never. Subscribers
-  that prefer the latest value match it with best effort.
-* ``RECORD``: what the recorder subscribes with: as ``STREAM``, five seconds deep.
-* ``COMMAND``: what the valves listen to. Reliable; of several commands of one publisher only the newest counts, and a
-  time-out watches over it. Deep enough that a second publisher cannot push the first one's commands out unseen.
-* ``REFERENCE``: reliable, volatile, depth 10, so that a second publisher cannot push the first one's out unseen; the
-  last one is held until the next one.
-* ``LATCHED``: said once, and kept for those who come later.
-* ``LAST_ONE``: the same of the last message alone.
-* ``GLANCE``: best effort, depth 1, for displays that look at the latest value now and then.
+* ``STREAM``: publishers and subscribers of the 1 kHz topics. Reliable, with a depth of one second: stalls of 100 to
+  300 ms happen on any shared machine, and messages from this time should arrive late and flagged rather than never.
+  Subscribers that prefer the latest value can use best effort.
+* ``RECORD``: subscriptions of the recorder; as ``STREAM``, with a depth of five seconds.
+* ``COMMAND``: commands of the valves. Reliable; only the newest command of a publisher counts, and a time-out watches
+  the commands. The depth makes sure that messages of a second publisher do not hide those of the first one.
+* ``REFERENCE``: reliable, volatile, depth 10 for the same reason; a reference holds until the next one.
+* ``LATCHED``: reliable, the last ten messages are kept for late subscribers.
+* ``LAST_ONE``: as ``LATCHED``, for the last message only.
+* ``GLANCE``: best effort, depth 1, for displays that read the latest value from time to time.
+* ``DIAGNOSTICS``: reliable, depth 10.
 """
 
 from __future__ import annotations

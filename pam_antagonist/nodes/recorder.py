@@ -1,4 +1,4 @@
-"""Executable ``record``: its arguments and its way into the node."""
+"""Executable ``record``: arguments and entry point."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 @dataclass(frozen=True)
 class Options:
-    """What ``record`` was asked to do.
+    """Options of ``record``.
 
     Attributes:
         out: folder of the bag.
-        duration: after which it ends by itself [s]; None: never.
+        duration: of the recording [s]; None: until it is stopped.
         limits: when to begin a new file.
-        namespaces: of the joints, absolute; empty: that of the node.
+        namespaces: of the joints, absolute; empty: the node's namespace.
     """
 
     out: Path
@@ -70,10 +70,10 @@ class _Parser(argparse.ArgumentParser):
 
 
 def read_options(arguments: list[str]) -> Options:
-    """Read the arguments that are not ROS's.
+    """Read the arguments other than those of ROS.
 
     Raises:
-        BadInput: one is missing, unknown or makes no sense.
+        BadInput: an argument is missing, unknown or invalid.
     """
     parser = _Parser(prog="record", add_help=False, allow_abbrev=False)
     parser.add_argument("--out", type=Path, required=True)

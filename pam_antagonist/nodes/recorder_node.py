@@ -1,4 +1,4 @@
-"""Recording topics as they come, without looking into the messages."""
+"""The recorder node, which writes serialised messages without decoding them."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from pam_antagonist.nodes.recorder import PARAMETERS, Options
 from pam_antagonist.recording.topics import TOPICS, Topic
 from pam_antagonist.recording.writer import BagWriter
 
-_KEPT = ("rig", "filter_checkpoint")  # topics whose last messages wait for those who come later
-_PERIOD = 0.02  # time between two looks [s]; the queues hold 250 times as much at 1 kHz
-_PROGRESS = 1.0  # time between two changes of the progress line [s]
-_BACKLOG = 256 << 20  # what may wait for a slow disk, five minutes of a pipeline at 1 kHz [bytes]
-_LITTLE_SPACE = 600.0  # of recording left on the disk that is worth a warning [s]
+_KEPT = ("rig", "filter_checkpoint")  # topics whose last messages are kept for late subscribers
+_PERIOD = 0.02  # [s] time between two reads of the queues, which hold 250 times as much at 1 kHz
+_PROGRESS = 1.0  # [s] time between two updates of the progress line
+_BACKLOG = 256 << 20  # [bytes] that may wait for a slow disk: five minutes of a pipeline at 1 kHz
+_LITTLE_SPACE = 600.0  # [s] of recording that must fit on the disk; with less, there is a warning
 
 
 def message_class(name: str) -> Any:
@@ -37,13 +37,13 @@ def message_class(name: str) -> Any:
 
 
 class RecorderNode(PamNode):
-    """Collects serialised messages in bulk, and hands them to the bag's own thread.
+    """Collects serialised messages in bulk, and hands them to the bag's thread.
 
-    The queues of the middleware are emptied fifty times a second. Being woken for each of 7000 messages a second would
-    cost twice the processor time; the times of reception are the middleware's, and lose nothing by it.
+    The node empties the middleware's queues fifty times a second. A callback for each of 7000 messages a second would
+    take twice the processor time. The times of reception come from the middleware and stay exact.
 
     Args:
-        options: where to write, and for how long.
+        options: of the recording.
         node_options: as :class:`PamNode`.
 
     Raises:
@@ -62,7 +62,7 @@ class RecorderNode(PamNode):
         self._lost_before = 0
         self._since = time.monotonic()
         self._until = math.inf
-        # On a terminal only; elsewhere /diagnostics tells.
+        # Shown only on a terminal; /diagnostics reports the progress as well.
         self._line = tqdm(bar_format="{desc}", leave=False, disable=None)
         super().__init__("recorder", PARAMETERS, **node_options)
 
@@ -78,7 +78,7 @@ class RecorderNode(PamNode):
         self.start_diagnostics(self._path.name)
 
     def _wanted(self) -> Iterator[tuple[str, Topic]]:
-        """Full name of each topic, with what it is."""
+        """Full name and description of each topic to record."""
         names: set[str] = set()
         for namespace in self._options.namespaces or (None,):
             for topic in TOPICS.values():
@@ -89,7 +89,7 @@ class RecorderNode(PamNode):
 
     @override
     def activate(self) -> None:
-        """Listen."""
+        """Subscribe to all topics."""
         for name, topic in self._wanted():
             profile = qos.LATCHED if topic.name in _KEPT else qos.RECORD
             self._topics[name] = self.collect(message_class(topic.type), name, profile)
@@ -102,19 +102,19 @@ class RecorderNode(PamNode):
 
     @override
     def deactivate(self) -> None:
-        """Take what is left; what comes from now on is not missed."""
+        """Write the remaining messages; later ones do not count as lost."""
         if self._reason is None:
             self._collect()
         self._topics = {}
 
     @override
     def cleanup(self) -> None:
-        """Finish the bag; the next one needs another folder, thus another recorder."""
+        """Finish the bag; another bag needs another folder, so another recorder."""
         self._finish()
 
     @property
     def lost(self) -> int:
-        """Messages that did not come, or did not get to the disk."""
+        """Number of messages that did not come, or were not written."""
         return sum(gaps.missing for gaps in self._gaps.values()) + self._bag.dropped
 
     def _collect(self) -> None:
@@ -132,7 +132,7 @@ class RecorderNode(PamNode):
             self.finished = True
 
     def _failed(self, error: OSError) -> BadInput:
-        """Remember why nothing more can be written."""
+        """Store the reason of a failed write, and return the error."""
         why = error.strerror or str(error)
         if self._bag.kept is not None:
             why += f"; {self._bag.kept} of {sum(self._counts.values())} messages are kept and can be read"
@@ -140,7 +140,7 @@ class RecorderNode(PamNode):
         return BadInput(f"{self._path}: cannot be written: {why}")
 
     def _show(self) -> None:
-        """The progress line."""
+        """Update the progress line."""
         if self._line.disable:
             return
         taken = f"{time.monotonic() - self._since:8.1f} s  {sum(self._counts.values())} messages  {self.lost} lost"
@@ -149,10 +149,10 @@ class RecorderNode(PamNode):
 
     @override
     def close(self) -> None:
-        """Write what is left, finish the bag, and say what is in it."""
+        """Write the remaining messages, finish the bag, and print its content."""
         self._line.close()
         if self._reason is not None:
-            self._diagnose()  # the last word of this node
+            self._diagnose()  # the last message of this node
         elif self._topics:
             self._collect()
         self._finish()
@@ -178,7 +178,7 @@ class RecorderNode(PamNode):
             print(f"  {self._bag.dropped} messages were dropped, because the disk did not keep up")
 
     def _free(self) -> float:
-        """Space that is left [bytes]; NaN where the folder is gone."""
+        """Free space on the disk [bytes]; NaN where the folder is gone."""
         try:
             return float(shutil.disk_usage(self._path).free)
         except OSError:

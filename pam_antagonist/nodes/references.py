@@ -1,4 +1,4 @@
-"""From a topic to what the controller follows: one kind of message, one owner, and what ``/diagnostics`` says of it."""
+"""References of the controller from a topic: one message type, one publisher at a time, and a health report."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from pam_antagonist.safety import ReferenceOwner
 from pam_antagonist_msgs.msg import JointReference
 
 _NUMBER = "publication_sequence_number"
-_MOST_NUMBER = 2**63  # beyond: the middleware's way to say that it gives no numbers
-_LOOK = 0.005  # between two looks for references [s]
-_REPEAT_NS = 20_000_000  # between two messages by which a bag keeps what is followed [ns]
+_MOST_NUMBER = 2**63  # a larger number means that the middleware gives none
+_LOOK = 0.005  # [s] time between two reads of references
+_REPEAT_NS = 20_000_000  # [ns] time between two repeated references for a bag
 MODES = {"angle": Mode.ANGLE, "torque": Mode.TORQUE}
-"""What may be asked for, by the word that parameters and pages use."""
+"""Modes by their names in parameters and pages."""
 MODE, ASKED, STIFFNESS = "mode", "asked for now [rad or N m]", "stiffness asked for [N m/rad]"
-"""Keys of part ``reference`` of ``/diagnostics``: what is followed, its value, and its stiffness."""
+"""Keys of the part ``reference`` of ``/diagnostics``: mode, value and stiffness of the reference."""
 
 
 class ReferenceInput:
     """Takes references from the one topic that the parameter ``reference_source`` names.
 
-    Made in ``configure``; :meth:`listen` in ``activate``. It looks for references every 5 ms: looking with each
-    estimate would cost the round trip of each sample some 10 to 20 µs.
+    Make it in ``configure``, and call :meth:`listen` in ``activate``. It reads references every 5 ms; reading at each
+    estimate would add 10 to 20 µs to the round trip of each sample.
 
     Args:
         node: the controller.
-        nearest: what of a reference the law in force can follow.
+        nearest: gives the nearest reference that the active law can follow.
 
     Attributes:
-        references: what they ask for.
+        references: the references, limited and slewed.
     """
 
     def __init__(self, node: PamNode, nearest: Nearest | None = None) -> None:
@@ -68,7 +68,7 @@ class ReferenceInput:
         self._repeated_ns = 0
         self._subscription: Any = None
         self._echo = None
-        if self._source != "reference":  # a bag, and who looks on, get what is followed in the package's own message
+        if self._source != "reference":  # repeat the reference as a JointReference for bags and displays
             self._echo = node.create_publisher(JointReference, TOPICS["reference"].relative, qos.REFERENCE)
 
     def _interface(self) -> tuple[Any, str, Callable[[Any], None]]:
@@ -80,7 +80,7 @@ class ReferenceInput:
         }[self._source]
 
     def listen(self) -> None:
-        """Take references from now on; one from before does not count any more."""
+        """Take references from now on; earlier ones are forgotten."""
         self.references.forget()
         self._owner = ReferenceOwner()
         self._refused_before, self._logged, self._heard_ns = 0, "", None
@@ -88,7 +88,7 @@ class ReferenceInput:
         self._node.steady_timer(_LOOK, self.poll)
 
     def poll(self) -> None:
-        """Take what has come."""
+        """Read the messages that have come."""
         for data, info in take(self._subscription):
             sequence = info.get(_NUMBER)
             if sequence is not None and not 0 < sequence < _MOST_NUMBER:
@@ -120,7 +120,7 @@ class ReferenceInput:
             )
 
     def joint_command(self, message: JointState) -> None:
-        """Hold the position or, where none is given, the effort of this joint; NaN is not asked."""
+        """Hold the position or, where none is given, the effort of this joint; NaN means not given."""
         if self._joint not in message.name:
             return
         index = list(message.name).index(self._joint)
@@ -142,7 +142,7 @@ class ReferenceInput:
             self.references.set(Mode.TORQUE, effort, time.monotonic_ns())
 
     def commands(self, message: Float64MultiArray) -> None:
-        """Hold the number of this joint; NaN is not asked."""
+        """Hold the number of this joint; NaN means not given."""
         mode, index = self._array
         if index >= len(message.data):
             self.references.refuse(
@@ -156,7 +156,7 @@ class ReferenceInput:
         names = list(message.joint_names)
         if self._joint not in names:
             return
-        if not message.points:  # as joint_trajectory_controller takes it: stop where the joint is
+        if not message.points:  # as in joint_trajectory_controller: stop at the present position
             self.references.cancel()
             return
         start = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
@@ -170,7 +170,7 @@ class ReferenceInput:
     # ---------------------------------------------------------------- what is said about them
 
     def repeat(self, stamp_ns: int) -> None:
-        """Publish what is followed at a sample, as a JointReference, so that a bag has it; not each time.
+        """Publish the reference at a sample as a JointReference for bags, at most every 20 ms.
 
         Args:
             stamp_ns: of the sample [ns].
@@ -188,7 +188,7 @@ class ReferenceInput:
         self._echo.publish(message)
 
     def _publishers(self) -> list[str]:
-        """Who publishes references; the graph knows it whether or not the node is active."""
+        """Names of the publishers of references, also while this node is not active."""
         found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
         return sorted(f"{info.node_namespace}/{info.node_name}".replace("//", "/") for info in found)
 
@@ -232,10 +232,10 @@ class ReferenceInput:
 
 
 def _trajectory(points: Any, index: int, start_ns: int) -> Trajectory:
-    """The course of one joint; positions before efforts.
+    """The trajectory of one joint, from positions or, without them, from efforts.
 
     Raises:
-        BadInput: points that do not agree, or that cannot be followed.
+        BadInput: inconsistent points, or a trajectory that cannot be followed.
     """
     seconds = [point.time_from_start.sec + point.time_from_start.nanosec * 1e-9 for point in points]
 

@@ -1,7 +1,6 @@
-"""Which rig file the nodes of a joint were given: each says so once, and the controller looks whether they agree.
+"""Rig files of a joint's nodes: each node publishes its rig once, and the controller checks that they agree.
 
-A wrong file is plausible as a rule: with another joint's the innovations may stay as they should be, and only the angle
-is wrong. So it cannot be left to the filter to notice.
+The filter often cannot detect a wrong rig file: the innovations may look right while the angle is wrong.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ _SOURCES = ("plant", "bridge")
 
 
 def announce(node: PamNode, rig: Rig) -> RigIdentity:
-    """Say which rig a node was given, on the topic ``rig``: to those who listen now, and to those who come later.
+    """Publish a node's rig on the topic ``rig``, also for late subscribers.
 
     Args:
-        node: being configured; what it says ends with its clean-up.
-        rig: its rig.
+        node: being configured; the publisher ends with the node's clean-up.
+        rig: rig of the node.
     """
     identity = RigIdentity.of(rig, node.get_name())
     publisher = node.create_publisher(String, TOPICS["rig"].relative, qos.LATCHED)
@@ -36,12 +35,12 @@ def announce(node: PamNode, rig: Rig) -> RigIdentity:
 
 
 class RigWatch:
-    """Compares what other nodes say about their rigs with one's own.
+    """Compares the rigs of other nodes with the node's own.
 
     Args:
-        node: being configured; listens as long as it is.
-        own: what it says itself.
-        disagree: called with what is wrong, in words, when a node with another joint's rig has spoken.
+        node: being configured; the subscription ends with the node's clean-up.
+        own: the node's own rig.
+        disagree: called with the problem in words when a node publishes the rig of another joint.
     """
 
     def __init__(self, node: PamNode, own: RigIdentity, disagree: Callable[[str], object]) -> None:
@@ -59,7 +58,7 @@ class RigWatch:
             return
         if other.node == self._own.node:
             return
-        if other.node in _SOURCES:  # one of them is there; whoever spoke last
+        if other.node in _SOURCES:  # only one of them runs: the last one to publish
             for source in _SOURCES:
                 self._others.pop(source, None)
         self._others[other.node] = other
@@ -76,17 +75,17 @@ class RigWatch:
 
     @property
     def present(self) -> str:
-        """What is wrong now, in words; empty if nothing is."""
+        """The present problem, in words; empty if there is none."""
         return next(filter(None, map(self._problem, self._others.values())), "")
 
     def forget_the_gone(self) -> None:
-        """Leave out what nodes have said that are no longer there."""
+        """Forget the rigs of nodes that are gone."""
         topic = self._node.resolve_topic_name(TOPICS["rig"].relative)
         there = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         self._others = {name: other for name, other in self._others.items() if name in there}
 
     def health(self) -> Health:
-        """For ``/diagnostics``."""
+        """Part ``rig`` for ``/diagnostics``."""
         values: dict[str, Any] = {self._own.node: str(self._own)}
         values |= {name: str(other) for name, other in sorted(self._others.items())}
         others = [other for other in self._others.values() if other.fingerprint != self._own.fingerprint]

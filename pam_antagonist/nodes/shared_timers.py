@@ -1,7 +1,7 @@
-"""Timers of many nodes behind one (no ROS in here).
+"""Many timers of several nodes behind one timer of the executor (without ROS).
 
-Being woken costs the executor more than most callbacks take. Six joints have some fifty timers, and would be woken 5000
-times a second; with this, 1000 times.
+Waking up costs an executor more than most callbacks. Six joints have some fifty timers, which would wake it 5000 times
+a second. With one shared timer it wakes up 1000 times a second.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-_EARLY = 500_000  # by which a call may come too early, rather than a whole tick too late [ns]
+_EARLY = 500_000  # [ns] by which a call may come early; otherwise it would come up to a tick late
 
 
 @dataclass(eq=False)
@@ -18,8 +18,8 @@ class Entry:
     """One timer.
 
     Attributes:
-        period_ns: between two calls [ns].
-        callback: what is called.
+        period_ns: time between two calls [ns].
+        callback: function to call.
         next_ns: steady time of the next call [ns].
     """
 
@@ -29,7 +29,7 @@ class Entry:
 
 
 class SharedTimers:
-    """Calls each timer once its period has passed. Periods that were missed are left out, as ROS does.
+    """Calls each timer when its period has passed. Missed periods are skipped, as in ROS.
 
     Args:
         clock: steady time [ns].
@@ -49,11 +49,11 @@ class SharedTimers:
         self._entries: list[Entry] = []
 
     def add(self, period: float, callback: Callable[[], object]) -> Entry:
-        """Call something from now on.
+        """Add a timer.
 
         Args:
-            period: between two calls [s].
-            callback: without arguments.
+            period: time between two calls [s].
+            callback: function without arguments.
         """
         period_ns = round(period * 1e9)
         entry = Entry(period_ns, callback, self._clock() + period_ns)
@@ -61,13 +61,13 @@ class SharedTimers:
         return entry
 
     def remove(self, entry: Entry) -> None:
-        """Do not call it any more."""
+        """Remove a timer."""
         self._entries = [other for other in self._entries if other is not entry]
 
     def run(self) -> None:
-        """Call what is due; the one timer behind all of them calls this, once a millisecond."""
+        """Call all due timers; called by the executor's timer every millisecond."""
         now = self._clock()
-        for entry in self._entries:  # of this moment: a callback may add and remove
+        for entry in self._entries:  # the present list; a callback may replace it
             if now >= entry.next_ns - _EARLY:
                 behind = now - entry.next_ns
                 entry.next_ns += entry.period_ns * (1 + max(behind, 0) // entry.period_ns)

@@ -1,7 +1,7 @@
-"""Running a node: from the command line to a clean end.
+"""Run a node from the command line to a clean end.
 
-``EventsExecutor`` wakes for events rather than polling all entities, which is what makes 1 kHz possible in Python.
-Calls of it without a time-out hang and ignore signals in rclpy 7.1, hence the loop around ``spin_once``.
+``EventsExecutor`` waits for events instead of polling all entities, which makes 1 kHz possible in Python. In rclpy 7.1
+calls without a time-out hang and ignore signals, so there is a loop around ``spin_once``.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ if TYPE_CHECKING:
     from pam_antagonist.nodes.node import PamNode
 
 PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
-"""Environment variable with the process that a node is to end with, even if that one is killed."""
+"""Environment variable with the id of the parent process; a node ends with it, even if the parent is killed."""
 
 PRIORITY_VARIABLE = "PAM_ANTAGONIST_PRIORITY"
-"""Environment variable with the priority (1 to 99) that a node asks the real-time scheduler for."""
+"""Environment variable with the real-time priority (1 to 99) that a node requests."""
 
 _PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-_WAIT = 0.1  # longest time until a signal is noticed [s]
-_FAREWELL = 0.15  # from the last message to the end of its publisher: three heartbeats of config/fastdds.xml [s]
-_MOMENT = 0.05  # in which a signal that reached another thread of the process comes to the one that looks [s]
+_WAIT = 0.1  # [s] longest time until a signal is noticed
+_FAREWELL = 0.15  # [s] from the last message to the end of its publisher: three heartbeats of config/fastdds.xml
+_MOMENT = 0.05  # [s] for a signal to be passed from another thread of the process to the main thread
 
 
 class _Interrupted(BaseException):
-    """A signal came before the node was there."""
+    """A signal came before the node was made."""
 
 
 class _Stop:
-    """Set by the first signal.
+    """Handler of signals, which stores the signal.
 
     Attributes:
-        signal: its number; None: none has come.
-        waits: whether somebody looks at that soon. While a node is made, which may have to compile for a minute,
-            nobody does: then the signal ends that at once.
+        signal: number of the signal; None before the first.
+        waits: whether the attribute ``signal`` is checked soon. This is not so while a node is made, which may compile
+            for a minute; then the first signal raises ``_Interrupted``.
     """
 
     def __init__(self) -> None:
@@ -63,10 +63,10 @@ class _Stop:
 
 
 def no_options(arguments: list[str]) -> None:
-    """Refuse what is no ROS argument.
+    """Refuse arguments other than those of ROS.
 
     Raises:
-        BadInput: there is something.
+        BadInput: there is such an argument.
     """
     if arguments:
         raise BadInput(f"unknown argument {arguments[0]!r}: expected --help, or ROS arguments after --ros-args")
@@ -82,20 +82,20 @@ def run_node(
     options: Callable[[list[str]], Any] = no_options,
     check: Callable[[Sequence[str]], object] = lambda arguments: None,
 ) -> int:
-    """Run a node until SIGINT, SIGTERM, or until it says that it has finished.
+    """Run a node until SIGINT, SIGTERM, or until it has finished.
 
     Args:
-        create: makes the node from its options, and from keyword arguments for rclpy's node; everything slow (reading
-            the rig, loading compiled code) happens there, before the first sample.
+        create: makes the node from its options, and from keyword arguments for rclpy's node; all slow work (reading the
+            rig, loading compiled code) is done here, before the first sample.
         argv: arguments; None: those of the process.
         name: of the executable.
         description: first part of ``--help``.
         table: the node's parameters, for ``--help``.
-        options: reads the arguments that are not ROS's.
-        check: looks at all arguments first; may raise ``BadInput``.
+        options: reads the arguments other than those of ROS.
+        check: checks all arguments first; may raise ``BadInput``.
 
     Returns:
-        Exit status: 0, or 2 after bad input or where ROS is missing, which is said in one line.
+        Exit status: 0, or 2 after bad input or without ROS, with an error message of one line.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if "--help" in arguments or "-h" in arguments:
@@ -110,7 +110,7 @@ def run_node(
 
 
 def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
-    """What ``--help`` prints.
+    """Text of ``--help``.
 
     Args:
         name: of the executable.
@@ -141,12 +141,12 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
             node = create(given, cli_args=own_parameters(arguments))
             stop.waits = True
         except _Interrupted:
-            return 0  # nothing has been published, and nothing was subscribed to
+            return 0  # nothing has been published or subscribed
         except Exception as error:
             stop.waits = True
             time.sleep(_MOMENT)
             if stop.signal is not None:
-                return 0  # the compiler was calling back: it swallows what the signal raises, and fails a moment later
+                return 0  # the signal was raised in a callback of the compiler, which failed with another error
             if secured() and "secur" in str(error).lower():
                 raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
             raise
@@ -157,7 +157,7 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
         finally:
             for one in (node, *reversed(node.members)):
                 one.close()
-            # Whoever is behind by a moment asks the publisher again for what it missed.
+            # Late subscribers can still request messages that they missed.
             time.sleep(_FAREWELL)
             for one in (*node.members, node):
                 one.destroy_node()
@@ -170,7 +170,7 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
 
 
 def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> Any:
-    """Give ROS its arguments, and the others to ``options``."""
+    """Initialise ROS with its arguments; returns the others, as read by ``options``."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
@@ -184,16 +184,16 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
 
 
 def _first_sentence(error: BaseException) -> str:
-    """What ROS says; rcl adds the places in its own source code, which help nobody here."""
+    """Text of an error of ROS, without the places in rcl's source code."""
     return re.sub(r",? at /\S+:\d+", "", one_line(error))
 
 
 def tune_middleware() -> None:
-    """Have Fast DDS, before it starts in this process, take config/fastdds.xml unless there is another profile.
+    """Configure Fast DDS by config/fastdds.xml unless the user has set a profile; call before ROS is initialised.
 
-    Where nodes are to stay on this machine, that is config/fastdds_local.xml, which then says so in place of ROS 2's
-    variable: with that, rmw_fastrtps adds shared memory, where the lock of a node that was killed may outlive it. Other
-    middlewares ignore the file, and are told by the variable.
+    If discovery is limited to this machine, config/fastdds_local.xml is used, which contains the limit itself. ROS 2's
+    variable would make rmw_fastrtps add shared memory, whose lock may outlive a killed node. Other middlewares ignore
+    the file and use the variable.
     """
     local = local_only()
     profiles = config_dir() / ("fastdds_local.xml" if local else "fastdds.xml")
@@ -207,15 +207,15 @@ def tune_middleware() -> None:
 
 
 def spin(node: PamNode, stop: _Stop) -> None:
-    """Serve a node, and its members, until a signal comes, it has finished, or the parent process is gone."""
+    """Spin a node and its members until a signal comes, the node has finished, or the parent process is gone."""
     import rclpy
 
     executor = make_executor(node)
-    # asio, inside of the executor, has put its own handlers in place.
+    # asio, inside the executor, has installed its own handlers.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
     parent = int(os.environ.get(PARENT_VARIABLE, "0"))
-    # Whatever exists by now lives as long as the node; nothing of it is looked at again by the collector.
+    # All present objects live as long as the node, so the garbage collector need not check them again.
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -236,21 +236,21 @@ def spin(node: PamNode, stop: _Stop) -> None:
 
 
 def hurry() -> None:
-    """Ask the real-time scheduler for a priority, if there is one to ask for.
+    """Request a real-time priority, if one is set in the environment.
 
-    A node that has a millisecond must not queue behind what else the machine is busy with. Only root gets it, or who
-    was given the right (ulimit -r); everybody else goes on with what there is. Not before now: starting, and compiling,
-    may wait for others.
+    A node with a period of a millisecond must not wait for other work of the machine. Only root, or a user with the
+    right (ulimit -r), gets the priority; without it the node runs as before. Called after starting and compiling, which
+    need no priority.
     """
     priority = int(os.environ.get(PRIORITY_VARIABLE, "0"))
     if priority > 0 and hasattr(os, "sched_setscheduler"):
-        for thread in os.listdir("/proc/self/task"):  # those of the middleware, too
+        for thread in os.listdir("/proc/self/task"):  # including the middleware's
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))
 
 
 def make_executor(node: PamNode) -> Any:
-    """An executor with the node and its members in it."""
+    """An executor with the node and its members."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:

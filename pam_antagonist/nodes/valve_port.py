@@ -1,7 +1,7 @@
-"""From commands to the valves or pressure regulators, for whichever node owns them: the plant, or a bridge to hardware.
+"""Port from commands to valves or pressure regulators, for the node that owns them: the plant, or a bridge to hardware.
 
-The rules are in :mod:`pam_antagonist.safety`; this is their wiring. A node that owns valves has ``VALVE_OWNER`` among
-its parameters, makes a port in ``configure``, calls :meth:`ValvePort.listen` in ``activate`` and
+The port connects the rules of :mod:`pam_antagonist.safety` with ROS. A node that owns valves has the parameters
+``VALVE_OWNER``. It makes a port in ``configure``, calls :meth:`ValvePort.listen` in ``activate`` and
 :meth:`ValvePort.rest` in ``deactivate``, and for each sample :meth:`ValvePort.poll`, :meth:`ValvePort.supervise` and
 :meth:`ValvePort.output`::
 
@@ -10,10 +10,10 @@ its parameters, makes a port in ``configure``, calls :meth:`ValvePort.listen` in
     ...
     port.supervise(stamp_ns, pressure_1, pressure_2)
 
-Where controller and valves are in one process, :meth:`ValvePort.command` takes the place of the topic.
+If controller and valves are in one process, :meth:`ValvePort.command` replaces the topic.
 
-Any thread may do that, one at a time; the service and :meth:`ValvePort.health` belong to the executor's, so two threads
-need a lock around both.
+These calls may come from any single thread. The services and :meth:`ValvePort.health` run in the executor's thread. If
+these are two threads, all calls need a lock.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from pam_antagonist.safety import Decision, PressureSupervision, ValveGuard, Ver
 if TYPE_CHECKING:
     from rclpy.subscription import Subscription
 
-_SUPPLY_MARGIN = 1.1  # no valve can bring a muscle above its supply; a tenth for what a fast motion compresses
+_SUPPLY_MARGIN = 1.1  # valves cannot exceed the supply pressure; a fast motion may compress the air by a tenth
 _NUMBER = "publication_sequence_number"
-_MOST_NUMBER = 2**63  # beyond: the middleware's way to say that it gives no numbers
+_MOST_NUMBER = 2**63  # a larger number means that the middleware gives none
 
 
 class ValvePort:
-    """Takes commands, decides what the valves get, and stops them.
+    """Takes commands, determines the voltages of the valves, and stops them.
 
-    It offers the services ``~/stop``, and ``~/clear_stop``, which is refused while the cause of a stop is still there.
+    The port offers the services ``~/stop`` and ``~/clear_stop``; the latter fails while the cause of a stop is present.
 
     Args:
-        node: whose valves they are; with the parameters ``VALVE_OWNER`` in ``values``.
+        node: owner of the valves, with the parameters ``VALVE_OWNER`` in ``values``.
         rig: limits of the valves, supply pressure, noise of the sensors.
-        noisy: whether the pressures have the rig's noise; without noise they may stand still.
-        linked: whether the controller is in the same process and calls :meth:`command`; then nobody else is obeyed.
+        noisy: whether the pressures have the rig's noise; without noise they may be constant.
+        linked: whether the controller is in the same process and calls :meth:`command`; others are then ignored.
 
     Attributes:
-        drive: what may be commanded: voltages of valves, or pressures of regulators.
-        guard: what decides.
+        drive: limits of the commands: voltages of valves, or pressures of regulators.
+        guard: of the valves.
         supervision: of the pressures.
 
     Raises:
@@ -90,7 +90,7 @@ class ValvePort:
         self.guard.set_active(True)
 
     def rest(self) -> None:
-        """Take none any more: safe voltages."""
+        """Take no more commands; the valves get the safe voltages."""
         self._subscription = None
         self.guard.set_active(False)
 
@@ -98,7 +98,7 @@ class ValvePort:
         """Take the commands that have come.
 
         Args:
-            now_ns: [ns], of the clock that :meth:`output` is given, too.
+            now_ns: time on the same clock as for :meth:`output` [ns].
         """
         if self._subscription is None:
             return
@@ -111,8 +111,8 @@ class ValvePort:
         Args:
             data: the serialised message.
             now_ns: time of reception on the steady clock [ns].
-            sequence: its number by publisher, None where the middleware gives none.
-            publishers: how many nodes publish commands.
+            sequence: the message's number at its publisher, None where the middleware gives none.
+            publishers: number of publishers of commands.
         """
         stamp_ns, first, second = self._unpack(data)
         if sequence is not None and sequence > _MOST_NUMBER:
@@ -132,21 +132,21 @@ class ValvePort:
         """Take a command of the controller in the same process.
 
         Args:
-            stamp_ns: of the sample that it answers [ns].
-            voltage: asked for (2,) [V].
-            now_ns: [ns], of the clock that :meth:`output` is given, too.
+            stamp_ns: of the command's sample [ns].
+            voltage: command (2,) [V].
+            now_ns: time on the same clock as for :meth:`output` [ns].
         """
         self.guard.command(voltage, now_ns, late=stamp_ns > 0 and now_ns - stamp_ns > self._max_age)
 
     def output(self, now_ns: int) -> Decision:
-        """What the valves get over the sample that ends now [ns]."""
+        """Voltages of the valves over the sample that ends now [ns]."""
         decision = self.guard.output(now_ns)
         self._samples += 1
         self._without += decision.state.safe
         return decision
 
     def supervise(self, stamp_ns: int, pressure_1: float, pressure_2: float) -> None:
-        """Stop the valves if the measured pressures [Pa] of a sample give reason to.
+        """Stop the valves if the measured pressures of a sample require it.
 
         Args:
             stamp_ns: of the sample [ns].
@@ -158,7 +158,7 @@ class ValvePort:
             self.stop(reason)
 
     def stop(self, reason: str) -> None:
-        """Stop the valves for a reason of the owner's, in words, until they are cleared."""
+        """Stop the valves for a reason in words, until the stop is cleared."""
         if self.guard.stop(reason):
             self._node.get_logger().error(f"stopped: {reason}")
 
@@ -196,7 +196,7 @@ class ValvePort:
         return f"several commanders: {', '.join(sorted(commanders.values()))}"
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """Parts ``commands`` and ``safety``, once every ``diagnostics_period``; ``steady_ns`` is steady time [ns]."""
+        """Parts ``commands`` and ``safety``; called every ``diagnostics_period`` with the steady time [ns]."""
         counts, authority = self.guard.counts, self.guard.authority
         commanders = self._commanders()
         refused, self._refused_before = authority.refused - self._refused_before, authority.refused

@@ -1,7 +1,7 @@
-"""What a live page shows of a running joint: its latest messages thirty times a second, and what its nodes report.
+"""Data of the live page of a running joint: its latest messages thirty times a second, and its nodes' reports.
 
-The node has no executor. It takes the newest message of each topic when a frame is made. While nobody looks it
-subscribes to nothing.
+The node has no executor. It takes the newest message of each topic for each frame. Without an open page it has no
+subscriptions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FIELDS = (
     *("voltage_1", "voltage_2", "encoder", "torque_meter", "reference_angle", "reference_torque"),
     *("stiffness", "reference_stiffness", "external_torque", "external_torque_std"),
 )
-"""Numbers of a frame, in this order; SI units, None where there is none."""
+"""Numbers of a frame, in this order; SI units, None where missing."""
 
 _TOPICS: Mapping[str, tuple[Any, Any]] = {
     "joint_estimate": (JointEstimate, qos.GLANCE),
@@ -49,18 +49,18 @@ _TOPICS: Mapping[str, tuple[Any, Any]] = {
     "diagnostics": (DiagnosticArray, qos.DIAGNOSTICS),
 }
 _FRESH = 0.3
-"""[s] A value that is older is not shown."""
+"""[s] Older values are not shown."""
 _GONE = 3.0
-"""[s] A node that has been silent on /diagnostics for so long is called silent."""
+"""[s] A node without diagnostics for this time is shown as silent."""
 COMMANDS_AT_WORK = ("commission",)
-"""Nodes of commands that say what they are at; one that has ended is silent, and no fault."""
+"""Nodes of commands that report their progress; their silence means that they have ended, and is no fault."""
 _ANSWER = 5.0
 """[s] Longest time for a service's answer."""
 
 
 @dataclass
 class _Call:
-    """A service call whose answer has not come."""
+    """A service call that waits for its answer."""
 
     name: str
     future: Any
@@ -72,7 +72,7 @@ class PipelineWatch:
 
     Args:
         namespace: of the joint's nodes.
-        joint_name: of the joint in ``measured/joint_states``; None: the first.
+        joint_name: name of the joint in ``measured/joint_states``; None: the first.
         commands: whether :meth:`command` may be called.
     """
 
@@ -111,7 +111,7 @@ class PipelineWatch:
             }
 
     def listen(self, wanted: bool) -> None:
-        """Subscribe, or cease to: nobody sends anything to a page that nobody looks at."""
+        """Subscribe, or unsubscribe while no page is open."""
         if wanted and not self._topics:
             for name, (kind, profile) in _TOPICS.items():
                 self._topics[name] = self._node.create_subscription(
@@ -124,7 +124,7 @@ class PipelineWatch:
 
     @property
     def listening(self) -> bool:
-        """Whether it subscribes to anything."""
+        """Whether there are subscriptions."""
         return bool(self._topics)
 
     def close(self) -> None:
@@ -163,7 +163,7 @@ class PipelineWatch:
         return [_number(values.get(name)) for name in FIELDS]
 
     def report(self) -> dict[str, Any]:
-        """What changes slowly: the rig's limits, the nodes' reports, answers to commands."""
+        """Slow data: the rig's limits, the nodes' reports, answers to commands."""
         now = time.monotonic()
         answers, self._answers = self._answers, []
         facts = {} if self._rig is None else dict(self._rig.facts)
@@ -212,7 +212,7 @@ class PipelineWatch:
             try:
                 self._rig = RigIdentity.read(message.data)
             except BadInput:
-                return  # whoever says so is told by the controller
+                return  # the controller reports it
         else:
             self._latest[name] = now, message
 
@@ -221,7 +221,7 @@ class PipelineWatch:
         return message if now - heard <= _FRESH else None
 
     def _measured(self, message: Any) -> dict[str, float]:
-        """Encoder and torque meter of the one joint."""
+        """Readings of encoder and torque meter of this joint."""
         if message is None:
             return {}
         names = list(message.name)
@@ -232,7 +232,7 @@ class PipelineWatch:
         return {name: values[place] for name, values in parts if len(values) > place}
 
     def _referred(self, now: float) -> dict[str, float]:
-        """The reference: the last message, or what the controller says that it holds."""
+        """The reference, from the last message or from the controller's diagnostics."""
         _, message = self._latest.get("reference", (now, None))
         heard, status = self._statuses.get("controller: reference", (-math.inf, None))
         if now - heard > _GONE:
@@ -251,13 +251,13 @@ class PipelineWatch:
     # ---------------------------------------------------------------- what is commanded
 
     def command(self, order: Mapping[str, Any]) -> None:
-        """Carry out what a page asks for: ``{"do": "reference", "mode": "angle", "value": 0.1}`` and so on.
+        """Carry out a command of a page, such as ``{"do": "reference", "mode": "angle", "value": 0.1}``.
 
         Args:
             order: ``do`` is ``reference``, ``enable`` (with ``value``) or ``clear_stop``.
 
         Raises:
-            BadInput: it is something else, or the watch was made without commands.
+            BadInput: an unknown or invalid command, or a watch without commands.
         """
         if self._caller is None:
             raise BadInput("read-only: start watch with --allow-commands")
@@ -307,7 +307,7 @@ class PipelineWatch:
 
 
 def _number(value: float | None) -> float | None:
-    """A number as JSON knows it, with as many digits as a page shows."""
+    """A number for JSON, rounded to the digits that a page shows; None where not finite."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.7g}")
 
 

@@ -1,8 +1,8 @@
 """The live page's server: one page and one WebSocket, for browsers on this machine.
 
-A page of somebody else's, open in the same browser, must not read the joint. So the WebSocket is opened for pages of
-this server only (the header ``Origin``), and every request has to name this machine (the header ``Host``): a foreign
-name that is made to point here is refused. Commands need a key as well, which is printed where the server is started.
+Pages of other sites in the same browser must not get the data. So the WebSocket accepts only pages of this server
+(header ``Origin``), and every request must name this machine (header ``Host``), which refuses foreign names that
+resolve to this machine. Commands also need a key, which is printed when the server starts.
 """
 
 from __future__ import annotations
@@ -29,45 +29,45 @@ from pam_antagonist.errors import BadInput
 FRAMES = 30.0
 """Frames a second."""
 _REPORTS = 15
-"""Frames from one report to the next."""
+"""Number of frames between two reports."""
 _PAGES = 8
-"""Pages that may be open at once."""
+"""Largest number of open pages."""
 _LONGEST_ORDER = 1000
-"""Bytes of a command."""
+"""Largest size of a command [bytes]."""
 _PAGE = Path(__file__).with_name("watch.html")
 _SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 
 
 class Source(Protocol):
-    """What the page shows: :class:`pam_antagonist.nodes.watch.PipelineWatch`, or what a test puts in its place."""
+    """Source of the page's data: :class:`pam_antagonist.nodes.watch.PipelineWatch`, or a substitute in tests."""
 
     def listen(self, wanted: bool) -> None:
-        """Subscribe, or cease to."""
+        """Subscribe or unsubscribe."""
 
     def frame(self) -> list[float | None]:
         """The newest numbers."""
 
     def report(self) -> dict[str, Any]:
-        """What changes slowly."""
+        """Slow data, such as the nodes' reports."""
 
     def command(self, order: dict[str, Any]) -> None:
-        """Carry out an order."""
+        """Carry out a command."""
 
 
 class Server:
     """Serves the page until it is stopped.
 
     Args:
-        source: what it shows.
+        source: of the data.
         host: address to listen on.
-        port: to listen on; 0: any that is free.
+        port: to listen on; 0: any free port.
         commands: whether pages with the key may command.
 
     Attributes:
         address: of the page, with the key where commands are allowed.
 
     Raises:
-        BadInput: the address cannot be listened on.
+        BadInput: the server cannot listen on this address.
     """
 
     def __init__(self, source: Source, host: str = "127.0.0.1", port: int = 8765, commands: bool = False) -> None:
@@ -104,13 +104,13 @@ class Server:
         self._http.stop()
 
     def joined(self, page: _Live) -> None:
-        """A page has opened its WebSocket."""
+        """Add a page that has opened its WebSocket."""
         self.pages.add(page)
         self.source.listen(True)
         self._count = 0
 
     def left(self, page: _Live) -> None:
-        """A page has gone."""
+        """Remove a page that was closed."""
         self.pages.discard(page)
         if not self.pages:
             self.source.listen(False)
@@ -173,7 +173,7 @@ class _Live(_Handler, tornado.websocket.WebSocketHandler):
     @override
     def prepare(self) -> None:
         super().prepare()
-        # Here as well: what Tornado asks check_origin about differs between its versions.
+        # Checked here as well, because versions of Tornado differ in when they call check_origin.
         if not all(self.check_origin(origin) for origin in self.request.headers.get_list("Origin")):
             raise tornado.web.HTTPError(403, "another page")
         if len(self._server.pages) >= _PAGES:
@@ -181,7 +181,7 @@ class _Live(_Handler, tornado.websocket.WebSocketHandler):
 
     @override
     def check_origin(self, origin: str) -> bool:
-        # Programs without a browser send none.
+        # Programs other than browsers send no origin.
         return origin.lower() == f"{self.request.protocol}://{self.request.host}".lower()
 
     @override
@@ -210,10 +210,10 @@ class _Live(_Handler, tornado.websocket.WebSocketHandler):
             self.send(json.dumps({"refused": str(error)}))
 
     def _order(self, message: str | bytes) -> dict[str, Any]:
-        """What a page asks for.
+        """The command in a message of a page.
 
         Raises:
-            BadInput: nothing that may be asked for, or without the key.
+            BadInput: commands are not allowed, the message is invalid, or the key is wrong.
         """
         if not self._server.key:
             raise BadInput("read-only: start watch with --allow-commands")
@@ -229,7 +229,7 @@ class _Live(_Handler, tornado.websocket.WebSocketHandler):
 
 
 def names_this_machine(host: str) -> bool:
-    """Whether the name in a request's ``Host`` is a number, ``localhost`` or this machine's own.
+    """Whether the name in a request's ``Host`` is an IP address, ``localhost`` or this machine's name.
 
     Args:
         host: name without the port.

@@ -1,12 +1,12 @@
-"""The 1 kHz messages as bytes.
+"""Fast serialisation of the 1 kHz messages.
 
-Between a message object and what goes over the wire, rclpy looks at every field in Python: 6 to 9 µs for each
+To convert between message objects and bytes, rclpy handles every field in Python. This takes 6 to 9 µs for each
 publisher and 9 to 16 µs for each subscriber of a sample, a third of the round trip from pressure to command. All these
-messages have a fixed layout behind their header, so here they are packed and unpacked in one step (1 µs), by rclpy's
-own way to send and receive serialised messages.
+messages have a fixed layout after their header. This module packs and unpacks them in one step (1 µs), and uses rclpy's
+interface for serialised messages.
 
-The layout is CDR (OMG DDS-XTypes, plain CDR version 1), which every ROS 2 middleware uses: four bytes that name the
-encoding, then the fields in order, each aligned to its size, counted from behind those four bytes.
+The layout is CDR (OMG DDS-XTypes, plain CDR version 1), which every ROS 2 middleware uses: four bytes for the encoding,
+then the fields in order, each aligned to its size relative to the end of these four bytes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 Body = Sequence[tuple[str, int]]
-"""What stands behind the header: formats of :mod:`struct`, each with the alignment of its first value."""
+"""Layout after the header: formats of :mod:`struct`, each with the alignment of its first value."""
 
 PRESSURE: Body = (("dd", 8),)
 """``sensor_msgs/FluidPressure``: pressure, variance."""
@@ -36,17 +36,18 @@ WRENCH: Body = (("6d", 8),)
 """``geometry_msgs/WrenchStamped``: force and torque, x, y and z each."""
 
 ESTIMATE_VALUES, EXTERNAL_VALUES = 24, 5
-"""Numbers (float64) in a JointEstimate before subsystem and flags, and behind them: the torque from outside and its
-covariance. They stand in the order of the message and of ``ESTIMATE_DTYPE``."""
+"""Number of float64 values in a JointEstimate before subsystem and flags, and after them (external torque and its
+covariance). The order is that of the message and of ``ESTIMATE_DTYPE``."""
 
 ESTIMATE: Body = (("iI", 4), (f"{8 * ESTIMATE_VALUES}s", 8), ("BB", 1), (f"{8 * EXTERNAL_VALUES}s", 8))
-"""``pam_antagonist_msgs/JointEstimate``: started (s, ns), its numbers as they lie in memory, subsystem, flags, and the
-torque from outside as it lies in memory."""
+"""``pam_antagonist_msgs/JointEstimate``: started (s, ns), the first values as raw memory, subsystem, flags, and the
+external torque with its covariance as raw memory."""
 
 _FOR_CONTROL, _EXTERNAL = "4d24xd24x3d40xd16x2d", "d24xd"
 ESTIMATE_FOR_CONTROL: Body = (("8x", 4), (_FOR_CONTROL, 8), ("xB", 1), (_EXTERNAL, 8))
-"""The same; what a controller goes by: angle, velocity, torque and their variances, pressures, variances of their
-innovations, normalised innovation squared, flags, torque from outside and its variance."""
+"""``pam_antagonist_msgs/JointEstimate``, only the values that a controller uses: angle, velocity, torque and their
+variances, pressures, variances of their innovations, normalised innovation squared, flags, external torque and its
+variance."""
 
 _HEADER = "4siII"  # encoding, stamp, length of the frame's name
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
@@ -58,10 +59,10 @@ def joint_state(name: str, *, velocity: bool) -> tuple[Body, Callable[..., tuple
 
     Args:
         name: of the joint.
-        velocity: whether it has one.
+        velocity: whether the message has a velocity.
 
     Returns:
-        The body, and a function that puts (position, [velocity,] effort) among its constant parts.
+        The body, and a function that inserts (position, [velocity,] effort) between the constant parts.
     """
     text = name.encode() + b"\0"
     one = (("I", 4), ("d", 8))
@@ -72,13 +73,13 @@ def joint_state(name: str, *, velocity: bool) -> tuple[Body, Callable[..., tuple
 
 
 def joint_position(name: str) -> tuple[Body, Callable[[float], tuple[object, ...]]]:
-    """Layout of a ``sensor_msgs/JointState`` of one joint that has nothing but a position.
+    """Layout of a ``sensor_msgs/JointState`` of one joint with only a position.
 
     Args:
         name: of the joint.
 
     Returns:
-        The body, and a function that puts the position among its constant parts.
+        The body, and a function that inserts the position between the constant parts.
     """
     text = name.encode() + b"\0"
     body = (("I", 4), (f"I{len(text)}s", 4), ("I", 4), ("d", 8), ("II", 4))
@@ -90,10 +91,10 @@ def position_in(data: bytes, joint: str) -> tuple[int, float]:
 
     Args:
         data: the message.
-        joint: its name; a message with one position is taken whatever its name is.
+        joint: name of the joint; ignored for a message with a single position.
 
     Returns:
-        The stamp, and the position [rad]; NaN where the message has none of this joint.
+        The stamp [ns], and the position [rad]; NaN where the message has none for this joint.
     """
     order = "<" if data[1] & 1 else ">"
     number = struct.Struct(f"{order}I")
@@ -122,7 +123,7 @@ def layout(body: Body, frame_bytes: int, order: str = "<") -> struct.Struct:
     """The whole message as one struct.
 
     Args:
-        body: what stands behind the header.
+        body: layout after the header.
         frame_bytes: length of the frame's name with its closing zero.
         order: of the bytes, ``<`` or ``>``.
     """
@@ -134,19 +135,19 @@ def layout(body: Body, frame_bytes: int, order: str = "<") -> struct.Struct:
 
 
 class Outgoing:
-    """A publisher that packs.
+    """A publisher that packs its messages.
 
     Args:
-        node: whose publisher it is.
+        node: of the publisher.
         kind: class of the message.
-        topic: its name.
+        topic: name of the topic.
         frame_id: in every header.
-        body: layout behind the header.
+        body: layout after the header.
     """
 
     def __init__(self, node: Node, kind: Any, topic: str, frame_id: str, body: Body) -> None:
         self.publisher = node.create_publisher(kind, topic, qos.STREAM)
-        self._publish = self.publisher.handle.publish_raw  # what rclpy's publish comes to, without its look at the type
+        self._publish = self.publisher.handle.publish_raw  # as rclpy's publish, without its type check
         self._frame = frame_id.encode() + b"\0"
         self._pack = layout(tuple(body), len(self._frame)).pack
 
@@ -164,7 +165,7 @@ class Incoming:
     """Unpacks serialised messages.
 
     Args:
-        body: layout behind the header.
+        body: layout after the header.
     """
 
     def __init__(self, body: Body) -> None:
@@ -182,7 +183,7 @@ def for_control(numbers: bytes, flags: int) -> tuple[float, ...]:
     """The values of :data:`ESTIMATE_FOR_CONTROL` without a message.
 
     Args:
-        numbers: an ``ESTIMATE_DTYPE`` as it lies in memory.
+        numbers: memory of an ``ESTIMATE_DTYPE``.
         flags: of the estimate.
     """
     first = struct.unpack_from(f"={_FOR_CONTROL}", numbers)
