@@ -1,1 +1,1 @@
-"""Reports: what a recording says about the estimator, as numbers, tables, figures and one self-contained page."""
+"""Reports of the commands: numbers, tables, figures and one self-contained page."""

@@ -1,4 +1,4 @@
-"""What the intervals of a report rest on, where the rig was not identified: one sentence for its first lines."""
+"""The assumption behind the intervals of a report whose rig was not identified, for its first lines."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pam_antagonist.rig import Rig
 
 
 def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> str | None:
-    """The uncertainty that a rig file claims, as the assumption that it is; None of an identified rig.
+    """Sentence about the uncertainty that a rig file claims without proof; None for an identified rig.
 
     Args:
-        rig: as it was configured.
+        rig: as configured.
         tuning: name of the filter's tuning.
-        identified: whether the report compares it with the rig that was identified from it.
+        identified: whether the report also has a rig that was identified from this one.
     """
     if rig.identified:
         return None
@@ -32,10 +32,10 @@ def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> s
 
 
 def in_first_lines(text: str | None) -> tuple[Text, ...]:
-    """The assumption as a block of a report; nothing where there is none."""
+    """The assumption as a block of a report; empty without one."""
     return () if text is None else (Text(text),)
 
 
 def _size(value: float, std: float) -> str:
-    """An uncertainty in per cent of the value; by itself where that is 0."""
+    """An uncertainty in per cent of the value; absolute where the value is 0."""
     return f"{number(100.0 * std / abs(value), 2)} %" if value else number(std, 2)

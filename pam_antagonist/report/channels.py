@@ -1,4 +1,4 @@
-"""The channels that a replay judges: what the filter estimates and a validation sensor may measure."""
+"""Channels of a replay: quantities that the filter estimates and a validation sensor may measure."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Channel(NamedTuple):
     """The angle or the torque.
 
     Attributes:
-        name: what it is called.
-        unit: in brackets.
+        name: of the channel.
+        unit: of its values.
     """
 
     name: str
@@ -24,11 +24,11 @@ class Channel(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its name at the beginning of a sentence."""
+        """The name, capitalised."""
         return self.name.capitalize()
 
     def of(self, errors: ModelErrors) -> ChannelErrors | None:
-        """Its errors; None where it was not measured."""
+        """Errors of the channel; None where it was not measured."""
         return errors.angle if self.name == "angle" else errors.torque
 
     def write(self, value: float) -> str:
@@ -38,18 +38,18 @@ class Channel(NamedTuple):
 
 ANGLE, TORQUE = Channel("angle", "°"), Channel("torque", "N m")
 CHANNELS = (ANGLE, TORQUE)
-"""What is estimated from the pressures."""
+"""Channels that are estimated from the pressures."""
 HIGH_COVERAGE = 0.98
-"""Share of the measured values in a 95 % interval above which the interval may be wide."""
+"""Coverage of a 95 % interval above which the interval may be too wide."""
 WIDE = 2.0 * 1.96
-"""Half width of a 95 % interval over the RMS error above which it is called wide: the filter claims twice the error."""
+"""A 95 % interval is wide if its half width over the RMS error is larger: the claimed error is twice the real one."""
 
 
 class Judged(NamedTuple):
     """A channel with its errors in one recording.
 
     Attributes:
-        channel: what is compared.
+        channel: the channel.
         ukf: errors of the estimator.
         model: errors of the model alone.
     """
@@ -65,12 +65,12 @@ class Judged(NamedTuple):
 
     @property
     def wide(self) -> bool:
-        """Whether the filter's 95 % interval is much wider than its errors."""
+        """Whether the filter's 95 % interval is too wide for its errors."""
         return self.coverage > HIGH_COVERAGE and self.ukf.width is not None and self.ukf.width > WIDE
 
 
 def judged(report: ReplayReport) -> list[Judged]:
-    """Channels with a measurement to compare with; a locked joint's angle is given, not estimated."""
+    """Channels with a measurement, without a locked joint's angle, which is not estimated."""
     out = []
     for channel in CHANNELS:
         ukf, model = channel.of(report.ukf), channel.of(report.model_alone)

@@ -1,4 +1,4 @@
-"""What ``close_loop`` found, as typed numbers: the content of its ``report.json``.
+"""Results of ``close_loop`` as typed numbers, the content of its ``report.json``.
 
 The fields of :class:`CloseLoopReport` and of the classes in it are the keys of ``report.json``.
 """
@@ -37,14 +37,14 @@ class Calibration:
     """A calibration of a sensor or a clock that the recordings need.
 
     Attributes:
-        name: ``encoder_zero``, ``torque_zero``, ``torque_scale``, or ``delay_`` and what is stamped early.
-        value: in the unit; positive where a sensor reads too much, or stamps are early.
-        std: its standard deviation.
-        unit: of both.
-        sentence: the same in words.
-        delta_bic: evidence for it.
-        recordings: that show it, each with its own value.
-        ambiguous_with: effects and calibrations that the recordings cannot distinguish from it.
+        name: ``encoder_zero``, ``torque_zero``, ``torque_scale``, or ``delay_`` and the signal that is stamped early.
+        value: in ``unit``; positive where a sensor reads too high, or stamps are early.
+        std: standard deviation of the value.
+        unit: of value and std.
+        sentence: the calibration in words.
+        delta_bic: evidence for the calibration.
+        recordings: name of each recording that shows it -> its own value.
+        ambiguous_with: effects and calibrations that the recordings cannot distinguish from this one.
     """
 
     name: str
@@ -73,9 +73,9 @@ class Candidate:
         round: from 1.
         score: evidence to first order.
         delta_bic: evidence; None where the score was too low for a fit.
-        holdout_gain: share of the held-out excess that it explains; None likewise.
-        taken: whether it became part of the model.
-        score_by_muscle: score on each muscle alone; None where it is not tried so.
+        holdout_gain: share of the held-out excess that the candidate explains; None likewise.
+        taken: whether the candidate became part of the model.
+        score_by_muscle: score on each muscle alone; None where this was not tried.
     """
 
     name: str
@@ -89,17 +89,17 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Settings:
-    """What was asked, and the thresholds of the decision.
+    """Settings of the diagnosis, and the thresholds of its decisions.
 
     Attributes:
-        rig: its name.
-        rig_source: where its values are from.
+        rig: name of the rig.
+        rig_source: source of its values.
         seed: of the search.
         holdout: share of each recording that was held out, or names of recordings.
         strong_evidence: least ΔBIC of an effect.
         first_share: least share of the held-out excess that a first effect explains.
-        further_share: the same of a further effect.
-        explained_share: share from which on the excess counts as explained.
+        further_share: least share of a further effect.
+        explained_share: least share at which the excess counts as explained.
     """
 
     rig: str
@@ -119,30 +119,30 @@ class CloseLoopReport:
     Attributes:
         verdict: ``effect``, ``none`` or ``unexplained``.
         sentence: the verdict with its evidence.
-        effects: that were found.
-        ambiguous_with: effects and calibrations that the recordings cannot distinguish from what was found.
-        experiments: by effect or calibration, what would distinguish it.
-        ambiguities: effects that were compared with a found one under equal conditions.
+        effects: detected effects.
+        ambiguous_with: effects and calibrations that the recordings cannot distinguish from the detected ones.
+        experiments: effect or calibration -> experiment that would distinguish it.
+        ambiguities: effects that were compared with a detected one under equal conditions.
         share_explained: share of the held-out excess over noise that the effects explain.
-        parts: the verdict on each part of the joint that was judged by itself.
+        parts: verdict on each part of the joint with a test of its own.
         reference: errors of straight-line maps without physics [N m]; None where there is none.
-        base_friction_removed: whether the rig file's friction was removed before anything was tested.
+        base_friction_removed: whether the rig file's friction was removed before the tests.
         errors: on held-out data, of all recordings.
-        recordings: the same and more for each.
+        recordings: errors and further numbers of each recording.
         ranking: all candidates.
-        profiles: of the found sizes.
-        remaining: sentences on what is not explained.
-        left: the same as numbers.
+        profiles: of the detected sizes.
+        remaining: sentences on the remaining residual.
+        left: the remaining residual as numbers.
         unseen: sentences on what these recordings cannot show.
-        warnings: what the user should know.
-        settings: what was asked.
-        timing: what took how long [s].
+        warnings: for the user.
+        settings: of the diagnosis.
+        timing: durations of the steps [s].
         software: versions.
-        splits: of the effect that the fewest splits support; None where no splits were asked.
-        calibration: zeros, scales and late stamps that the recordings need; they are no effects.
-        corrections: options to type for this calibration, with those that were typed already.
-        assumption: the uncertainty that the configured rig claims; None of an identified one.
-        next_steps: what to do with the answer, in sentences.
+        splits: of the effect with the fewest supporting splits; None without splits.
+        calibration: zeros, scales and late stamps that the recordings need; these are no effects.
+        corrections: command line options for this calibration, including those that were already given.
+        assumption: the uncertainty that the configured rig claims; None for an identified one.
+        next_steps: recommended next steps, in sentences.
     """
 
     verdict: Verdict
@@ -174,7 +174,7 @@ class CloseLoopReport:
 
     @property
     def driven(self) -> bool:
-        """Whether the measured angle drives the model, as of a sealed joint."""
+        """Whether the measured angle drives the model, as for a sealed joint."""
         return any(part.joint == "driven" for part in self.recordings)
 
 
@@ -197,12 +197,12 @@ def report(
     Args:
         found: the diagnosis.
         rig: as configured.
-        hashes: SHA-256 of each bag, those held out as a whole behind the others.
-        seed: as asked.
-        holdout: share of each recording that was held out, or names of the recordings that were.
+        hashes: SHA-256 of each bag, whole held-out recordings last.
+        seed: of the search.
+        holdout: share of each recording that was held out, or names of held-out recordings.
         typed: corrections with which the recordings were read; default: none.
-        rig_files: names of the rig files that are written beside the report.
-        no_common_rig: why none of them is for all recordings; empty where one is.
+        rig_files: names of the rig files that are written with the report.
+        no_common_rig: why there is no rig file for all recordings; empty if there is one.
     """
     further = found_calibrations.corrections({item.name: item.value for item in found.calibrations})
     return CloseLoopReport(
@@ -256,13 +256,13 @@ def report(
 
 
 def next_steps(found: Diagnosis, rig: Rig, rig_files: Sequence[str], no_common_rig: str) -> tuple[str, ...]:
-    """What to do with a diagnosis, in sentences.
+    """Recommended next steps after a diagnosis, in sentences.
 
     Args:
         found: the diagnosis.
         rig: as configured.
-        rig_files: names of the rig files that are written beside the report.
-        no_common_rig: why none of them is for all recordings; empty where one is.
+        rig_files: names of the rig files that are written with the report.
+        no_common_rig: why there is no rig file for all recordings; empty if there is one.
     """
     out = []
     if no_common_rig:
@@ -300,7 +300,7 @@ def next_steps(found: Diagnosis, rig: Rig, rig_files: Sequence[str], no_common_r
 
 
 def _halves_errors(found: Diagnosis) -> bool:
-    """Whether every error of the model is halved at least, and the estimator is worse nowhere."""
+    """Whether all errors of the model are at least halved, and the estimator is not worse in any recording."""
     before, after = found.errors.as_configured, found.errors.extended
     pairs = [(a.rmse, b.rmse) for a, b in ((before.angle, after.angle), (before.torque, after.torque)) if a and b]
     pairs += list(zip(before.rmse_pa, after.rmse_pa, strict=True))

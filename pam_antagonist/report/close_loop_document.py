@@ -37,15 +37,15 @@ from pam_antagonist.report.table import MISSING, Comparison, Table, number, perc
 from pam_antagonist.report.units import readable
 
 _FEW_WORDS = 300
-"""Length of what the recordings cannot show up to which a terminal shows it."""
+"""Longest list of what the recordings cannot show [characters] that a terminal shows."""
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
 
 
 def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists.
+    """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: where to.
+        folder: existing folder.
         report: of :func:`pam_antagonist.report.close_loop.report`.
         found: the diagnosis.
         with_figures: False leaves the figures out of the page.
@@ -54,7 +54,7 @@ def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_f
 
 
 def summary(report: CloseLoopReport) -> tuple[Block, ...]:
-    """What the terminal shows."""
+    """Blocks for the terminal."""
     unseen = _unseen(report)
     if sum(len(item.text) for item in unseen) > _FEW_WORDS:
         unseen = (Finding("note", "What these recordings cannot show is listed in the report."),)
@@ -157,7 +157,7 @@ def errors_table(report: CloseLoopReport) -> Table:
 
 
 def _channel_rows(out: Comparison, errors: ModelErrors, names: Sequence[str], largest: bool = False) -> None:
-    """Rows of the named channels; with `largest`, the largest errors and what was not measured as well."""
+    """Rows of the named channels; with `largest` also the largest errors and channels that were not measured."""
     for channel in CHANNELS:
         known = [item for model in errors.all if (item := getattr(model, channel.name)) is not None]
         if channel.name not in names:
@@ -201,7 +201,7 @@ def ranking_table(report: CloseLoopReport) -> Table:
 
 
 def sizes_table(report: CloseLoopReport) -> Table:
-    """The found effects' parameters."""
+    """Parameters of the detected effects."""
     rows = tuple(
         (
             f"{effect.name}{f', muscle {effect.muscle}' if effect.muscle else ''}: {name} [{unit.name}]",

@@ -15,7 +15,7 @@ from pam_antagonist.report.table import number
 from pam_antagonist.report.units import readable
 
 _NEAR = 4.0
-"""Standard errors that a profile shows."""
+"""Half width of a profile's plot, in standard errors."""
 
 
 def residuals(found: Diagnosis) -> tuple[Figure, ...]:

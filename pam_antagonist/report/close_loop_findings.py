@@ -1,4 +1,4 @@
-"""What the numbers of ``close_loop`` say, in sentences."""
+"""Findings of ``close_loop`` in sentences, from its numbers."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _DRIVEN = (
 
 
 def findings(report: CloseLoopReport) -> tuple[Finding, ...]:
-    """What a reader should know beside the verdict."""
+    """Findings in addition to the verdict."""
     out = [Finding("warn", sentence(text)) for text in report.warnings]
     rivals = {item.other: item for item in report.ambiguities if item.ambiguous}
     for name in report.ambiguous_with:
@@ -76,7 +76,7 @@ def findings(report: CloseLoopReport) -> tuple[Finding, ...]:
 
 
 def calibration_findings(report: CloseLoopReport) -> tuple[Finding, ...]:
-    """The calibrations that the recordings need, and what to type."""
+    """The calibrations that the recordings need, with command line options."""
     if not report.calibration:
         return ()
     what = "; ".join(item.sentence for item in report.calibration)
@@ -150,7 +150,7 @@ def definitions(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
 
 
 def assumed(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
-    """What the diagnosis takes for granted."""
+    """Assumptions of the diagnosis."""
     settings = report.settings
     noise = "Gaussian, of unknown size for each channel, at least the sensor's noise."
     thresholds = (

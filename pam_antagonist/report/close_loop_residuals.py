@@ -1,4 +1,4 @@
-"""The residuals in a ``close_loop`` report: size, whiteness, correlations with signals, and what is not explained."""
+"""Residuals in a ``close_loop`` report: size, whiteness, correlations with signals, and the remaining residual."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _SIGNED = (MODEL, PAPER, ESTIMATE)
 _BLUES = (PAPER, MODEL)
 _CERTAIN = 0.05
 _SHOWN = 5.0
-"""Colours end at so many times the value that chance alone exceeds once in twenty times."""
+"""End of the colour scale, in multiples of the value that chance alone exceeds once in twenty times."""
 _POINTS = 300
 _DRAWN = 3
-"""Residuals that are drawn over what they depend on, of each recording."""
+"""Number of residuals of each recording that are drawn over the signals that they depend on."""
 _LEAST_SHARE = 0.5
-"""A map whose cells all show 0 % is left out [%]."""
+"""A map is left out if all its shares are smaller and would show as 0 % [%]."""
 _CELL = "{value:.0f} %"
 _SIGNALS = ("voltage 1", "voltage 2", "pressure 1", "pressure 2", "angle", "velocity")
 _KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
@@ -44,7 +44,7 @@ _ABOUT_DRIVEN = (
 
 
 def statistics(report: CloseLoopReport, with_figures: bool) -> tuple[Block, ...]:
-    """Table and figure of the residuals of each recording of which something was held out."""
+    """Table and figure of the residuals of each recording with held-out data."""
     out: list[Block] = [Text(_ABOUT_DRIVEN if report.driven else _ABOUT)]
     models = ("recalibrated", "extended") if report.effects else ("recalibrated",)
     for part in report.recordings:
@@ -107,7 +107,7 @@ def _strongest(relations: Mapping[str, Relation]) -> str:
 
 
 def _map(shown: Residuals, models: Sequence[str]) -> tuple[Panel, ...]:
-    """One map a model, above each other."""
+    """One map for each model, one above the other."""
     known = [signal for signal in _SIGNALS if any(signal in row.relations for row in shown[models[0]])]
     grids = []
     for model in models:
@@ -119,7 +119,7 @@ def _map(shown: Residuals, models: Sequence[str]) -> tuple[Panel, ...]:
 
 
 def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block, ...]:
-    """What no effect explains: in words, and drawn over what it depends on."""
+    """The remaining residual: in words, and drawn over the signals that it depends on."""
     out: list[Block] = [Findings(tuple(Finding("note", item.line()) for item in found))]
     if not with_figures:
         return tuple(out)
@@ -148,7 +148,7 @@ def _short(band: str) -> str:
 
 
 def _drawn(item: RemainingResidual) -> Figure:
-    """A residual over the two axes with which it changes most."""
+    """A residual over the two signals that it depends on most."""
     axes = item.around.axes()
     spread = {}
     for title, over in axes.items():
@@ -171,7 +171,7 @@ def _drawn(item: RemainingResidual) -> Figure:
             means = remaining.means(item.values, axes[title], which)
             parts.append(Line(name, means[:, 0], means[:, 1], color, width=1.7, quiet=name in named))
             named.add(name)
-        # The second panel has the vertical axis of the first one; a title of its own would lie on that on a phone.
+        # The second panel shares the vertical axis; a second title would overlap the first one on a phone.
         vertical = "" if panels else f"{item.channel.capitalize()} [{item.unit}]"
         panels.append(Panel(Axis(title), Axis(vertical), tuple(parts), 222))
     form = f" A sparse regression suggests {item.form}." if item.form.terms else ""

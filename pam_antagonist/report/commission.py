@@ -1,4 +1,4 @@
-"""The report of ``commission``: what each step found, so that a second person can follow."""
+"""The report of ``commission``: result of each step, so that a second person can follow."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Step:
 
     Attributes:
         name: of the step.
-        done: whether it is done.
-        said: what it found, or what to do.
-        seconds: that it took.
-        rig_seconds: of these, that the joint was driven.
+        done: whether the step is done.
+        said: its result, or what to do.
+        seconds: its duration [s].
+        rig_seconds: part of the duration in which the joint was driven [s].
     """
 
     name: str
@@ -38,12 +38,12 @@ class Step:
 
 @dataclass(frozen=True)
 class CommissionReport:
-    """What ``report.json`` holds.
+    """Content of ``report.json``.
 
     Attributes:
-        rig: name of the rig file's rig.
-        steps: in their order.
-        rig_seconds: that the joint was driven in all.
+        rig: name of the rig.
+        steps: in order.
+        rig_seconds: total time in which the joint was driven [s].
     """
 
     rig: str
@@ -55,10 +55,10 @@ def write_report(folder: Path, rig: Rig, steps: Sequence[Step], command: str) ->
     """Write ``report.json`` and ``report.html``.
 
     Args:
-        folder: that exists.
+        folder: existing folder.
         rig: of the rig file.
-        steps: in their order.
-        command: that goes on, or was given.
+        steps: in order.
+        command: to continue the commissioning, or that was given.
     """
     report = CommissionReport(rig.name, tuple(steps), sum(step.rig_seconds for step in steps))
     findings = Findings(tuple(Finding("good" if step.done else "warn", f"{step.name}: {step.said}") for step in steps))

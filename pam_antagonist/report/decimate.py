@@ -1,8 +1,8 @@
-"""Fewer points for the eye, without hiding one that stands out.
+"""Decimation of curves for plots, which keeps outliers visible.
 
-Sixty seconds at 1 kHz are 60,000 samples for a plot that is 1,000 pixels wide. Every k-th sample would lose spikes; a
-mean would flatten them. Here each bucket of samples keeps its least and its largest value, at the times where they
-happened, so that the drawn curve fills the same pixels as the full one.
+Sixty seconds at 1 kHz are 60,000 samples for a plot that is 1,000 pixels wide. Taking every k-th sample would lose
+spikes, and a mean would flatten them. Here each bucket of samples keeps its least and its largest value at their times,
+so that the drawn curve fills the same pixels as the full one.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 LIMIT = 2000
-"""Most points of one trace: the least and the largest value for each pixel of a figure that is 1,000 pixels wide."""
+"""Most points of one curve: least and largest value for each pixel of a figure that is 1,000 pixels wide."""
 _PAUSE = 5.0
-"""A step of more than this many median ones is a pause."""
+"""A time step of more than this many median steps is a pause."""
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 
 def bucket_width(samples: int, limit: int = LIMIT) -> int:
-    """Samples a bucket, so that two points a bucket stay within the limit (1: nothing is left out)."""
+    """Samples in each bucket, so that two points from each stay within the limit (1: all samples are kept)."""
     return 1 if samples <= limit else -(-samples // (limit // 2))
 
 
 def _buckets(values: FloatArray, width: int, fill: float) -> FloatArray:
-    """Rows of `width` samples, the last one filled up; NaN becomes `fill`."""
+    """Rows of `width` samples; `fill` replaces NaN and pads the last row."""
     rows = -(-len(values) // width)
     padded = np.full(rows * width, fill)
     padded[: len(values)] = np.where(np.isnan(values), fill, values)
@@ -33,14 +33,14 @@ def _buckets(values: FloatArray, width: int, fill: float) -> FloatArray:
 
 
 def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
-    """Indices of the samples worth drawing: the least and the largest of each bucket.
+    """Indices of the least and the largest sample of each bucket.
 
     Args:
-        values: (N,), NaN where there is nothing to draw.
-        limit: most points wanted.
+        values: (N,), NaN where missing.
+        limit: largest number of points.
 
     Returns:
-        Increasing indices, at most `limit`; all N where they fit. A bucket of NaN alone keeps one, as a gap.
+        Increasing indices, at most `limit`; all N if they fit. A bucket with only NaN keeps one sample, as a gap.
     """
     width = bucket_width(len(values), limit)
     if width == 1:
@@ -52,16 +52,16 @@ def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
 
 
 def envelope(lower: FloatArray, upper: FloatArray, limit: int = LIMIT) -> tuple[IndexArray, FloatArray, FloatArray]:
-    """A band thinned so that it still covers all of the full one.
+    """Decimate a band so that it still covers the full one.
 
     Args:
         lower: (N,) lower edge.
         upper: (N,) upper edge.
-        limit: most points wanted of each edge.
+        limit: largest number of points of each edge.
 
     Returns:
-        Index of each bucket's middle sample, the least of its lower and the largest of its upper edge. Buckets
-        that hold nothing finite are NaN.
+        Index of each bucket's middle sample, minimum of its lower and maximum of its upper edge. Buckets without
+        finite values are NaN.
     """
     width = bucket_width(len(lower), limit)
     low = _buckets(lower, width, np.inf).min(axis=1)
@@ -74,12 +74,12 @@ def envelope(lower: FloatArray, upper: FloatArray, limit: int = LIMIT) -> tuple[
 
 
 def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[IndexArray, FloatArray]:
-    """How much of each stretch of time is spent in each category.
+    """Share of each stretch of time that is spent in each category.
 
     Args:
         category: (N,) values 0..categories - 1.
         categories: number of categories.
-        columns: most stretches wanted.
+        columns: largest number of stretches.
 
     Returns:
         Index of each stretch's middle sample (C,), and the shares (categories, C), each column adding up to 1.
@@ -111,11 +111,11 @@ def curve(x: FloatArray, y: FloatArray, with_pauses: bool) -> tuple[FloatArray, 
 
     Args:
         x: (N,).
-        y: (N,), NaN where there is nothing.
-        with_pauses: `x` is the time of a recording, whose pauses become gaps.
+        y: (N,), NaN where missing.
+        with_pauses: whether `x` is the time of a recording, whose pauses become gaps.
 
     Returns:
-        The points that are drawn; a gap is a NaN in both.
+        The points to draw; a gap is NaN in both.
     """
     index = min_max_indices(y)
     if not with_pauses:
@@ -127,13 +127,13 @@ def curve(x: FloatArray, y: FloatArray, with_pauses: bool) -> tuple[FloatArray, 
 def band(
     x: FloatArray, lower: FloatArray, upper: FloatArray, with_pauses: bool
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """The uninterrupted stretches of a band, thinned: place, lower and upper edge of each.
+    """The uninterrupted stretches of a decimated band: x, lower and upper edge of each.
 
     Args:
         x: (N,).
-        lower: (N,), NaN where there is nothing.
+        lower: (N,), NaN where missing.
         upper: (N,).
-        with_pauses: `x` is the time of a recording, whose pauses become gaps.
+        with_pauses: whether `x` is the time of a recording, whose pauses become gaps.
     """
     index, low, high = envelope(lower, upper)
     group = stretches(x)[index] if with_pauses else np.zeros(len(index), np.int64)

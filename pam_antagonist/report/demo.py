@@ -1,4 +1,4 @@
-"""The report of ``demo``: the replay of its recording, and what control and pipeline did."""
+"""The report of ``demo``: replay of its recording, and performance of control and pipeline."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.style import ESTIMATE, MODEL
 from pam_antagonist.report.table import MISSING, Table, number, percent
 
-_PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance reported there
+_PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance in the paper
 _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}
 _SIGN = {Mode.ANGLE: "°", Mode.TORQUE: " N m"}
 _LAWS = {"fast": "fast gains", "published": "published gains", "model": "law through the model"}
@@ -36,11 +36,11 @@ _LAWS = {"fast": "fast gains", "published": "published gains", "model": "law thr
 
 @dataclass(frozen=True)
 class Simulated:
-    """What the joint was.
+    """The simulated joint.
 
     Attributes:
         mismatch: relative standard deviation of its parameters from the rig's [-].
-        seed: of that scatter and of the sensor noise.
+        seed: of this mismatch and of the sensor noise.
     """
 
     mismatch: float
@@ -52,14 +52,14 @@ class Demo:
     """A finished demo: the key ``demo`` of ``report.json``; angles in degrees, torques in N m, times in ms.
 
     Attributes:
-        replay: of its recording.
-        mode: what was controlled.
-        simulated: what the joint was.
+        replay: of the demo's recording.
+        mode: of control.
+        simulated: the simulated joint.
         gains: of the controller, ``fast`` or ``published``; ``model`` for the law through the model.
-        tracking: how the reference was followed, in degrees or N m.
-        stiffness: how the stiffness was followed, by the estimate's [N m/rad]; None where none was asked for.
-        yielding: how the joint yielded to pushes; None where it was not to.
-        accounting: what became of the samples; None where a stage is missing in the recording.
+        tracking: tracking of the reference, in degrees or N m.
+        stiffness: tracking of the estimated stiffness [N m/rad]; None without a reference for it.
+        yielding: motion under pushes; None in other modes than IMPEDANCE.
+        accounting: account of the samples; None where a stage is missing in the recording.
     """
 
     replay: Replay
@@ -73,16 +73,16 @@ class Demo:
 
     @classmethod
     def of(cls, replay: Replay, mode: Mode, simulated: Simulated, gains: str = "fast") -> Demo:
-        """Judge the recording of a demo.
+        """Evaluate the recording of a demo.
 
         Args:
             replay: of the demo's recording.
-            mode: what was controlled.
-            simulated: what the joint was.
+            mode: of control.
+            simulated: the simulated joint.
             gains: of the controller, ``fast``, ``published`` or ``model``.
 
         Raises:
-            BadInput: there is no reference, or no measurement, to judge by.
+            BadInput: the recording has no reference or no measurement.
         """
         yielding = Yielding.of(replay) if mode is Mode.IMPEDANCE else None
         followed = follow(replay.recording, mode)
@@ -91,7 +91,7 @@ class Demo:
         return cls(replay, mode, simulated, gains, followed, stiffness, yielding, accounting)
 
     def to_json(self) -> dict[str, Any]:
-        """The entry of ``report.json``; the unit of what was controlled is part of the keys."""
+        """The entry of ``report.json``; keys contain the unit of the controlled quantity."""
         unit, followed = _UNIT[self.mode.quantity], self.tracking
         return {
             "mode": self.mode.name.lower(),
@@ -121,21 +121,21 @@ class Demo:
 
 
 def write_report(folder: Path, demo: Demo, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists.
+    """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: where to.
-        demo: what was done.
+        folder: existing folder.
+        demo: the finished demo.
         with_figures: False leaves the figures out of the page.
     """
     html.write(folder, document(demo, with_figures), replay_numbers([demo.replay], demo=demo))
 
 
 def document(demo: Demo, with_figures: bool = True) -> Document:
-    """One figure that shows all, the numbers of the loop, and the replay's report below.
+    """An overview figure, the numbers of the loop, and the replay's report below.
 
     Args:
-        demo: what was done.
+        demo: the finished demo.
         with_figures: False leaves the figures out.
     """
     replayed = replay_document([demo.replay], with_figures=with_figures)
@@ -163,7 +163,7 @@ def document(demo: Demo, with_figures: bool = True) -> Document:
 
 
 def _slowest(demo: Demo) -> float:
-    """Settling time of the slowest step [s]; NaN where one did not settle."""
+    """Settling time of the slowest step [s]; NaN if a step did not settle."""
     return float(np.max([step.settling_s for step in demo.tracking.steps[1:]], initial=0.0))
 
 
@@ -200,15 +200,15 @@ def _tiles(demo: Demo) -> tuple[Tile, ...]:
 
 
 def summary(demo: Demo) -> tuple[Block, ...]:
-    """What the terminal shows."""
+    """Blocks for the terminal."""
     return Text(_verdict(demo)), errors_table(demo.replay.report), control_table(demo)
 
 
 def follow(recording: Recording, mode: Mode) -> Tracking:
-    """How the reference was followed, in ° or N m.
+    """Tracking of the reference, in ° or N m.
 
     Raises:
-        BadInput: there is no reference, or no measurement, to judge by.
+        BadInput: the recording has no reference or no measurement.
     """
     reference, measured = recording.reference, recording.angle if mode.quantity is Mode.ANGLE else recording.torque
     if reference is None or measured is None:
@@ -293,7 +293,7 @@ def _figure(demo: Demo) -> Figure:
     about = "The controller sees the estimate, never the measurement."
     name = mode.name.lower()
     measured = replay.measured_angle if mode is Mode.ANGLE else replay.measured_torque
-    assert recording.reference is not None and measured is not None  # follow() has looked
+    assert recording.reference is not None and measured is not None  # follow() has checked it
     wanted = held(replay.run.stamp_ns, recording.reference.stamp_ns, recording.reference.value)
     if demo.yielding is not None:
         wanted = spring_and_damper(recording)[replay.run.index]
@@ -310,9 +310,9 @@ def _figure(demo: Demo) -> Figure:
 
 
 def _stiffness(replay: Replay) -> tuple[FloatArray, FloatArray]:
-    """Stiffness asked for and estimated (N,), at the estimates [N m/rad]."""
+    """Reference and estimate of the stiffness at the estimates (N,) each [N m/rad]."""
     reference = replay.recording.reference
-    assert reference is not None  # follow() has looked
+    assert reference is not None  # follow() has checked it
     return held(replay.run.stamp_ns, reference.stamp_ns, reference.stiffness), -replay.run.rows["stiffness"]
 
 

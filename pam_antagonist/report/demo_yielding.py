@@ -1,4 +1,4 @@
-"""How a joint of ``demo --mode impedance`` yielded: measured angle against spring and damper."""
+"""Motion of a joint in ``demo --mode impedance``: measured angle compared with spring and damper."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from pam_antagonist.report.table import number, percent
 
 
 def spring_and_damper(recording: Recording, damped: bool = True) -> FloatArray:
-    """Where the spring and damper asked for would be at each sample, by the torque that was applied (N,) [rad].
+    """Angle of the commanded spring and damper at each sample, under the applied torque (N,) [rad].
 
     Args:
         recording: with references of mode IMPEDANCE.
-        damped: False: where the spring comes to rest.
+        damped: False: the angle at which the spring comes to rest.
 
     Raises:
-        BadInput: it lacks the references, or the torque.
+        BadInput: the recording lacks the references or the torque.
     """
     reference, applied = recording.reference, recording.external_torque
     if reference is None or applied is None:
@@ -39,14 +39,14 @@ def spring_and_damper(recording: Recording, damped: bool = True) -> FloatArray:
 
 @dataclass(frozen=True)
 class Yielding:
-    """The joint beside the spring and damper that it was to be.
+    """Comparison of the joint with the commanded spring and damper.
 
     Attributes:
-        rmse_deg: of the measured angle against theirs [°].
-        largest_deg: the largest difference [°].
-        moved_deg: root mean square of their own motion [°].
-        within: share of the samples at which the difference lies in the 95 % interval that the covariance of angle and
-            torque from outside gives [-].
+        rmse_deg: RMS difference of the measured angle from that of spring and damper [°].
+        largest_deg: largest difference [°].
+        moved_deg: root mean square of the motion of spring and damper [°].
+        within: share of the samples with a difference within the 95 % interval, from the covariance of angle and
+            external torque [-].
     """
 
     rmse_deg: float
@@ -56,23 +56,23 @@ class Yielding:
 
     @classmethod
     def of(cls, replay: Replay) -> Yielding:
-        """Compare.
+        """Compare a replay with spring and damper.
 
         Args:
             replay: of a recording with references of mode IMPEDANCE.
 
         Raises:
-            BadInput: it lacks the references, the torque that was applied, or the measured angle.
+            BadInput: the recording lacks the references, the applied torque, or the measured angle.
         """
         recording, rows = replay.recording, replay.run.rows
         if recording.angle is None:
             raise BadInput(f"{recording.path}: no measured angle was recorded")
         wanted = spring_and_damper(recording)[replay.run.index]
         reference = recording.reference
-        assert reference is not None  # spring_and_damper() has looked
+        assert reference is not None  # spring_and_damper() has checked it
         stiffness = held(replay.run.stamp_ns, reference.stamp_ns, reference.stiffness)
         error = recording.angle[replay.run.index] - wanted
-        # The law puts the estimated angle where spring and damper would be by the estimated torque.
+        # The law moves the estimated angle to that of spring and damper under the estimated torque.
         of_torque = rows["external_torque_covariance"]
         variance = rows["covariance"][:, 0, 0] - 2.0 * of_torque[:, 0] / stiffness + of_torque[:, 3] / stiffness**2
         known = np.isfinite(error)
@@ -88,14 +88,14 @@ class Yielding:
 
     @property
     def sentence(self) -> str:
-        """The result."""
+        """The result in words."""
         return (
             f"The pushes would move the spring and damper by {number(self.moved_deg, 2)}° (RMS); the joint differed "
             f"from them by {number(self.rmse_deg, 2)}°."
         )
 
     def tiles(self) -> list[Tile]:
-        """The two numbers that count."""
+        """The two main numbers."""
         return [
             Tile("Joint minus spring and damper", f"{number(self.rmse_deg, 2)}°", "root mean square"),
             Tile("They move by", f"{number(self.moved_deg, 2)}°", "root mean square"),

@@ -1,4 +1,4 @@
-"""What a report says, as typed blocks. How it looks is for the renderers: :mod:`html` and :mod:`terminal`.
+"""Content of a report as typed blocks. The renderers :mod:`html` and :mod:`terminal` determine its look.
 
 Every command builds one :class:`Document` from its typed result.
 """
@@ -20,7 +20,7 @@ class Text:
 
     Attributes:
         text: the paragraph.
-        kind: a document begins with its lede and its verdict.
+        kind: ``lede`` and ``verdict`` are the first two paragraphs of a document.
     """
 
     text: str
@@ -32,7 +32,7 @@ class Finding:
     """One statement that the numbers support.
 
     Attributes:
-        status: ``good`` (as it should be), ``warn`` (look here) or ``note`` (worth knowing).
+        status: ``good`` (as expected), ``warn`` (a problem) or ``note`` (information).
         text: the sentence.
     """
 
@@ -42,19 +42,19 @@ class Finding:
 
 @dataclass(frozen=True)
 class Findings:
-    """A list of findings, marked by sign as well as by colour."""
+    """A list of findings, marked by symbol and colour."""
 
     items: tuple[Finding, ...]
 
 
 @dataclass(frozen=True)
 class Tile:
-    """One number that matters, large.
+    """One important number in large letters.
 
     Attributes:
-        label: what it is.
+        label: name of the number.
         value: with its unit.
-        note: a few words below it.
+        note: a few words below.
     """
 
     label: str
@@ -71,14 +71,14 @@ class Tiles:
 
 @dataclass(frozen=True)
 class Definitions:
-    """Terms and what they mean."""
+    """Terms and their meanings."""
 
     items: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Two blocks beside each other where the page is wide enough, else one after the other.
+    """Two blocks side by side on a wide page, otherwise one after the other.
 
     Attributes:
         left: the first block.
@@ -94,11 +94,11 @@ class Section:
     """A titled group of blocks.
 
     Attributes:
-        title: its heading.
-        blocks: its content.
+        title: heading.
+        blocks: content.
         level: of the heading.
-        anchor: where the navigation finds it; without one it is not in the navigation.
-        folded: whether it stays closed until a reader opens it.
+        anchor: target of the navigation; without one the section is not in the navigation.
+        folded: whether the section is closed until a reader opens it.
     """
 
     title: str
@@ -120,10 +120,10 @@ class Document:
     """A report.
 
     Attributes:
-        kicker: what kind of report this is.
-        title: what it is about.
-        blocks: its content.
-        footer: how it was made.
+        kicker: kind of report.
+        title: subject of the report.
+        blocks: content.
+        footer: software that made the report.
     """
 
     kicker: str
@@ -133,11 +133,11 @@ class Document:
 
 
 def background(definitions: Sequence[tuple[str, str]], provenance: Sequence[tuple[str, str]]) -> tuple[Section, ...]:
-    """The two folded sections that end every report.
+    """The two folded sections at the end of every report.
 
     Args:
-        definitions: terms and what they mean.
-        provenance: what the result was made from: name and value.
+        definitions: terms and their meanings.
+        provenance: names and values of the inputs.
     """
     return (
         Section("What the words mean", (Definitions(tuple(definitions)),), folded=True),

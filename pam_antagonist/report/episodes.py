@@ -31,36 +31,36 @@ _BY_SIGNAL = {
     "strength_by_signal": "strength of the muscles that goes with",
 }
 _DRIFT = 0.8
-"""A model of the last episodes that errs by less than this times that of all of them shows a drift."""
+"""The rig drifts if the error of a model of the last episodes is less than this times that of all episodes."""
 
 
 def in_words(effect: str) -> str:
-    """An effect as a sentence says it.
+    """An effect in words.
 
     Args:
-        effect: its name, with the signal by which it goes.
+        effect: name of the effect, with its signal if there is one.
     """
     name, _, signal = effect.partition(": ")
     return f"{_BY_SIGNAL[name]} {signal}" if signal else _WORDS.get(name, name)
 
 
 def interval(value: Interval | None, digits: int = 3) -> str:
-    """A value with its interval."""
+    """A value with its interval, as text."""
     if value is None:
         return MISSING
     return f"{number(value.value, digits)} ({number(value.low, digits)} to {number(value.high, digits)})"
 
 
 def times(factor: float, value: Interval) -> Interval:
-    """An interval in another unit."""
+    """An interval times a factor."""
     return Interval(*(factor * part for part in value))
 
 
 def unit(rig: Rig, name: str) -> tuple[str, float]:
-    """Unit in which a value is shown, and how many of it are one of the rig file's; torques may be per inertia.
+    """Unit in which a value is shown, and factor from the rig file's unit; torques may be per inertia.
 
     Args:
-        rig: whose units count.
+        rig: defines the units.
         name: dotted path of the value.
     """
     per_inertia = rig.units.force == "per_inertia"
@@ -81,7 +81,7 @@ def unit(rig: Rig, name: str) -> tuple[str, float]:
 
 
 def verdict(found: EpisodeDiagnosis) -> str:
-    """What was found, in one or two sentences."""
+    """The result in one or two sentences."""
     before = next(row for row in found.rows if row.model.startswith("mechanics"))
     after = found.rows[-1]
     if not found.effects:
@@ -99,7 +99,7 @@ def _later(row: Row) -> Interval:
 
 
 def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, ...]:
-    """Statements that the numbers support."""
+    """Findings, from the numbers."""
     out = [_not_told_apart(found, name, instead_of, row) for name, instead_of, row in found.others]
     base = next(row for row in found.rows if row.model.startswith("mechanics"))
     if found.effects and _later(found.rows[-1]).value >= _later(base).value:
@@ -161,7 +161,7 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
 
 
 def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
-    """What units that are not known leave open, and which episodes were left out.
+    """Findings about unknown units, and about episodes that were left out.
 
     Args:
         joint: the episodes.
@@ -206,7 +206,7 @@ def _not_told_apart(found: EpisodeDiagnosis, name: str, instead_of: str, row: Ro
 
 
 def _moved(found: EpisodeDiagnosis, rig: Rig) -> list[str]:
-    """Numbers that drift, with what they change by."""
+    """Numbers with a significant drift, and their changes."""
     out = []
     for name, change in found.drift.changes.items():
         if change.low > 0.0 or change.high < 0.0:
@@ -216,7 +216,7 @@ def _moved(found: EpisodeDiagnosis, rig: Rig) -> list[str]:
 
 
 def errors_table(found: EpisodeDiagnosis) -> Table:
-    """Errors of all models on episodes that no fit and no choice has seen."""
+    """Errors of all models on episodes that were used for no fit and no choice."""
     rows = tuple(
         (row.model, interval(row.later), interval(row.recent), interval(row.interleaved))
         for row in (*found.rows, found.lines, *(other for *_, other in found.others))
@@ -234,7 +234,7 @@ def errors_table(found: EpisodeDiagnosis) -> Table:
 
 
 def value_name(rig: Rig, name: str) -> str:
-    """What a value is called in a report.
+    """Name of a value in a report.
 
     Args:
         rig: with its further signals.
@@ -246,7 +246,7 @@ def value_name(rig: Rig, name: str) -> str:
 
 
 def values_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
-    """Numbers of the extended model, and what they change by over the recording."""
+    """Numbers of the extended model, and their changes over the recording."""
     rows = []
     for name, value in found.values.items():
         shown, factor = unit(rig, name)
@@ -298,7 +298,7 @@ def tried_table(found: EpisodeDiagnosis) -> Table:
 
 
 def summary(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Block, ...]:
-    """What the terminal shows."""
+    """Blocks for the terminal."""
     return Text(verdict(found)), Findings(findings(found, joint)), errors_table(found), values_table(found, joint.rig)
 
 
@@ -360,7 +360,7 @@ def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, 
 
 
 def numbers(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, ...]) -> dict[str, Any]:
-    """What ``report.json`` holds; intervals are value, lower and upper end.
+    """Content of ``report.json``; intervals are value, lower and upper end.
 
     Args:
         found: the result.

@@ -1,4 +1,4 @@
-"""Figures as typed data: what is shown, not how it is drawn.
+"""Figures as typed data, independent of how they are drawn.
 
 A figure holds panels. A panel holds two axes and the series on them, from back to front. Two renderers draw it:
 :mod:`pam_antagonist.report.plotly_renderer` for the page, :mod:`pam_antagonist.report.matplotlib_renderer`.
@@ -25,11 +25,12 @@ class Axis:
 
     Attributes:
         title: with the unit in brackets.
-        log: logarithmic.
-        bounds: values at its two ends, the first one left or below; None: as the series need.
-        labels: names at 0, 1, 2, ... in place of numbers.
-        is_time: seconds of a recording. Figures of one link zoom it together, and a pause is a gap in a line.
-        from_zero: 0 is shown.
+        log: whether the axis is logarithmic.
+        bounds: values at the two ends, left or lower one first; None: from the series.
+        labels: names at 0, 1, 2, ... instead of numbers.
+        is_time: whether values are seconds of a recording. Figures of one link zoom together; a pause is a gap in a
+            line.
+        from_zero: whether the axis includes 0.
     """
 
     title: str = ""
@@ -46,17 +47,17 @@ TIME = Axis("Time [s]", is_time=True)
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A curve. Long ones are thinned when they are drawn (:mod:`pam_antagonist.report.decimate`).
+    """A curve. Long curves are decimated when drawn (:mod:`pam_antagonist.report.decimate`).
 
     Attributes:
         name: in the legend; series of one name are switched together.
         x: (N,).
-        y: (N,), NaN where there is nothing.
+        y: (N,), NaN where missing.
         color: CSS colour.
-        dash: empty for a full line.
+        dash: empty for a solid line.
         width: in pixels.
         quiet: not in the legend.
-        opacity: 0 to 1; a line that is not opaque stands behind another one and has no hover text.
+        opacity: 0 to 1; a translucent line is in the background and has no hover text.
     """
 
     name: str
@@ -76,7 +77,7 @@ class Band:
     Attributes:
         name: in the legend.
         x: (N,).
-        lower: (N,), NaN where there is nothing.
+        lower: (N,), NaN where missing.
         upper: (N,).
         color: CSS colour, translucent.
         quiet: not in the legend.
@@ -101,9 +102,9 @@ class Points:
         color: CSS colour.
         size: diameter in pixels.
         opacity: 0 to 1.
-        hollow: circles in place of discs.
-        half_width: (N,) of an interval around `x`, drawn as a bar; None: no bars.
-        bar_width: thickness of these bars in pixels.
+        hollow: circles instead of discs.
+        half_width: half width of an interval around `x` (N,), drawn as a bar; None: no bars.
+        bar_width: thickness of the bars in pixels.
         quiet: not in the legend.
     """
 
@@ -121,11 +122,11 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Bars from 0; those of several series stand beside each other.
+    """Bars from 0; bars of several series are side by side.
 
     Attributes:
         name: in the legend.
-        x: (N,) places.
+        x: (N,) positions.
         y: (N,) heights.
         color: CSS colour.
         quiet: not in the legend.
@@ -143,14 +144,14 @@ class Heatmap:
     """Cells that are coloured by their value.
 
     Attributes:
-        x: (C,) middles of the columns.
-        values: (R, C) of the rows at 0, 1, ...; NaN leaves a cell empty.
+        x: (C,) centres of the columns.
+        values: (R, C), rows at 0, 1, ...; NaN leaves a cell empty.
         rows: (R,) names of the rows for the hover text.
-        colors: at the least value, at equal steps between, and at the largest value.
+        colors: colours at equal steps from the least to the largest value.
         bounds: least and largest value.
         hover: hover text, a format of ``row``, ``column`` and ``value``.
         cell: text in each cell, a format of ``value``; empty: none.
-        scale: show which colour means which value.
+        scale: whether to show a colour bar.
     """
 
     x: FloatArray
@@ -165,13 +166,13 @@ class Heatmap:
 
 @dataclass(frozen=True)
 class Reference:
-    """A dashed line at one value of the vertical axis (or of the horizontal one), with a label at its end.
+    """A dashed line at one value of the vertical (or horizontal) axis, with a label at its end.
 
     Attributes:
-        value: on that axis, in its unit.
+        value: in the unit of the axis.
         label: at the line's end.
         color: of the line.
-        vertical: whether the value is one of the horizontal axis.
+        vertical: whether the line is vertical, at a value of the horizontal axis.
     """
 
     value: float
@@ -182,11 +183,11 @@ class Reference:
 
 @dataclass(frozen=True)
 class Region:
-    """A shaded stretch of the horizontal axis behind everything else, the held-out part for example.
+    """A shaded range of the horizontal axis in the background, the held-out part for example.
 
     Attributes:
-        first: where it begins, in the axis's unit.
-        last: where it ends, likewise.
+        first: begin, in the unit of the axis.
+        last: end, likewise.
         color: of the shade.
     """
 
@@ -196,9 +197,9 @@ class Region:
 
 
 Series = Line | Band | Points | Bars | Heatmap | Reference | Region
-"""What a panel shows."""
+"""Content of a panel."""
 _BESIDE = 0.1
-"""Distance of panels that stand beside each other, as a part of the width."""
+"""Distance of panels that are side by side, relative to the width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +211,7 @@ class Panel:
         y: vertical axis.
         series: from back to front.
         height: of the area between the axes, in pixels.
-        title: above it.
+        title: above the panel.
     """
 
     x: Axis
@@ -225,11 +226,11 @@ class Figure:
     """A figure.
 
     Attributes:
-        title: what it shows.
+        title: of the figure.
         about: how to read it, one or two sentences.
-        panels: above each other over the same horizontal axis, or beside each other with axes of their own.
+        panels: one above the other with the same horizontal axis, or side by side with separate axes.
         link: figures of the same link share their time axis.
-        beside: the panels stand beside each other.
+        beside: whether the panels are side by side.
     """
 
     title: str
@@ -247,13 +248,13 @@ class Figure:
 
     @property
     def height(self) -> int:
-        """Of the whole figure, in pixels."""
+        """Height of the whole figure in pixels."""
         heights = [panel.height for panel in self.panels]
         inner = max(heights) if self.beside else sum(heights) + self._gap * (len(heights) - 1)
         return inner + self.margins[2] + self.margins[3]
 
     def areas(self) -> list[tuple[float, float, float, float]]:
-        """Left, right, lower and upper end of each panel, as parts of the area within the margins."""
+        """Left, right, lower and upper end of each panel, relative to the area within the margins."""
         count = len(self.panels)
         if self.beside:
             width = (1.0 - _BESIDE * (count - 1)) / count

@@ -41,7 +41,7 @@ def seconds(stamp_ns: NDArray[np.int64], origin_ns: int) -> FloatArray:
 
 
 def moving_mean(values: FloatArray, window: int) -> FloatArray:
-    """Centred mean over the finite ones of `window` samples, (N,); NaN where there is none."""
+    """Centred mean of the finite values in `window` samples (N,); NaN without finite values."""
     known = np.isfinite(values)
     total = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
     count = np.concatenate(([0], np.cumsum(known)))
@@ -52,14 +52,14 @@ def moving_mean(values: FloatArray, window: int) -> FloatArray:
 
 
 def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: int) -> tuple[Line, Line]:
-    """Every sample, faint, and in front the mean over a window: the error behind the sensor's noise.
+    """Single samples as a faint line, and in front their moving mean, which reduces the sensor's noise.
 
     Args:
         name: of the line.
         x: horizontal axis (N,).
         values: samples (N,).
         color: of both lines.
-        window: samples of a mean.
+        window: number of samples in a mean.
     """
     faint = Line(name, x, values, color, width=0.8, quiet=True, opacity=0.3)
     return faint, Line(name, x, moving_mean(values, window), color, width=1.8, quiet=True)
@@ -70,7 +70,7 @@ def lines(x: FloatArray, values: Mapping[str, FloatArray], quiet: bool = False, 
 
     Args:
         x: horizontal axis (N,).
-        values: by name, samples (N,).
+        values: name -> samples (N,).
         quiet: not in the legend.
         width: of the lines, in pixels.
     """
@@ -92,15 +92,15 @@ def residual_figure(
     """Residuals over time, a panel for each channel.
 
     Args:
-        title: what it shows.
+        title: of the figure.
         about: how to read it.
         x: time (N,) [s].
         models: name, residuals (N, C) and colour of each model.
         channels: title of the axis and scale of each channel.
-        noise: standard deviation of each channel's noise (C,); a dashed line is drawn at twice that. None: no lines.
+        noise: standard deviation of each channel's noise (C,); dashed lines are drawn at twice this. None: no lines.
         link: figures of the same link share their time axis.
-        edges: times [s] at which something begins or ends; a line is drawn at each.
-        held: begin and end [s] of the parts that were held out, which are shaded.
+        edges: times [s] at which an effect begins or ends; a line is drawn at each.
+        held: begin and end [s] of the held-out parts, which are shaded.
     """
     panels = []
     for k, (name, scale) in enumerate(channels):
@@ -125,11 +125,11 @@ def tracking_figure(
     """A control loop: measurement, estimate and reference over time, the tracking error below.
 
     Args:
-        title: what it shows.
+        title: of the figure.
         about: how to read it.
-        quantity: its name and unit.
+        quantity: name and unit of the quantity.
         x: time (N,) [s].
-        signals: measured, estimated and wanted values, (N,) each, in that unit.
+        signals: measured, estimated and reference values, (N,) each, in this unit.
         link: figures of the same link share their time axis.
     """
     (name, unit), (measured, estimated, wanted) = quantity, signals
@@ -152,8 +152,8 @@ def nis_figure(x: FloatArray, nis: FloatArray, bounds: tuple[float, float], wind
     Args:
         x: time (N,) [s].
         nis: (N,).
-        bounds: between which 95 % of a right filter's values lie.
-        window: samples of the mean.
+        bounds: interval with 95 % of a consistent filter's values.
+        window: number of samples in the mean.
         link: figures of the same link share their time axis.
     """
     parts = (
@@ -180,13 +180,13 @@ def profile_panel(
     limit: float,
     height: int,
 ) -> Panel:
-    """Profile likelihoods beside the parabola of a standard error, and the loss at the end of a 95 % interval.
+    """Profile likelihoods with the parabola of the standard error and the limit of the 95 % interval.
 
     Args:
         x_title: of the parameter, with its unit.
         y_title: of the loss.
         tried: the profiles.
-        parabola: name, places (N,), losses (N,) and colour.
+        parabola: name, x (N,), losses (N,) and colour.
         limit: loss at the end of a 95 % interval.
         height: in pixels.
     """
@@ -197,13 +197,13 @@ def profile_panel(
 
 
 def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, columns: int = 400) -> Panel:
-    """Which category is active when: one row a category, darker where more of the time is spent in it.
+    """Active category over time: one row for each category, darker where it is active for more of the time.
 
     Args:
-        names: of the categories, a short one before a colon; a category that never occurs has no row.
+        names: of the categories, with a short name before a colon; a category that never occurs has no row.
         category: (N,) indices into `names`.
         x: time (N,) [s].
-        columns: most stretches of time.
+        columns: largest number of stretches of time.
     """
     middle, share = decimate.shares(category, len(names), columns)
     seen = [int(number) for number in np.flatnonzero(share.sum(axis=1) > 0.0)]
@@ -224,14 +224,14 @@ def matrix(
     bounds: tuple[float, float],
     cell: str,
 ) -> tuple[Panel, ...]:
-    """Matrices of the same rows and columns above each other, each cell with its number.
+    """Matrices of the same rows and columns, one above the other, with the number in each cell.
 
     Args:
-        grids: title and values (rows, columns) of each.
-        rows: their names.
-        columns: their names.
+        grids: title and values (rows, columns) of each matrix.
+        rows: names of the rows.
+        columns: names of the columns.
         colors: of a :class:`Heatmap`.
-        bounds: values at the ends of the colours.
+        bounds: values at the ends of the colour scale.
         cell: format of ``value``.
     """
     x, y = Axis(labels=tuple(columns)), Axis(labels=tuple(rows))
@@ -244,7 +244,7 @@ def matrix(
 
 
 def autocorrelation(lag: FloatArray, groups: Sequence[tuple[str, FloatArray, str]], bound: float) -> Panel:
-    """Correlation over lag, with the bounds between which 95 % of a white series' values lie.
+    """Correlation over lag, with bounds that contain 95 % of a white series' values.
 
     Args:
         lag: (K,) [ms].
@@ -257,7 +257,7 @@ def autocorrelation(lag: FloatArray, groups: Sequence[tuple[str, FloatArray, str
 
 
 def spreads(rows: Sequence[tuple[str, FloatArray, str]], title: str, log: bool = False) -> Panel:
-    """One row of points a name, each point a repetition, with a bar at their median.
+    """One row of points for each name, each point a repetition, with a bar at the median.
 
     Args:
         rows: name, values (K,) and colour, from top to bottom.

@@ -1,4 +1,4 @@
-"""The part of each recording that an identification did not fit: errors by the rig before and after it."""
+"""Errors on the held-out part of each recording, with the rig before and after an identification."""
 
 from __future__ import annotations
 
@@ -20,20 +20,19 @@ from pam_antagonist.report.table import Comparison, Table, percent
 from pam_antagonist.rig import Rig
 
 Given = tuple[Recording, JointCondition, str]
-"""A recording, whether its joint could move, and its name."""
+"""A recording, its joint condition, and its name."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """One recording by two or three rigs, whole and the part that was held out.
+    """One recording, replayed with two or three rigs.
 
     Attributes:
         name: of the recording.
-        from_s: where the held-out part begins [s].
-        whole: replays of the whole recording by name of the rig; ``own`` only where there are several recordings. Of
-            all but the identified rig, angle and torque alone are kept: what a filter says of a long recording fills
-            the memory.
-        held: what they come to on the held-out part alone.
+        from_s: begin of the held-out part [s].
+        whole: name of the rig -> replay of the whole recording; ``own`` only with several recordings. To save memory,
+            only the identified rig's replay is complete; the others keep only angle and torque.
+        held: name of the rig -> report of the held-out part.
     """
 
     name: str
@@ -48,13 +47,13 @@ def judge(
     held_from: Sequence[float],
     progress: Callable[[str], None] | None = None,
 ) -> list[Judged]:
-    """Run every recording from its start through the model alone and the filter, and judge what was held out.
+    """Replay every recording from its start, and compute errors on the held-out parts.
 
     Args:
-        recordings: as they were identified.
-        rigs: for each recording, the rigs that are compared.
-        held_from: for each recording, where its held-out part begins [s].
-        progress: called with the recording that is being run.
+        recordings: as identified.
+        rigs: for each recording, the rigs to compare.
+        held_from: for each recording, the begin of its held-out part [s].
+        progress: called with a text about each recording.
     """
     out = []
     for (recording, state, name), compared, begin in zip(recordings, rigs, held_from, strict=True):
@@ -71,14 +70,14 @@ def judge(
 
 
 def _lean(item: Replay) -> Replay:
-    """A replay of whose estimates only angle and torque are kept."""
+    """A copy of a replay that keeps only angle and torque of the estimates."""
     rows = repack_fields(item.run.rows[["angle", "torque"]])
     return replace(item, run=replace(item.run, rows=rows, added={}))
 
 
 @dataclass(frozen=True)
 class HeldOutFigures:
-    """Figures of a replay of the held-out part by one rig.
+    """Numbers of the held-out part with one rig.
 
     Attributes:
         samples: of the part.
@@ -96,21 +95,21 @@ class HeldOutFigures:
 
     @classmethod
     def of(cls, report: ReplayReport) -> HeldOutFigures:
-        """The figures of a replay's report."""
+        """The numbers of a replay's report."""
         return cls(report.samples, report.duration_s, report.ukf, report.model_alone, report.innovation)
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One recording's held-out part by the rigs that are compared.
+    """Numbers of one recording's held-out part, for all compared rigs.
 
     Attributes:
         name: of the recording.
-        from_s: where the part begins [s].
-        joint: whether it could move.
-        as_configured: by the rig file.
-        identified: by the identified rig.
-        own: by the recording's own values; None of a single recording.
+        from_s: begin of the part [s].
+        joint: condition of the joint.
+        as_configured: with the rig file.
+        identified: with the identified rig.
+        own: with the recording's own values; None for a single recording.
     """
 
     name: str
@@ -135,12 +134,12 @@ class HeldOut:
 
     @property
     def rigs(self) -> list[tuple[str, HeldOutFigures]]:
-        """The rigs that are compared: title and figures."""
+        """The compared rigs: title and numbers."""
         both = [("as configured", self.as_configured), ("identified", self.identified)]
         return both if self.own is None else [*both, ("own values", self.own)]
 
     def known(self, channel: Channel, model: Literal["ukf", "model_alone"] = "ukf") -> list[ChannelErrors]:
-        """Errors of a channel by each rig; none where it was not measured, did not move or the joint was locked."""
+        """Errors of a channel with each rig; empty if it was not measured, did not move or the joint was locked."""
         if channel is ANGLE and self.joint.condition == "locked":
             return []
         errors = [channel.of(getattr(figures, model)) for _, figures in self.rigs]
@@ -149,7 +148,7 @@ class HeldOut:
 
 
 def pooled_coverage(judged: Sequence[Judged], rig: str = "identified") -> float:
-    """Mean over recordings and channels of the coverage of a rig's 95 % interval; NaN where there is none.
+    """Mean coverage of a rig's 95 % interval over recordings and channels; NaN without measurements.
 
     Args:
         judged: of :func:`judge`.
@@ -161,7 +160,7 @@ def pooled_coverage(judged: Sequence[Judged], rig: str = "identified") -> float:
 
 
 def held_out_table(entry: HeldOut) -> Table:
-    """One recording's held-out part by the rig as configured and as identified.
+    """Errors on one recording's held-out part, for all compared rigs.
 
     Args:
         entry: of the recording.

@@ -1,7 +1,7 @@
-"""Documents as self-contained pages: one file that says the same in ten years, on a laptop without a network.
+"""Documents as self-contained HTML pages, which need no network and stay readable in ten years.
 
-The templates hold all of the HTML. The style sheet, the script and, where there are figures, plotly's library are
-written into the file, once. A content security policy keeps a browser from loading anything else.
+The templates contain all HTML. The style sheet, the script and, for figures, plotly's library are written into the
+file. A content security policy keeps a browser from loading anything else.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ def render(document: Document) -> str:
 
 
 def write(folder: Path, document: Document, numbers: Any) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists.
+    """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: where to.
+        folder: existing folder.
         document: the page.
-        numbers: what goes into ``report.json``, see :func:`pam_antagonist.strict_json.plain`.
+        numbers: content of ``report.json``, see :func:`pam_antagonist.strict_json.plain`.
     """
     strict_json.write_json(folder / "report.json", numbers)
     (folder / "report.html").write_text(render(document), encoding="utf-8")
@@ -72,13 +72,13 @@ def _environment() -> Environment:
 
 
 def _unbroken(text: str) -> str:
-    """No line ends between a number and its unit, within a unit or an option; one may end within a checksum."""
+    """Forbid line breaks between a number and its unit, in units and options; allow them in checksums."""
     shown = _CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), escape(with_unit(text)))
     return do_mark_safe(_OPTION.sub(r'<span class="option">\g<0></span>', shown))
 
 
 def _json(value: Any) -> str:
-    """JSON for a script element, which ``</script>`` inside a string would end."""
+    """JSON for a script element, with ``<`` escaped because ``</script>`` in a string would end the element."""
     return strict_json.dumps(value, indent=None).replace("<", "\\u003c")
 
 

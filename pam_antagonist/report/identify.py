@@ -1,4 +1,4 @@
-"""From an identification to the numbers of its ``report.json``."""
+"""Numbers of an identification's ``report.json``."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
 
 STRONG = 0.9
-"""Correlation from which on two parameters are named as a pair."""
+"""Least correlation of two parameters that are listed as a pair."""
 _PAIRS = 12
 
 
 def rigs_of(found: Identified) -> list[Mapping[str, Rig]]:
-    """The rigs that are compared on each recording of an identification."""
+    """The rigs to compare on each recording of an identification."""
     both: dict[str, Rig] = {"as_configured": found.start, "identified": found.tuned.rig}
     return [{**both, "own": own} for own in found.own] if found.own else [both] * len(found.trials)
 
@@ -47,7 +47,7 @@ def report(recordings: Sequence[Given], found: Identified, judged: Sequence[Judg
     """The numbers of an identification.
 
     Args:
-        recordings: as they were identified.
+        recordings: as identified.
         found: the identification.
         judged: of :func:`judge`.
     """
@@ -96,7 +96,7 @@ def _parameters(found: Identified) -> tuple[ParameterEntry, ...]:
 
 
 def _correlations(found: Identified) -> tuple[Pair, ...]:
-    """The pairs of parameters that the data hardly distinguish, the strongest first."""
+    """Pairs of strongly correlated parameters, the strongest first."""
     names, matrix = [item.name for item in found.free], found.fit.correlation
     pairs = [(float(matrix[i, j]), i, j) for i in range(len(names)) for j in range(i)]
     strong = sorted((pair for pair in pairs if abs(pair[0]) >= STRONG), key=lambda pair: -abs(pair[0]))

@@ -24,20 +24,20 @@ from pam_antagonist.rig import Rig
 def write_report(
     folder: Path, report: IdentifyReport, found: Identified, judged: Sequence[Judged], with_figures: bool = True
 ) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists.
+    """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: where to.
+        folder: existing folder.
         report: of :func:`pam_antagonist.report.identify.report`.
         found: the identification.
-        judged: recordings by the rigs that are compared.
+        judged: recordings, replayed with the compared rigs.
         with_figures: False leaves the figures out of the page.
     """
     html.write(folder, document(report, found, judged, with_figures), report)
 
 
 def summary(report: IdentifyReport) -> tuple[Block, ...]:
-    """What the terminal shows."""
+    """Blocks for the terminal."""
     return (
         Text(verdict(report)),
         parameters_table(report),
@@ -55,7 +55,7 @@ def document(
     Args:
         report: of :func:`pam_antagonist.report.identify.report`.
         found: the identification.
-        judged: recordings by the rigs that are compared.
+        judged: recordings, replayed with the compared rigs.
         with_figures: False leaves the figures out.
     """
     what = f"{len(judged)} recordings" if len(judged) > 1 else "one recording"
@@ -104,7 +104,7 @@ def _held_out(report: IdentifyReport, found: Identified, judged: Sequence[Judged
     ]
     for index, (entry, item) in enumerate(zip(report.held_out, judged, strict=True)):
         figures = drawn.held_out_figures(item, found, index) if with_figures else []
-        figures = figures if index else figures[1:]  # the first one begins the report
+        figures = figures if index else figures[1:]  # the first figure is at the top of the report
         content.append(Section(item.name, (held_out_table(entry), *figures)))
     return Section("On held-out data", tuple(content), 2, "held-out")
 
@@ -230,7 +230,7 @@ def change(value: float) -> str:
 
 
 def parameters_table(report: IdentifyReport, caption: str = "") -> Table:
-    """What became of each parameter."""
+    """Configured and identified value of each parameter."""
     rows = tuple(
         (
             f"{item.name} [{unit.name}]",

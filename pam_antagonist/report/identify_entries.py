@@ -14,19 +14,19 @@ from pam_antagonist.rig import Rig
 
 @dataclass(frozen=True)
 class ParameterEntry:
-    """What became of a free parameter, in SI units.
+    """A free parameter before and after the fit, in SI units.
 
     Attributes:
         name: of the parameter.
         start: value of the rig file.
-        value: identified.
+        value: identified value.
         std: standard deviation of the value.
         relative_change: of the value.
         prior_std: standard deviation of the prior.
-        determined: whether the recordings determine it.
-        record: what would determine it; None where it is determined.
+        determined: whether the recordings determine the parameter.
+        record: recording that would determine it; None where it is determined.
         own: value of each recording.
-        own_std: standard deviations of these.
+        own_std: standard deviation of each recording's value.
         unit: SI unit of these numbers.
     """
 
@@ -58,16 +58,16 @@ class Change:
 
 @dataclass(frozen=True)
 class StageEntry:
-    """A step of the identification. RMS residuals are by channel [rad, N m, Pa, Pa], None where one was not measured.
+    """A step of the identification. RMS residuals are by channel [rad, N m, Pa, Pa], None where not measured.
 
     Attributes:
         name: of the step.
-        source: what it was found from.
-        values: that it moved, in SI units.
-        before: RMS residuals before it.
-        after: RMS residuals after it.
+        source: data that the step used.
+        values: parameters that changed, in SI units.
+        before: RMS residuals before the step.
+        after: RMS residuals after the step.
         balance_nm: RMS of the joint's torque balance [N m]; None where it was not used.
-        note: what the user should know.
+        note: for the user.
     """
 
     name: str
@@ -95,7 +95,7 @@ class StageEntry:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two parameters that the data hardly distinguish.
+    """Two strongly correlated parameters.
 
     Attributes:
         first: a parameter.
@@ -114,8 +114,8 @@ class ProfileEntry:
 
     Attributes:
         name: of the parameter.
-        value: at which it was held, in SI units.
-        loss: of the logarithm of likelihood and prior there, 0 at the best.
+        value: values at which the parameter was held, in SI units.
+        loss: loss of the logarithm of likelihood and prior at each value, 0 at the best.
         low95: lower end of the interval, in SI units; None where it is open.
         high95: upper end, likewise.
     """
@@ -129,14 +129,14 @@ class ProfileEntry:
 
 @dataclass(frozen=True)
 class DifferenceEntry:
-    """How the recordings differ in one parameter, relative.
+    """Relative differences between the recordings in one parameter.
 
     Attributes:
         name: of the parameter.
         deviations: of each recording from the common value.
-        largest: difference of the two that differ most.
-        std: standard deviation of that difference.
-        certain: whether chance hardly explains it.
+        largest: largest difference of two recordings.
+        std: standard deviation of this difference.
+        certain: whether the difference is significant.
     """
 
     name: str
@@ -148,12 +148,12 @@ class DifferenceEntry:
 
 @dataclass(frozen=True)
 class Between:
-    """How the recordings differ.
+    """Differences between the recordings.
 
     Attributes:
-        spread: standard deviation between recordings, relative, by group of parameters.
-        evidence_gain: by how much the logarithm of the evidence is higher with these differences.
-        differences: by parameter.
+        spread: group of parameters -> relative standard deviation between recordings.
+        evidence_gain: gain in the logarithm of the evidence by allowing these differences.
+        differences: for each parameter.
     """
 
     spread: Mapping[str, float]
@@ -181,7 +181,7 @@ class SensorNoise:
 
     @classmethod
     def of(cls, rig: Rig) -> SensorNoise:
-        """Those of a rig."""
+        """The entry of a rig."""
         s = rig.sensors
         return cls(*(float(v) for v in (s.pressure_std, s.angle_std, s.angle_step, s.torque_std, s.torque_step)))
 
@@ -214,13 +214,13 @@ class RelativeChange:
 
 @dataclass(frozen=True)
 class DirectionEntry:
-    """Parameters that are uncertain together, one standard deviation of them.
+    """A direction: a combination of uncertain parameters, one standard deviation.
 
     Attributes:
         name: of the direction.
-        angle_deg: by how much it moves the angle [deg].
-        torque_nm: by how much it moves the torque [N m].
-        share: of the whole effect of all directions.
+        angle_deg: change of the angle [deg].
+        torque_nm: change of the torque [N m].
+        share: share of the effect of all directions.
         largest: parameters that change most.
     """
 
@@ -237,14 +237,14 @@ class TuningEntry:
 
     Attributes:
         process: diagonal of Q.
-        process_before: the same of the rig file.
+        process_before: diagonal of Q in the rig file.
         measurement: diagonal of R.
-        measurement_before: the same of the rig file.
-        log_likelihood_a_sample: mean of the innovations' log likelihood.
-        evaluations: how many Q were tried.
+        measurement_before: diagonal of R in the rig file.
+        log_likelihood_a_sample: mean log likelihood of the innovations.
+        evaluations: number of Q that were tried.
         scale: factor of all directions.
-        scale_from_reference: whether a measured reference gave it.
-        directions: in which the filter carries the parameters as uncertain.
+        scale_from_reference: whether a measured angle or torque gave this factor.
+        directions: of the uncertain parameters in the filter.
     """
 
     process: tuple[float, ...]
@@ -264,14 +264,14 @@ class RecordingEntry:
 
     Attributes:
         sha256: of the bag's files.
-        topics: by quantity.
-        issues: found while it was read.
+        topics: logical name -> name in the bag.
+        issues: found while reading.
         name: of the recording.
         condition: ``free`` or ``locked``.
-        lock_angle_rad: where a locked joint was held [rad]; None of a free one.
-        source: where the condition is from.
-        samples: of it.
-        duration_s: its length [s].
+        lock_angle_rad: angle of a locked joint [rad]; None for a free one.
+        source: origin of the condition.
+        samples: number of samples.
+        duration_s: length [s].
         fitted_until_s: end of the fitted part [s].
     """
 
@@ -289,15 +289,15 @@ class RecordingEntry:
 
 @dataclass(frozen=True)
 class Settings:
-    """What was asked.
+    """Settings of the identification.
 
     Attributes:
-        rig: its name.
-        free: parameters that were to be free besides.
-        frozen: parameters that were to stay.
+        rig: name of the rig.
+        free: additional free parameters.
+        frozen: parameters that were held.
         holdout: share of each recording that was held out.
-        starts: of the joint refinement.
-        seed: of these starts.
+        starts: number of starts of the joint refinement.
+        seed: of the starts.
     """
 
     rig: str
@@ -314,22 +314,22 @@ class IdentifyReport:
 
     Attributes:
         held_out: errors on the part of each recording that was not fitted.
-        coverage95: share of all measured angles and torques of the held-out parts in the identified rig's 95 %
-            interval: one mean over channels and recordings; NaN where nothing was measured.
-        coverage95_own: the same with each recording's own values; NaN of a single recording.
-        parameters: that were free.
+        coverage95: mean coverage of the identified rig's 95 % interval on the held-out parts, over channels and
+            recordings; NaN where nothing was measured.
+        coverage95_own: mean coverage with each recording's own values; NaN for a single recording.
+        parameters: the free parameters.
         stages: steps.
-        correlations: the strong ones.
-        profiles: of the parameters that matter most.
-        between: how the recordings differ; None of a single one.
+        correlations: strongly correlated parameters.
+        profiles: of the most important parameters.
+        between: differences between the recordings; None for a single one.
         noise: of the sensors.
         tuning: of the filter.
         starts: of the joint refinement.
-        recordings: that were used.
-        warnings: what the user should know.
-        settings: what was asked.
+        recordings: used recordings.
+        warnings: for the user.
+        settings: of the identification.
         software: versions.
-        assumption: the uncertainty that the rig claimed from which the search started; None of an identified one.
+        assumption: the uncertainty that the rig file claims; None for an identified rig.
     """
 
     held_out: tuple[HeldOut, ...]

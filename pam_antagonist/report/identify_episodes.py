@@ -14,11 +14,11 @@ from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig
 
 _OTHER_SCALE = 0.03
-"""A gain that is further from 1 says that commands and measured pressures are not on one scale."""
+"""Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""
 
 
 def summary(found: EpisodesIdentified, joint: PressureDriven) -> tuple[Block, ...]:
-    """What the terminal shows."""
+    """Blocks for the terminal."""
     later, between = found.errors["identified"]
     before = found.errors["as configured"][0]
     said = (
@@ -64,7 +64,7 @@ def _values(found: EpisodesIdentified) -> Table:
 
 
 def regulators_table(found: RegulatorsFound, rig: Rig) -> Table:
-    """The numbers of both regulators.
+    """Identified values of both regulators.
 
     Args:
         found: the regulators.
@@ -83,7 +83,7 @@ def regulators_table(found: RegulatorsFound, rig: Rig) -> Table:
 
 
 def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
-    """What the numbers say."""
+    """Findings about the regulators in sentences."""
     errors = " and ".join(number(1e-3 * value) for value in found.errors)
     commands = " and ".join(number(1e-3 * value) for value in found.command_errors)
     out = [
@@ -128,7 +128,7 @@ def document(found: EpisodesIdentified, joint: PressureDriven, sha256: str) -> D
 
 
 def numbers(found: EpisodesIdentified, sha256: str) -> dict[str, Any]:
-    """What ``report.json`` holds; intervals are value, lower and upper end.
+    """Content of ``report.json``; intervals are value, lower and upper end.
 
     Args:
         found: the result.
@@ -145,7 +145,7 @@ def numbers(found: EpisodesIdentified, sha256: str) -> dict[str, Any]:
 
 
 def regulators_numbers(found: RegulatorsFound) -> dict[str, Any]:
-    """What ``report.json`` holds of regulators."""
+    """Content of ``report.json`` about regulators."""
     return {
         "values": found.values, "tried": found.tried, "errors_pa": found.errors,
         "command_errors_pa": found.command_errors, "gains": found.gains, "resonance": found.resonance,

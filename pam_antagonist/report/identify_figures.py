@@ -37,10 +37,10 @@ _CHANNELS = ((ANGLE, "Angle [°]", float(np.degrees(1.0))), (TORQUE, "Torque [N 
 
 
 def held_out_figures(judged: Judged, found: Identified, index: int) -> list[Figure]:
-    """What one recording measured and what the two rigs make of it, with the part shaded that was held out.
+    """Measurement, estimates and errors of one recording with two rigs; the held-out part is shaded.
 
     Args:
-        judged: the recording by the rigs that are compared.
+        judged: the recording, replayed with the compared rigs.
         found: the identification.
         index: of the recording.
     """
@@ -76,7 +76,7 @@ def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, pl
         error = getattr(replay.model, name) * scale - measured
         alone.append(_mean_error(at, f"model, {label}", error, QUIET if replay is before else MODEL, period))
         error = replay.run.rows[name] * scale - measured
-        # The signal above has what was identified in the legend.
+        # The panel above has the identified rig in the legend.
         line = _mean_error(at, f"UKF, {label}", error, color, period, quiet=replay is now)
         filtered.append(replace(line, dash="dot") if replay is before else line)
     shade = Region(judged.from_s, float(x[-1]))
@@ -115,7 +115,7 @@ def _pressures(judged: Judged) -> Figure:
 
 
 def stage_figure(stage: Stage, trials: Sequence[Trial]) -> Figure | None:
-    """The one figure of a step, None where it was skipped."""
+    """The figure of a step, None for a skipped step."""
     if stage.balance is not None:
         return _balance_figure(stage)
     known = [finding for finding in stage.curves if len(finding.voltage)]
@@ -147,7 +147,7 @@ def _balance_figure(stage: Stage) -> Figure:
 
 
 def _residual_figure(stage: Stage, trials: Sequence[Trial]) -> Figure:
-    """Block residuals of the simulated model, recordings one after the other."""
+    """Residuals of the simulated model in block means, one recording after the other."""
     before, after = (
         np.concatenate([np.vstack([pair[k], np.full((1, 4), np.nan)]) for pair in stage.traces]) for k in (0, 1)
     )
@@ -163,7 +163,7 @@ def _residual_figure(stage: Stage, trials: Sequence[Trial]) -> Figure:
 
 
 def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
-    """Change of each parameter with its 95 % interval, over the prior's."""
+    """Change of each parameter with its 95 % interval, and the prior's interval."""
     items = [item for item in parameters if item.start]
     scale = np.array([100.0 / abs(item.start) for item in items])
     change, prior, now = (
@@ -186,7 +186,7 @@ def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
 
 
 def profiles_figure(found: Identified) -> Figure | None:
-    """Profile likelihoods, all on one scale of standard errors; None where there are none."""
+    """Profile likelihoods over standard errors; None without profiles."""
     if not found.profiles:
         return None
     x = np.linspace(-3.0, 3.0, len(found.profiles[0].value))

@@ -1,4 +1,4 @@
-"""What the numbers of an identification say, in sentences."""
+"""Findings of an identification in sentences, from its numbers."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pam_antagonist.report.identify_entries import IdentifyReport
 from pam_antagonist.report.table import number, percent
 
 _LOW, _HIGH = 0.92, HIGH_COVERAGE
-"""Shares of measured values between which a 95 % interval is called honest on held-out data."""
+"""Range of the coverage on held-out data in which a 95 % interval is called honest."""
 _WORSE = 1.2
-"""Ratio of errors on held-out data from which the identified rig is called worse than the one it began with."""
+"""Largest ratio of errors on held-out data; with more, the identified rig is called worse than the rig file."""
 _LISTED = 4
 
 DEFINITIONS = (
@@ -70,7 +70,7 @@ def verdict(report: IdentifyReport) -> str:
 
 
 def findings(report: IdentifyReport) -> tuple[Finding, ...]:
-    """What a reader should take from the numbers."""
+    """All findings."""
     out = [Finding("warn", text) for text in report.warnings]
     for entry in report.held_out:
         out += [*_worse(entry), *_of_recording(entry)]
@@ -78,12 +78,12 @@ def findings(report: IdentifyReport) -> tuple[Finding, ...]:
 
 
 def lacks_an_effect(report: IdentifyReport) -> bool:
-    """Whether the filter got worse on held-out data, so that the model seems to lack what no parameter replaces."""
+    """Whether the filter got worse on held-out data, so that the model seems to lack an effect."""
     return any(_worse(entry) for entry in report.held_out)
 
 
 def _worse(entry: HeldOut) -> list[Finding]:
-    """Channels in which the filter got worse: the fit followed something that the model lacks."""
+    """Channels in which the filter got worse: the fit compensated an effect that the model lacks."""
     out = []
     for channel in CHANNELS:
         before, now, *_ = entry.known(channel) or (None, None)
@@ -148,7 +148,7 @@ def _differences(report: IdentifyReport) -> Finding:
 
 
 def undetermined(report: IdentifyReport) -> dict[str, list[str]]:
-    """Parameters that the recordings do not determine, by what to record for them."""
+    """Recording that would help -> parameters that are not determined without it."""
     records: dict[str, list[str]] = {}
     for item in report.parameters:
         if item.record is not None:

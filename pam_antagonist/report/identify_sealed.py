@@ -36,7 +36,7 @@ class ValueChange(Change):
     """A parameter before and after.
 
     Attributes:
-        std: its standard error; None where it is not known.
+        std: standard error of the value; None where not known.
         unit: SI unit of these numbers.
     """
 
@@ -50,10 +50,10 @@ class StepEntry:
 
     Attributes:
         name: of the step.
-        values: parameters that it found, in SI units.
-        residual: RMS that remains, in `unit`.
+        values: identified parameters, in SI units.
+        residual: remaining RMS, in `unit`.
         unit: of the residual.
-        note: what the user should know.
+        note: for the user.
     """
 
     name: str
@@ -84,10 +84,10 @@ class SealedTuning:
         measurement: R.
         process: Q.
         drift_std_pa: standard deviation of the readings' drift [Pa].
-        drift_time_s: its time constant [s].
+        drift_time_s: time constant of the drift [s].
         random_walk: noise of the external torque [N m/√s].
-        log_likelihood: of the angle's errors, less the square of ln(NIS/2).
-        evaluations: how many tunings were tried.
+        log_likelihood: log likelihood of the angle's errors, minus the square of ln(NIS/2).
+        evaluations: number of tunings that were tried.
     """
 
     measurement: VectorChange
@@ -106,7 +106,7 @@ class SealedRecording:
     Attributes:
         name: of the recording.
         sha256: of the bag's files.
-        duration_s: its length [s].
+        duration_s: length [s].
         fitted_until_s: end of the fitted part [s].
     """
 
@@ -124,10 +124,10 @@ class SealedReport:
         held_out: errors on the part of each recording that was not fitted.
         stages: steps.
         tuning: of the filter.
-        assumed: sentences: what the recordings do not determine.
-        recordings: that were used.
+        assumed: sentences on what the recordings do not determine.
+        recordings: used recordings.
         software: versions.
-        assumption: the uncertainty that the rig claimed from which the search started; None of an identified one.
+        assumption: the uncertainty that the rig file claims; None for an identified rig.
     """
 
     held_out: tuple[HeldOut, ...]
@@ -187,16 +187,16 @@ _DRIFT_TIME = "effects.pressure_sensor.drift_time"
 
 
 def _drift(rig: Rig) -> float:
-    """Standard deviation of the larger drift of a reading [Pa]."""
+    """Standard deviation of the drift of the pressure readings, the larger of both [Pa]."""
     noise = max(rig.value(f"effects.pressure_sensor.drift_{muscle}") for muscle in (1, 2))
     return drift_size(noise, rig.value(_DRIFT_TIME))
 
 
 def write_report(folder: Path, numbers: SealedReport, judged: Sequence[Judged], with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists.
+    """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: where to.
+        folder: existing folder.
         numbers: of :func:`report`.
         judged: of :func:`pam_antagonist.report.held_out.judge`.
         with_figures: False leaves the figures out of the page.
@@ -205,7 +205,7 @@ def write_report(folder: Path, numbers: SealedReport, judged: Sequence[Judged], 
 
 
 def summary(numbers: SealedReport) -> tuple[Block, ...]:
-    """What the terminal shows."""
+    """Blocks for the terminal."""
     return *in_first_lines(numbers.assumption), _values_table(numbers), *map(held_out_table, numbers.held_out)
 
 
@@ -284,7 +284,7 @@ def _provenance(numbers: SealedReport) -> list[tuple[str, str]]:
 
 
 def _values_table(numbers: SealedReport) -> Table:
-    """The parameters that were found."""
+    """The identified parameters."""
     rows = tuple(
         (
             f"{name} [{unit.name}]",

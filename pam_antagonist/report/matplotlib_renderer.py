@@ -1,7 +1,7 @@
-"""Figures as PNG pictures, drawn by matplotlib, for documents that run no script.
+"""Figures as PNG pictures, drawn by matplotlib, for documents without scripts.
 
-Equal figures give equal bytes with one version of matplotlib, whatever the user's own settings of it are. matplotlib is
-imported where it is needed: nodes never load it.
+With one version of matplotlib, equal figures give equal bytes, independent of the user's settings. matplotlib is
+imported only where needed, so that nodes do not load it.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from pam_antagonist.report.style import GRID, INK, QUIET, VEIL, ZERO
 FloatArray = NDArray[np.float64]
 
 WIDTH = 900
-"""Of a picture, in the pixels of the figure's own sizes."""
+"""Width of a picture, in the pixels of the figure's sizes."""
 SHARPNESS = 1.5
-"""Pixels of the file for one of those."""
+"""Pixels of the file for each pixel of the figure."""
 MARK = "pam_antagonist"
-"""What the file names as its software: :func:`made_here` finds it."""
+"""Name of the software in the file, which :func:`made_here` looks for."""
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _INCH = 72.0
-"""Figure's pixels an inch: one is then a point, the unit of matplotlib's line widths and letters."""
+"""Pixels of the figure in an inch, so that a pixel is a point, matplotlib's unit of line widths and letters."""
 _EDGE = 4.0
 """Least distance of letters from the picture's edge [px]."""
 _TOLERANCE = 24
-"""Of a colour, in steps of 256."""
+"""Largest error of a colour, in 1/256."""
 _PADDING = 0.055
-"""Of a range, to either side; plotly's."""
+"""Margin on either side, relative to the range; as in plotly."""
 _TICK = {"x": 60.0, "y": 32.0}
 """Least distance of ticks [px]."""
 _DASHES = {"": (), "dot": (1.0, 1.0), "dash": (3.0, 3.0)}
-"""Lengths in line widths; a thin line's are those of one of 3 px, as plotly has them."""
+"""Lengths in line widths; thin lines use the lengths of a line of 3 px, as in plotly."""
 _RGBA = re.compile(r"rgba\((.+),(.+),(.+),(.+)\)")
 _LETTERS = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
 _SETTINGS = {"font.size": 12.0, "axes.labelsize": 12.0, "legend.fontsize": 12.0, "axes.axisbelow": True,
              "axes.facecolor": "none", "agg.path.chunksize": 10000, **dict.fromkeys(_LETTERS, INK)}  # fmt: skip
 _BOTTOM = 3.0
-"""Series lie above grid and zero line, in the order in which they are given."""
+"""Drawing order: series are above grid and zero line, in the given order."""
 
 
 def picture(figure: Figure) -> bytes:
@@ -68,7 +68,7 @@ def picture(figure: Figure) -> bytes:
     with matplotlib.rc_context(), warnings.catch_warnings():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_SETTINGS)
-        # A letter that the font lacks would be an empty box.
+        # Make missing letters an error; they would be drawn as empty boxes.
         warnings.filterwarnings("error", message="Glyph")
         try:
             drawn = _drawn(figure)
@@ -84,22 +84,22 @@ def picture(figure: Figure) -> bytes:
 
 
 def made_here(content: bytes) -> bool:
-    """Whether a file's content is a picture that :func:`picture` has made."""
+    """Whether a file is a picture of :func:`picture`."""
     return content.startswith(_SIGNATURE) and b"tEXtSoftware\0" + MARK.encode() in content[:2000]
 
 
 def _fewer_colors(image: Any) -> Any:
-    """The image with a palette, a third of the size, where no colour is off by more than an eye can see."""
+    """The image with a palette, a third of the size, if no colour visibly changes; otherwise the image itself."""
     from PIL import Image
 
-    # Not the usual median cut: that gives the colour of a short line to another one.
+    # Median cut would merge the colour of a short line with another one.
     few = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     off = np.abs(np.asarray(few.convert("RGB"), dtype=np.int16) - np.asarray(image, dtype=np.int16))
     return few if off.max() <= _TOLERANCE else image
 
 
 def _drawn(figure: Figure) -> Any:
-    """Matplotlib's figure, drawn but not yet written."""
+    """The matplotlib figure, drawn but not written."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Canvas
 
@@ -128,7 +128,7 @@ def _drawn(figure: Figure) -> Any:
                 _label(axes, part)
         if panel.title:
             axes.set_title(_plain(panel.title), loc="left", fontsize=12.0, pad=3.0)
-    # The margins at the sides are as wide as what stands there.
+    # Widen the margins where labels need more room.
     renderer = canvas.canvas.get_renderer()
     standing = [part for axes in pairs for part in (axes.xaxis, axes.yaxis, *axes.child_axes)]
     found = [part.get_tightbbox(renderer) for part in standing]
@@ -144,7 +144,7 @@ def _drawn(figure: Figure) -> Any:
 
 
 def _series(axes: Any, part: Any, panel: Panel, depth: float) -> Any:
-    """Draw a series; what comes back is its sign in a legend, None where it has none."""
+    """Draw a series; returns its handle for the legend, None without one."""
     from matplotlib.collections import PolyCollection
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -215,19 +215,19 @@ def _heatmap(axes: Any, part: Heatmap, depth: float) -> None:
 
 
 def _edges(x: FloatArray) -> FloatArray:
-    """Edges of columns: between their neighbours' middles."""
+    """Edges of columns, midway between their centres."""
     half = np.diff(x) / 2 if len(x) > 1 else np.array([0.5])
     return np.concatenate([x[:1] - half[:1], (x[:-1] + x[1:]) / 2, x[-1:] + half[-1:]])
 
 
 def _steps(bars: list[Bars]) -> tuple[FloatArray, float]:
-    """Places of groups of bars, and their distance."""
+    """Positions of groups of bars, and their distance."""
     places = np.unique(np.concatenate([other.x for other in bars]))
     return places, float(np.min(np.diff(places))) if len(places) > 1 else 1.0
 
 
 def _color(text: str) -> tuple[float, float, float, float]:
-    """A CSS colour, parts from 0 to 1.
+    """A CSS colour as red, green, blue and alpha from 0 to 1.
 
     Raises:
         BadInput: not of the form ``#rrggbb`` or ``rgba(r, g, b, a)``.
@@ -252,12 +252,12 @@ def _dashes(dash: str, width: float) -> tuple[float, tuple[float, ...] | None]:
 
 
 def _plain(text: str) -> str:
-    """A text as matplotlib takes it: a dollar begins no formula."""
+    """A text for matplotlib, with dollar signs escaped because they would begin a formula."""
     return text.replace("$", r"\$")
 
 
 def _reach(part: Any, side: str, panel: Panel) -> tuple[FloatArray, bool]:
-    """Values that an axis has to hold for a series, and whether it has a margin around them."""
+    """Values of a series that an axis must include, and whether a margin is added."""
     nothing = np.zeros(0)
     if isinstance(part, Reference):
         return (np.array([part.value]), not part.vertical) if part.vertical == (side == "x") else (nothing, False)
@@ -277,7 +277,7 @@ def _reach(part: Any, side: str, panel: Panel) -> tuple[FloatArray, bool]:
 
 
 def _ends(panel: Panel, side: str, panels: tuple[Panel, ...]) -> tuple[float, float]:
-    """The range of an axis: as wide as the series of these panels need, with plotly's margin."""
+    """Range of an axis for the series of these panels, with margins as in plotly."""
     axis: Axis = getattr(panel, side)
     if axis.bounds:
         return axis.bounds
@@ -336,7 +336,7 @@ def _dress(axes: Any, side: str, panel: Panel, ends: tuple[float, float], labell
 
 
 def _log_ticks(ends: tuple[float, float], most: int) -> list[float]:
-    """Round numbers between two: as many of a decade as make at least three of them, else evenly spaced ones."""
+    """Round tick values within a range: powers of ten, more digits until there are three, else evenly spaced ones."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = sorted(ends)
@@ -351,7 +351,7 @@ def _log_ticks(ends: tuple[float, float], most: int) -> list[float]:
 
 
 def _label(axes: Any, part: Reference) -> None:
-    """The text at the end of a reference line; what lies beyond the range plotly does not show either."""
+    """Draw the text at the end of a reference line, unless the line is out of range (as in plotly)."""
     low, high = sorted(axes.get_ylim())
     if part.label and low <= part.value <= high:
         axes.annotate(
@@ -364,10 +364,10 @@ def _label(axes: Any, part: Reference) -> None:
 
 
 def _legend(canvas: Any, keys: dict[str, Any], room: float) -> Any:
-    """A legend over the whole width, in as few lines as it fits into; None where nothing is named."""
+    """A legend over the whole width, in as few lines as possible; None without names."""
     shown = list(keys.items())
     for columns in range(len(shown), 0, -1):
-        # matplotlib fills column by column, readers read line by line.
+        # matplotlib fills the legend by columns; reorder the names so that they read by lines.
         names, signs = zip(*(pair for column in range(columns) for pair in shown[column::columns]), strict=True)
         legend = canvas.legend(
             signs, names, ncol=columns, loc="lower left", frameon=False, borderpad=0.0, borderaxespad=0.0,
@@ -382,7 +382,7 @@ def _legend(canvas: Any, keys: dict[str, Any], room: float) -> Any:
 def _place(
     canvas: Any, figure: Figure, pairs: list[Any], legend: Any, sides: tuple[float, float], lower: float = 0.0
 ) -> None:
-    """Put axes and legend where they belong; what needs more room than its margin makes the picture taller."""
+    """Position axes and legend; the picture grows if the legend or labels exceed their margins."""
     (left, right), (_, _, top, bottom), gap = sides, figure.margins, 6.0
     inner, above = figure.height - top - bottom, float(top)
     if legend is not None:

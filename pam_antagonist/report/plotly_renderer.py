@@ -1,6 +1,6 @@
-"""Figures for the page: interactive, drawn by plotly's JavaScript library, which the page carries with it.
+"""Interactive figures for the page, drawn by plotly's JavaScript library, which is included in the page.
 
-The page carries library and data compressed: as plain text they would be three times as large.
+Library and data are compressed; as plain text they would be three times as large.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _FONT = 'system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans","DejaVu Sans",san
 _DECADES = [10.0**power for power in range(-6, 10)]
 _CLEAR = "rgba(0,0,0,0)"
 _LONG, _MOST_DECIMALS = 50, 9
-"""Rows of numbers from this length on are packed as steps, up to so many decimals."""
+"""Least length of arrays that are packed as differences, and their largest number of decimals."""
 _LONGEST = 10
-"""Letters of a name below a column, in one line."""
+"""Largest number of letters in one line of a name below a column."""
 _DENSE = 26.0
-"""Rows that are less high than this [px] have small letters."""
+"""Rows with a smaller height [px] have small letters."""
 
 
 def library() -> str:
@@ -48,12 +48,12 @@ def library() -> str:
 
 
 def packed(text: str) -> str:
-    """A text as the page carries it and its script unpacks it: gzip in base64, the same for the same text."""
+    """A text compressed for the page: gzip in base64, reproducible."""
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
 
 
 def text(figure: Figure) -> str:
-    """A figure as the page's script reads it."""
+    """A figure as JSON for the page's script."""
     out = plot(figure)
     for trace in out["data"]:
         trace |= {key: _steps(trace[key]) for key in ("x", "y") if len(trace[key]) >= _LONG}
@@ -61,9 +61,9 @@ def text(figure: Figure) -> str:
 
 
 def _steps(values: list[float | None]) -> Values | list[float | None]:
-    """Numbers as whole steps of their last decimal place, from each to the next: half as large when compressed.
+    """Pack numbers as integer differences, in units of their last decimal place: half as large when compressed.
 
-    Numbers of which some have more decimals than all can be counted in stay as they are.
+    Numbers with too many decimals are returned unchanged.
     """
     known = np.array([value for value in values if value is not None])
     for decimals in range(_MOST_DECIMALS + 1):
@@ -125,7 +125,7 @@ def plot(figure: Figure) -> Values:
 
 
 def _axis(axis: Axis, standoff: int) -> Values:
-    """What both axes of a panel have."""
+    """Common settings of both axes of a panel."""
     out: Values = {
         "title": {"text": _text(axis.title), "standoff": standoff},
         "gridcolor": GRID,
@@ -150,13 +150,13 @@ def _axis(axis: Axis, standoff: int) -> Values:
 
 def _horizontal(panel: Panel, lowest: bool) -> Values:
     axis = panel.x
-    # Rows with names are read from a vertical line at zero.
+    # Named rows get a vertical line at zero.
     out = {**_axis(axis, 6), "zeroline": bool(panel.y.labels) and not axis.is_time and not axis.labels}
     if axis.is_time:
         out |= {"meta": "time", "hoverformat": ".3f"}
     if axis.labels:
         out["showgrid"] = False
-        # On a phone there is no room for a long name in one line, and plotly leaves out what does not fit.
+        # Wrap long names: plotly leaves out names that do not fit, as on a phone.
         out["ticktext"] = ["<br>".join(_text(line) for line in textwrap.wrap(name, _LONGEST)) for name in axis.labels]
     if len(axis.labels) > 10:
         out |= {"tickangle": -60, "tickfont": {"size": 9}}
@@ -247,7 +247,7 @@ def _heatmap(part: Heatmap, panel: Panel) -> Values:
 
 
 def _template(part: Heatmap) -> str:
-    """The hover text in plotly's form; where cells have a text, the row has its name from the axis."""
+    """The hover text as a plotly template; if cells have a text, the axis gives the name of the row."""
     out = part.hover.replace("\n", "<br>")
     for name, place in (("row", "y" if part.cell else "text"), ("column", "x"), ("value", "z")):
         out = re.sub(rf"\{{{name}\b", f"%{{{place}", out)
@@ -284,18 +284,18 @@ def _region(part: Region, suffix: str) -> Values:
 
 
 def _label(text: str, xref: str, yref: str, x: float, y: float, color: str) -> Values:
-    """A text above a place, towards the middle of the panel."""
+    """A text above a position, towards the middle of the panel."""
     place = {"xref": xref, "yref": yref, "x": x, "y": y, "xanchor": "right" if x else "left", "yanchor": "bottom"}
     return {**place, "text": _text(text), "showarrow": False, "font": {"size": 11, "color": color}}
 
 
 def _text(text: str) -> str:
-    """Plain text as plotly takes it: it would obey HTML."""
+    """Plain text for plotly, with HTML escaped."""
     return escape(text, quote=False)
 
 
 def _rounded(values: FloatArray, axis: Axis, digits: int = 5) -> list[float | None]:
-    """Values with as many digits as can be seen, None for NaN: a smaller page that looks the same."""
+    """Values rounded to visible digits for a smaller page, None for NaN."""
     values = np.asarray(values, dtype=np.float64)
     if axis.log:
         return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values]

@@ -1,4 +1,4 @@
-"""The report of what a joint can reach: angle and torque together with stiffness."""
+"""The report of the reachable set of a joint: angle and torque together with stiffness."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pam_antagonist.rig import Rig
 _POINTS = 121
 _TABLE_STEP = 5.0  # between two rows of the table [°]
 _FREQUENCIES, _DAMPING = (0.25, 0.5, 1.0, 2.0, 4.0), (0.0, 0.25, 0.5)
-"""[Hz], [N m s/rad] For which it is worked out to which torques a joint yields."""
+"""[Hz], [N m s/rad] Frequencies and dampings of the table of torques to which a joint yields."""
 _DEFINITIONS = (
     (
         "Stiffness",
@@ -38,10 +38,10 @@ _DEFINITIONS = (
 
 @dataclass(frozen=True)
 class ReachableReport:
-    """What ``report.json`` holds.
+    """Content of ``report.json``.
 
     Attributes:
-        rig: its name.
+        rig: name of the rig.
         lowest_pressure: of the bounds, absolute [Pa].
         highest_pressure: of the bounds, absolute [Pa].
         least_force: of a muscle [N].
@@ -70,7 +70,7 @@ class ReachableReport:
 
     @classmethod
     def of(cls, rig: Rig, box: Box) -> ReachableReport:
-        """Work it out for a rig, within bounds of pressures and forces."""
+        """Compute the reachable set of a rig, within bounds of pressures and forces."""
         reach = Reachable(rig.parameters(), box)
         torques = reach.torques(0.0)
         angle, torque = np.linspace(*reach.angles, _POINTS), np.linspace(*torques, _POINTS)
@@ -84,19 +84,19 @@ class ReachableReport:
 
 
 def write_report(folder: Path, rig: Rig, report: ReachableReport, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists.
+    """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: that exists.
-        rig: whose set it is.
-        report: what was worked out.
+        folder: existing folder.
+        rig: of the set.
+        report: the reachable set.
         with_figures: whether the page shows figures.
     """
     html.write(folder, document(rig, report, with_figures), report)
 
 
 def summary(rig: Rig, report: ReachableReport) -> tuple[Block, ...]:
-    """What the terminal shows."""
+    """Blocks for the terminal."""
     return Text(_lede(report)), table(rig, report), *_yielding(rig, report)
 
 
@@ -136,9 +136,9 @@ def document(rig: Rig, report: ReachableReport, with_figures: bool = True) -> Do
     """The report as a document.
 
     Args:
-        rig: whose set it is.
-        report: what was worked out.
-        with_figures: whether it holds figures.
+        rig: of the set.
+        report: the reachable set.
+        with_figures: whether the document has figures.
     """
     low, high = (f"{math.degrees(angle):.1f}" for angle in report.angles)
     tiles = (

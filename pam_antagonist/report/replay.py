@@ -41,7 +41,7 @@ class TuningSettings:
         process: diagonal of Q.
         measurement: diagonal of R.
         kappa: spread of the sigma points.
-        consider: parameters that it carries as uncertain, with their standard deviations in SI units.
+        consider: consider parameters -> standard deviations in SI units.
         gate: largest Mahalanobis distance of a reading that is used.
     """
 
@@ -56,14 +56,14 @@ class TuningSettings:
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """What the recordings were replayed with.
+    """Settings of a replay.
 
     Attributes:
-        rig: its name.
-        rig_source: where its values are from.
+        rig: name of the rig.
+        rig_source: source of its values.
         sample_period_s: of the rig [s].
         tuning: of the filter.
-        assumption: the uncertainty that the rig claims; None of an identified one.
+        assumption: the uncertainty that the rig claims; None for an identified one.
     """
 
     rig: str
@@ -94,9 +94,9 @@ class ReplaySettings:
 
 
 def numbers(replays: Sequence[Replay], **more: Any) -> dict[str, Any]:
-    """What goes into ``report.json``.
+    """Content of ``report.json``.
 
-    One recording gives its :class:`ReplayReport` with ``settings`` and ``software`` beside it; several give
+    One recording gives its :class:`ReplayReport` with ``settings`` and ``software`` added; several give
     ``{"recordings": [...], "settings": ..., "software": ...}``.
 
     Args:
@@ -132,7 +132,7 @@ def document(
     if len(replays) == 1:
         parts += [*first, *_recording(replays[0], _figures(replays[0], with_figures), with_figures, rests_on)]
     else:
-        # A figure comes first, before the table of all recordings pushes it below the first screen.
+        # The first figure comes before the table of all recordings, so that it is on the first screen.
         shown = [_figures(replay, with_figures) for replay in replays]
         parts += [replace(figure, title=f"{replays[0].name}: {figure.title}") for figure in shown[0][:1]]
         parts += [*rests_on, overview(reports), *first]
@@ -147,7 +147,7 @@ def document(
 
 
 def summary(replay: Replay) -> tuple[Block, ...]:
-    """What the terminal shows of one recording."""
+    """Blocks for the terminal, for one recording."""
     report = replay.report
     head = (
         f"{replay.name}: {report.duration_s:.1f} s, {report.samples} samples, joint {report.joint.condition} "
@@ -159,10 +159,10 @@ def summary(replay: Replay) -> tuple[Block, ...]:
 
 
 def write_report(folder: Path, replays: Sequence[Replay], with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists.
+    """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: where to.
+        folder: existing folder.
         replays: at least one, all of one rig and tuning.
         with_figures: False leaves the figures out of the page.
     """
@@ -211,7 +211,7 @@ def _provenance(replays: Sequence[Replay]) -> list[tuple[str, str]]:
 
 
 def tiles(report: ReplayReport) -> tuple[Tile, ...]:
-    """The few numbers of one recording that matter most."""
+    """The most important numbers of one recording."""
     known = judged(report)
     return (
         *(
@@ -230,7 +230,7 @@ def tiles(report: ReplayReport) -> tuple[Tile, ...]:
 
 
 def errors_table(report: ReplayReport, caption: str = "") -> Table:
-    """The filter beside the model alone, for one recording.
+    """Errors of the filter and of the model alone, for one recording.
 
     Args:
         report: the recording's numbers.
@@ -269,7 +269,7 @@ def errors_table(report: ReplayReport, caption: str = "") -> Table:
 
 
 def overview(reports: Sequence[ReplayReport]) -> Table:
-    """All recordings beside each other, one row each.
+    """Errors of all recordings, one row for each.
 
     Args:
         reports: the recordings' numbers.

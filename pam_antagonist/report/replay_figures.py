@@ -14,7 +14,7 @@ from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, MEASURED, MODEL, S
 from pam_antagonist.rig import Reading
 
 _LAGS = 40
-"""Samples of lag that are shown."""
+"""Largest lag that is shown [samples]."""
 _REGIMES = ("inflow choked", "both choked", "outflow choked")
 SUBSYSTEMS = tuple(
     f"{1 + 6 * first + 2 * second + slides}: muscle 1 {_REGIMES[first]}, muscle 2 {_REGIMES[second]}, "
@@ -32,11 +32,11 @@ def _tenth(replay: Replay) -> int:
 
 
 def replay_figures(replay: Replay, held_from: float | None = None) -> tuple[Figure, ...]:
-    """What a recording and the estimate look like, the most telling figure first.
+    """Figures of a recording and its estimate, the most important one first.
 
     Args:
         replay: of one recording.
-        held_from: where the held-out part of it begins [s], which is shaded. None: nothing was fitted.
+        held_from: begin of the held-out part [s], which is shaded; None: nothing was fitted.
     """
     x = time(replay)
     link = replay.name
@@ -58,7 +58,7 @@ def replay_figures(replay: Replay, held_from: float | None = None) -> tuple[Figu
 
 
 def filter_figures(replay: Replay) -> tuple[Figure, ...]:
-    """How the filter works inside: its input, its innovations, the equations that are active."""
+    """Figures of the filter: input, innovations and active equations."""
     x, link, rows = time(replay), replay.name, replay.run.rows
     window = max(1, round(1.0 / replay.recording.sample_period_s))
     nis = figures.nis_figure(x, rows["nis"], metrics.chi_square_bounds(2), window, link)
@@ -68,7 +68,7 @@ def filter_figures(replay: Replay) -> tuple[Figure, ...]:
 
 
 def _shaded(figure: Figure, begin: float, end: float) -> Figure:
-    """The same figure with a stretch of time shaded in every panel."""
+    """The figure with a range of time shaded in every panel."""
     panels = (replace(panel, series=(Region(begin, end), *panel.series)) for panel in figure.panels)
     return replace(figure, about=f"{figure.about} The shaded end was held out.", panels=tuple(panels))
 
@@ -87,7 +87,7 @@ def _estimate_figure(
     window: int,
     link: str,
 ) -> Figure:
-    """Signal above, error below; estimate is value, variance and model alone, in the axis' unit."""
+    """Signal above, error below; `estimate` holds value, variance and model alone, in the axis' unit."""
     title, quantity, unit = names
     value, variance, model = estimate
     half = metrics.interval_half_width(variance, reference)

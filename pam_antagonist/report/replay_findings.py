@@ -1,4 +1,4 @@
-"""What the numbers of a replay say, in sentences."""
+"""Findings of a replay in sentences, from its numbers."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from pam_antagonist.report.document import Finding
 from pam_antagonist.report.table import number, percent
 
 HONEST_COVERAGE = 0.88
-"""Least share of measured values in the 95 % interval for which the interval is called honest."""
+"""Least coverage of a 95 % interval that is called honest."""
 MARGIN = 1.05
 """Errors within this ratio of each other are called equal."""
 NIS_HIGH, NIS_LOW = 3.0, 1.0
-"""A mean NIS of 2 is right; at these the innovations are 1.2 or 0.7 times as large as the filter expects."""
+"""Bounds of the mean NIS, 2 is right; here the innovations are 1.2 or 0.7 times as large as expected."""
 CERTAIN = 0.01
-"""p-value below which innovations are called not white."""
+"""Innovations with a smaller p-value are called not white."""
 FAINT = 0.1
-"""Autocorrelation of innovations below which it is called small."""
+"""Smaller autocorrelations of innovations are called small."""
 SHORTEST_S = 1.0
-"""[s] Shorter recordings hold too few independent errors to call a filter good or bad."""
+"""[s] Shorter recordings have too few independent errors for an assessment."""
 _ISSUES = 6
 
 DEFINITIONS = (
@@ -71,7 +71,7 @@ DEFINITIONS = (
 
 
 def _accuracy(parts: Sequence[tuple[str, str]]) -> str:
-    """'the estimator gives the angle to within 0.3° and the torque to within 0.01 N m'."""
+    """Text such as 'the estimator gives the angle to within 0.3° and the torque to within 0.01 N m'."""
     return "the estimator gives " + joined([f"the {name} to within {value}" for name, value in parts])
 
 
@@ -103,7 +103,7 @@ def overall_verdict(reports: Sequence[ReplayReport]) -> str:
 
 
 def findings(report: ReplayReport) -> tuple[Finding, ...]:
-    """What a reader should take from the numbers of one recording."""
+    """All findings of one recording."""
     if report.duration_s < SHORTEST_S:
         text = f"{report.duration_s:.3f} s is too short to judge the filter by; expected {SHORTEST_S:g} s or more."
         return (Finding("warn", text), *_live(report), *_quality(report))
@@ -160,7 +160,7 @@ def _innovations(report: ReplayReport) -> list[Finding]:
 
 
 def _whiteness(p: float, correlation: float) -> Finding:
-    """With thousands of samples any correlation is significant, so its size decides as well."""
+    """Finding about whiteness; the size counts as well, because many samples make any correlation significant."""
     small = "p < 0.001" if p < 1e-3 else f"p = {number(p, 2)}"
     size = f"largest autocorrelation {number(correlation, 2)}"
     if p >= CERTAIN:
@@ -191,7 +191,7 @@ def _live(report: ReplayReport) -> list[Finding]:
 
 
 def _not_compared(live: LiveComparison, report: ReplayReport) -> Finding:
-    """Why part of the live estimate was not compared, and how far both are apart there."""
+    """Why part of the live estimate was not compared, and the differences there."""
     why = joined(live.why_not)
     text = f"{live.not_compared} live estimates were not compared bit for bit: {why}."
     if live.apart_deg is not None:
@@ -207,7 +207,7 @@ def _not_compared(live: LiveComparison, report: ReplayReport) -> Finding:
 
 
 def live_rig(report: ReplayReport) -> str:
-    """What to add where the live filter had other values than the replay's."""
+    """Sentence to add if the live filter had another rig than the replay; otherwise empty."""
     rig = report.recording.rigs.get("estimator")
     if rig is None or rig.same:
         return ""

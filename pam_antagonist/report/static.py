@@ -47,10 +47,10 @@ DEFINITIONS = (
 
 
 def write_report(folder: Path, result: StaticResult, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into a folder that exists.
+    """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: that exists.
+        folder: existing folder.
         result: of ``static``.
         with_figures: whether the page shows figures.
     """
@@ -58,14 +58,14 @@ def write_report(folder: Path, result: StaticResult, with_figures: bool = True) 
 
 
 def summary(result: StaticResult) -> tuple[Block, ...]:
-    """What the terminal shows."""
+    """Blocks for the terminal."""
     forms = () if result.force_map is None else (forms_table(result.forms, result.form),)
     warnings = Findings(tuple(Finding("warn", f"{text}.") for text in result.warnings))
     return coefficients_table(result), *forms, Text(verdict(result)), warnings
 
 
 def forms_table(forms: Forms, chosen: str = "") -> Table:
-    """Errors of each form at lengths left out, and on what it was fitted to."""
+    """Errors of each form at lengths left out, and on the fitted points."""
     rows = []
     for name, fit in forms.items():
         mark = " (for the rig)" if name == chosen else ""
@@ -125,7 +125,7 @@ def _rows(
 
 
 def verdict(result: StaticResult) -> str:
-    """The errors at lengths that the fits have not seen."""
+    """The errors at lengths that were left out, in a sentence."""
     unknown = "an error that so few lengths do not determine"
     parts = []
     if result.volume is not None:
@@ -142,7 +142,7 @@ def _known(error: float, unit: str) -> str:
 
 
 def _begun(text: str) -> str:
-    """A sentence's beginning in upper case."""
+    """A text with its first letter in upper case."""
     return f"{text[:1].upper()}{text[1:]}"
 
 

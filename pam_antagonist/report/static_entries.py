@@ -34,9 +34,9 @@ class Coefficient:
 
     Attributes:
         value: in `unit`.
-        std: its standard deviation, in `unit`.
-        unit: of all of them.
-        interval95: lower and upper end, in `unit`.
+        std: standard deviation, in `unit`.
+        unit: of all numbers.
+        interval95: lower and upper end of the 95 % interval, in `unit`.
     """
 
     value: float
@@ -66,8 +66,8 @@ class LeftOutForce:
         length_m: the length [m].
         measured: points with a force.
         slack: points without one.
-        rmse_n: at the measured points [N].
-        max_n: largest error there [N].
+        rmse_n: RMS error at the measured points [N].
+        max_n: largest error at the measured points [N].
         slack_max_n: largest force that the fit gives at the slack points [N].
     """
 
@@ -85,11 +85,11 @@ class VolumeEntry:
 
     Attributes:
         samples: rows of the table.
-        coefficients: by name.
+        coefficients: name -> coefficient.
         covariance: of the coefficients (3, 3), in squared SI units.
-        fitted_rmse_m3: on the fitted points [m³].
-        left_out_rmse_m3: at lengths that were left out [m³].
-        by_length: the same for each length.
+        fitted_rmse_m3: RMS error on the fitted points [m³].
+        left_out_rmse_m3: RMS error at lengths that were left out [m³].
+        by_length: errors at each length that was left out.
     """
 
     samples: int
@@ -127,7 +127,7 @@ class VolumeEntry:
 
 @dataclass(frozen=True)
 class FormEntry:
-    """A form of the force map that was fitted, or why it is not determined."""
+    """A fitted form of the force map, or why it is not determined."""
 
     fit: ForceFit | Undetermined
 
@@ -160,11 +160,11 @@ class ForceEntry:
     """All forms of the force map.
 
     Attributes:
-        form: the one for the rig.
+        form: the form for the rig.
         samples: rows of the table.
         slack: rows without a force.
-        lengths: different ones in the table.
-        forms: by name.
+        lengths: number of different lengths in the table.
+        forms: name -> entry.
     """
 
     form: str
@@ -176,7 +176,7 @@ class ForceEntry:
 
 @dataclass(frozen=True)
 class Span:
-    """Lengths that the muscles of a joint have.
+    """Range of the muscle lengths of a joint.
 
     Attributes:
         shortest_m: [m].
@@ -189,17 +189,17 @@ class Span:
 
 @dataclass(frozen=True)
 class StaticReport:
-    """What goes into ``report.json``; SI units.
+    """Content of ``report.json``, in SI units.
 
     Attributes:
-        rig: its name.
-        muscles: numbers of those that the tables hold for.
-        joint: lengths of its muscles.
-        files: SHA-256 of each table, by name.
+        rig: name of the rig.
+        muscles: numbers of the muscles that the tables are for.
+        joint: range of the muscle lengths.
+        files: name of each table -> SHA-256.
         volume: None without a table of volumes.
         force: None without a table of forces.
-        warnings: what the user should know.
-        rig_written: whether the fit became a rig file.
+        warnings: for the user.
+        rig_written: whether the fit was written to a rig file.
         software: versions.
     """
 

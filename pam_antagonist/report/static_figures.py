@@ -14,14 +14,14 @@ from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points
 from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, SECOND
 
 COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND}
-"""Of the forms of the force map, wherever they are compared."""
+"""Colours of the forms of the force map."""
 _LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
-"""From the shortest length to the longest: lighter is longer, also without colour vision."""
+"""Colours from the shortest to the longest length; lighter is longer, also without colour vision."""
 _POINTS = 60
 
 
 def static_figures(result: StaticResult) -> list[Figure]:
-    """Every figure that the tables give."""
+    """All figures for the available tables."""
     out = []
     if result.force_map is not None and result.force is not None:
         out += [force_figure(result.force_map, result.force), form_figure(result.forms)]
@@ -31,7 +31,7 @@ def static_figures(result: StaticResult) -> list[Figure]:
 
 
 def force_figure(table: ForceMap, fit: ForceFit) -> Figure:
-    """Force over pressure, a line a length."""
+    """Force over pressure, a line for each length."""
     parts: list[Series] = []
     grid = np.linspace(table.pressure.min(), table.pressure.max(), _POINTS)
     for group in range(table.lengths):
@@ -58,7 +58,7 @@ def force_figure(table: ForceMap, fit: ForceFit) -> Figure:
 
 
 def form_figure(forms: dict[str, Any]) -> Figure:
-    """Error at each length of a fit without it, a line a form."""
+    """Error at each length of a fit without this length, a line for each form."""
     parts: list[Series] = []
     for name, fit in forms.items():
         if isinstance(fit, ForceFit):
@@ -79,9 +79,9 @@ def volume_figure(table: VolumeTable, fit: VolumeFit, result: StaticResult) -> F
     """Volume over length with the fitted parabola and its 95 % interval.
 
     Args:
-        table: what was measured.
+        table: measured volumes.
         fit: the parabola.
-        result: with the rig, whose joint's lengths are marked where it was fitted.
+        result: with the rig; the range of its muscle lengths is marked if a rig was fitted.
     """
     low, high = float(table.length.min()), float(table.length.max())
     edges: list[Reference] = []

@@ -1,9 +1,9 @@
-"""The colours of a report's figures; every kind of colour vision tells them apart."""
+"""Colours of a report's figures, which are distinguishable with any colour vision."""
 
 MEASURED = "#1a1a1a"
-"""Black, as in the paper: what a sensor said."""
+"""Black, as in the paper: measurements."""
 ESTIMATE = "#d55e00"
-"""Vermilion: the filter. The colours are Okabe and Ito's, which every kind of colour vision tells apart."""
+"""Vermilion: the filter. The colours are those of Okabe and Ito."""
 MODEL = "#0072b2"
 """Blue: the model alone."""
 SECOND = "#009e73"
@@ -11,23 +11,23 @@ SECOND = "#009e73"
 QUIET = "#8a8f98"
 """Grey: bounds, references, raw data behind a summary."""
 EDGE = "#8a3b00"
-"""Dark vermilion: the edge of the filter's 95 % interval, where data would hide the shade."""
+"""Dark vermilion: edge of the filter's 95 % interval, where data hide the shade."""
 BAND = "rgba(213, 94, 0, 0.20)"
 """The filter's 95 % interval."""
 HELD_OUT = "rgba(11, 92, 138, 0.07)"
-"""Shade of what was held out."""
+"""Shade of held-out parts."""
 FAINT = "#c3c8ce"
-"""Light grey: single values behind their mean, a prior behind what was found."""
+"""Light grey: single values behind their mean, a prior behind a result."""
 PAPER = "#ffffff"
-"""Background: the middle of a scale of colours that has a sign."""
+"""Background: middle of a diverging colour scale."""
 DEEP = "#0b5c8a"
-"""The largest value of a scale of colours without a sign."""
+"""Largest value of a sequential colour scale."""
 PALE = "#cfe3f1"
-"""Its least value that is not nothing."""
+"""Least value of a sequential colour scale."""
 INK, GRID, ZERO, VEIL = "#1a1d21", "#e8ebee", "#b9bfc6", "rgba(255, 255, 255, 0.75)"
-"""Letters, grid, the line at zero, and what is behind a label."""
+"""Letters, grid, line at zero, and background of a label."""
 PALETTE = (MODEL, ESTIMATE, SECOND, "#cc79a7", "#e69f00", "#56b4e9", MEASURED, QUIET)
-"""Okabe and Ito's colours, for curves that have no meaning of their own."""
+"""Colours of Okabe and Ito for other curves."""
 DARK = {
     MEASURED: "#e4e7ea",
     MODEL: "#4aa8e0",
@@ -46,4 +46,4 @@ DARK = {
     ZERO: "#5d646c",
     VEIL: "rgba(21, 24, 28, 0.75)",
 }
-"""Colours of the dark theme, by those of the light one; the others serve both."""
+"""Colour of the light theme -> colour of the dark one; other colours are the same in both."""

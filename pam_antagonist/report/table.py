@@ -1,4 +1,4 @@
-"""Tables of text, and numbers with the digits that mean something."""
+"""Tables of text, and numbers with significant digits."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pam_antagonist.report.units import readable
 
 MISSING = "–"
-"""What stands where nothing was recorded."""
+"""Text for a missing value."""
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits and no exponent where it can be avoided; a dash where there is none."""
+    """A number with `digits` significant digits, without an exponent if possible; a dash for a missing number."""
     if value is None or not math.isfinite(value):
         return MISSING
     if value == 0.0:
@@ -25,7 +25,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def percent(value: float | None) -> str:
-    """A share as a percentage; a dash where there is none."""
+    """A share as a percentage; a dash for a missing value."""
     if value is None or not math.isfinite(value):
         return MISSING
     return f"{100.0 * value:.1f} %"
@@ -37,11 +37,11 @@ class Table:
 
     Attributes:
         header: column titles.
-        rows: cells, each row as long as the header; a row with nothing but its first cell is a heading.
-        caption: what the table shows, in one sentence.
-        best: for each row, the columns whose value is the best one (drawn bold in HTML).
-        prose: whether the cells are text, set to the left, and not numbers.
-        widths: of the columns in a page [%], where they should not follow from the cells.
+        rows: cells, each row as long as the header; a row with only its first cell is a heading.
+        caption: description of the table, in one sentence.
+        best: for each row, the columns with the best value (bold in HTML).
+        prose: whether the cells are left-aligned text instead of numbers.
+        widths: widths of the columns in a page [%]; empty: from the cells.
     """
 
     header: tuple[str, ...]
@@ -63,24 +63,24 @@ class Table:
 
 
 class Comparison:
-    """A table under construction whose columns are compared: it marks the best value of each row."""
+    """Builder of a table that compares columns and marks the best value of each row."""
 
     def __init__(self, *header: str) -> None:
         """Begin a table.
 
         Args:
-            header: column titles, the first for the rows' names.
+            header: column titles, the first one for the names of the rows.
         """
         self._header = header
         self._rows: list[tuple[str, ...]] = []
         self._best: list[frozenset[int]] = []
 
     def heading(self, name: str) -> None:
-        """A row that names the rows below it."""
+        """Add a heading for the rows below."""
         self.text(name, *[""] * (len(self._header) - 1))
 
     def text(self, *cells: str) -> None:
-        """A row that is not compared."""
+        """Add a row that is not compared."""
         self._rows.append(cells)
         self._best.append(frozenset())
 
@@ -91,14 +91,13 @@ class Comparison:
         write: Callable[[float | None], str] = number,
         best: Callable[[Sequence[float]], float] | None = min,
     ) -> None:
-        """A row of numbers.
+        """Add a row of numbers.
 
         Args:
             name: of the row.
-            values: one a column.
-            write: makes a cell of a number.
-            best: picks the best of the finite values; None where no value is better than another. Nothing is marked
-                where all cells look the same.
+            values: one for each column.
+            write: formats a number.
+            best: picks the best of the finite values; None: no value is marked. Equal cells are not marked.
         """
         cells = [write(value) for value in values]
         known = [value for value in values if value is not None and math.isfinite(value)]
@@ -109,11 +108,11 @@ class Comparison:
         self._best.append(frozenset() if equal else frozenset(marked))
 
     def pressures(self, name: str, values: Sequence[float | None]) -> None:
-        """A row of pressures, all in kPa or all in Pa; the unit stands behind the row's name.
+        """Add a row of pressures, all in kPa or all in Pa; the unit is added to the name.
 
         Args:
             name: of the row.
-            values: one a column [Pa].
+            values: one for each column [Pa].
         """
         unit = readable("Pa", min((abs(value) for value in values if value), default=math.inf))
         shown = [None if value is None else value * unit.scale for value in values]
@@ -128,7 +127,7 @@ def markdown(table: Table) -> list[str]:
     """A table as lines of Markdown.
 
     Args:
-        table: its caption is left out.
+        table: the table; its caption is left out.
     """
 
     def row(cells: Sequence[str]) -> str:

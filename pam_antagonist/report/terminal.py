@@ -14,7 +14,7 @@ _MARKS = {"good": "✓", "warn": "!", "note": " "}
 
 
 def render(blocks: Sequence[Block]) -> str:
-    """Blocks one below the other, an empty line between them; what only a page can show is left out."""
+    """Text of blocks with empty lines between them; blocks that only a page can show are left out."""
     parts = [_block(block) for block in blocks]
     return "\n\n".join(part for part in parts if part)
 
@@ -38,12 +38,12 @@ def finding(item: Finding) -> str:
 
 
 def marked(text: str, mark: str) -> str:
-    """A wrapped sentence behind a mark of one character."""
+    """A wrapped sentence after a mark of one character."""
     return _wrapped(text, f"{mark} ", "  ")
 
 
 def _wrapped(text: str, first: str = "", others: str = "") -> str:
-    """Lines of a paragraph; none ends between a number and its unit, or within a name."""
+    """A wrapped paragraph, without line breaks between a number and its unit, or within a name."""
     lines = textwrap.wrap(
         with_unit(text), WIDTH, initial_indent=first, subsequent_indent=others, break_on_hyphens=False
     )
@@ -60,7 +60,7 @@ def table(content: Table, indent: str = "  ") -> str:
 
     Args:
         content: the table.
-        indent: before each line.
+        indent: at the begin of each line.
     """
     if not content.rows:
         return ""

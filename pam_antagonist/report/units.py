@@ -1,4 +1,4 @@
-"""Units that people read: mm² for orifices in place of 1e-9 m². Files keep SI units."""
+"""Readable units for reports, such as mm² for orifices. Files use SI units."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pam_antagonist.rig import Rig
 
 
 class Unit(NamedTuple):
-    """A unit for people.
+    """A readable unit.
 
     Attributes:
-        name: how it is written.
-        scale: how many of it are one of the SI unit.
+        name: of the unit.
+        scale: factor from the SI unit.
     """
 
     name: str
@@ -39,19 +39,19 @@ _READABLE = {
     "rad/s": Unit("°/s", math.degrees(1.0)),
 }
 _SMALL = 1e-9
-"""Areas below this [m²] are hardly readable in mm²."""
+"""[m²] Smaller areas are shown in µm² instead of mm²."""
 _LOW = 10.0
-"""Pressures below this [Pa] are hardly readable in kPa."""
+"""[Pa] Smaller pressures are shown in Pa instead of kPa."""
 _EFFECTS = {parameter_path(effect.name, item.name): item.unit for effect in CATALOGUE.values()
             for item in effect.parameters}  # fmt: skip
 
 
 def readable(unit: str, value: float = math.inf) -> Unit:
-    """The unit in which people read a quantity.
+    """The readable unit of a quantity.
 
     Args:
-        unit: SI unit of the quantity, as a rig file's description or an effect names it.
-        value: of the quantity, in that unit, or the smallest of several: a very small area is in µm², a few Pa in Pa.
+        unit: SI unit of the quantity, as in the description of a rig file or an effect.
+        value: of the quantity in this unit, or the smallest of several; selects µm² or Pa for very small values.
     """
     written = re.sub(r"(?<=m)[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
     if written == "m²" and abs(value) < _SMALL:
@@ -82,9 +82,9 @@ def unit_of(rig: Rig, name: str) -> str:
 
 
 def with_unit(text: str) -> str:
-    """The same text without a place to break a line between a number and its unit, or within a unit.
+    """Text without line breaks between a number and its unit, or within a unit.
 
     Args:
-        text: plain text; spaces become no-break spaces there.
+        text: plain text; these spaces become no-break spaces.
     """
     return _AFTER_NUMBER.sub("\u00a0", text.replace("N m", "N\u00a0m"))
