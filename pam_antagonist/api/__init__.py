@@ -1,1 +1,1 @@
-"""The Python API: what the commands do, as functions. Its names are imported from ``pam_antagonist`` itself."""
+"""The Python API: the commands as functions. Import its names from ``pam_antagonist``."""

@@ -1,4 +1,4 @@
-"""``check``: is this a recording of this rig, in the right units and with the right wiring?"""
+"""``check``: test rig, units and wiring of a recording."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CheckResult(Checked):
-    """What a check found.
+    """Result of a check.
 
     Attributes:
         findings: the worst first.
-        corrections: all that were found, together.
+        corrections: all corrections that were found.
         joint: ``free`` or ``locked``.
-        assumption: the uncertainty that the rig claims; None of an identified one.
+        assumption: the uncertainty that the rig claims; None for an identified one.
     """
 
     assumption: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """As plain values: ``assumption``, ``joint``, ``options`` to type, and ``findings``."""
+        """The result as plain values: ``assumption``, ``joint``, command line ``options``, and ``findings``."""
         return {
             "assumption": self.assumption,
             "joint": self.joint,
@@ -57,8 +57,8 @@ class CheckResult(Checked):
 def check(recording: Bag, rig: RigGiven, joint: str = "auto", lock_angle: float | None = None) -> CheckResult:
     """Compare a recording with the model of its rig, driven by the recorded voltages.
 
-    It finds gauge pressures and other units, exchanged lines or valves, sensors that count the wrong way round, delays,
-    and recordings of another rig.
+    The check finds gauge pressures and other units, exchanged lines or valves, sensors with the wrong sign, delays, and
+    recordings of another rig.
 
     Args:
         recording: a bag, or a recording that was read with ``read_bag(..., judge=False)``.
@@ -67,10 +67,10 @@ def check(recording: Bag, rig: RigGiven, joint: str = "auto", lock_angle: float 
         lock_angle: of a locked joint [rad], where it is known.
 
     Returns:
-        What was found, with the options of the commands that correct it.
+        The findings, with command line options that correct them.
 
     Raises:
-        BadInput: a recording that is too short to compare, or without finite voltages or pressures.
+        BadInput: a recording that is too short, or has no finite voltages or pressures.
 
     Example:
         >>> from pam_antagonist import check

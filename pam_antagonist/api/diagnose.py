@@ -1,4 +1,4 @@
-"""``diagnose``: what the model of a rig lacks, traced to a physical effect."""
+"""``diagnose``: find the physical effect that the model of a rig lacks."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ if TYPE_CHECKING:
 
 
 _MARGIN = 1.05
-"""Errors within this ratio of each other are called equal, as in a replay's findings."""
+"""Errors with a smaller ratio count as equal, as in a replay's findings."""
 
 
 @dataclass(frozen=True, eq=False)
 class DiagnoseResult(Diagnosis):
-    """The answer, see :class:`pam_antagonist.diagnosis.Diagnosis`, and what was asked.
+    """The diagnosis, see :class:`pam_antagonist.diagnosis.Diagnosis`, with its inputs.
 
     Attributes:
         start: the rig as configured.
-        hashes: SHA-256 of each recording, those held out as a whole behind the others.
-        seed: as asked.
-        kept: share of each recording that was held out, or names of the recordings that were.
+        hashes: SHA-256 of each recording, whole held-out recordings last.
+        seed: of the search.
+        kept: share of each recording that was held out, or names of held-out recordings.
         typed: corrections with which the recordings were read.
     """
 
@@ -62,9 +62,9 @@ class DiagnoseResult(Diagnosis):
 
     @property
     def worse(self) -> tuple[str, ...]:
-        """What the rig for all recordings does worse on held-out data than the rig as configured.
+        """Errors on held-out data that are larger with the rig for all recordings than as configured, in words.
 
-        Asked where nothing was explained, and where one rig has to suit several recordings. Such a rig is not written.
+        Tested if nothing was explained, or if one rig must fit several recordings. Such a rig is not written.
         """
         if self.errors_of_one_rig is not None:
             now = self.errors_of_one_rig
@@ -81,7 +81,7 @@ class DiagnoseResult(Diagnosis):
 
     @property
     def no_common_rig(self) -> str:
-        """Why there is no rig that suits all recordings, in a sentence; empty where there is one."""
+        """Why no rig suits all recordings, in a sentence; empty if there is one."""
         apart = [
             (one, other)
             for number, one in enumerate(self.effects)
@@ -98,7 +98,7 @@ class DiagnoseResult(Diagnosis):
 
     @property
     def rig_files(self) -> tuple[str, ...]:
-        """Names of the rig files that :meth:`save` writes: the one for all recordings first, if there is one."""
+        """Names of the rig files that :meth:`save` writes, the one for all recordings first."""
         if self.no_common_rig and self.verdict == "unexplained":
             return ()
         own = [f"rig_extended_{number}.yaml" for number in range(1, len(self.own) + 1)] if len(self.own) > 1 else []
@@ -111,7 +111,7 @@ class DiagnoseResult(Diagnosis):
     def save(self, path: str | Path, figures: bool = True) -> Path:
         """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
 
-        Of several recordings also the rig of each (``rig_extended_1.yaml`` ...). What is no better than the rig as
+        With several recordings, it also writes the rig of each (``rig_extended_1.yaml`` ...). A rig that is worse than
         configured is not written, see :attr:`no_common_rig`.
 
         Args:
@@ -122,7 +122,7 @@ class DiagnoseResult(Diagnosis):
             The folder.
 
         Raises:
-            BadInput: it exists already, or cannot be written.
+            BadInput: the folder exists, or cannot be written.
         """
         with output_folder(Path(path)) as folder:
             self._write_rigs(folder)
@@ -130,7 +130,7 @@ class DiagnoseResult(Diagnosis):
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:
-        """A row for each parameter of each effect that was found (needs pandas)."""
+        """A row for each parameter of each detected effect (needs pandas)."""
         with needs("import", "a data frame"):
             import pandas as pd
         rows = [
@@ -185,30 +185,30 @@ def diagnose(
     store: Checkpoint | None = None,
     also: Sequence[str] = (),
 ) -> DiagnoseResult | EpisodesDiagnoseResult:
-    """Trace what a rig's model lacks to a physical effect, as ``close_loop`` does.
+    """Find the physical effect that a rig's model lacks, as ``close_loop`` does.
 
     Args:
-        recordings: of one rig; a free and a locked one show most. Of a sealed rig, its joint driven to and fro. Of a
-            joint with pressure regulators also one of many short episodes, of which whole ones are held out; then
-            joint, lock_angle, seed, profiles, estimator and store play no part.
+        recordings: of one rig; a free and a locked joint together show most. For a sealed rig, the joint is driven to
+            and fro. For a joint with pressure regulators, it may be one recording of many short episodes. Then whole
+            episodes are held out, and joint, lock_angle, seed, profiles, estimator and store are ignored.
         rig: as configured: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
         lock_angle: of a locked joint [rad], where it is known.
         holdout: share at the end of each recording that no fit sees.
-        held_out: whole recordings of the same rig that no fit sees; the others are then fitted to their ends.
+        held_out: whole recordings of the same rig that no fit sees; the others are then fitted completely.
         jobs: threads.
-        seed: draws the starts of fits.
-        progress: is called with what is being done.
+        seed: of the starts of fits.
+        progress: called with a text about each step.
         profiles: False leaves out profile likelihoods, which saves time.
         estimator: False leaves out the estimator before and after, which saves time.
-        store: keeps finished candidates; default: nowhere.
+        store: stores finished candidates; default: none.
         also: further signals of episodes that may be causes, such as another joint's pressures.
 
     Returns:
-        The verdict and everything behind it; of episodes a result of its own kind.
+        The verdict with all results; for episodes a result of another type.
 
     Raises:
-        BadInput: recordings from which nothing can be learned.
+        BadInput: recordings that allow no diagnosis.
 
     Example:
         >>> from pam_antagonist import diagnose
@@ -240,7 +240,7 @@ def diagnose(
 
 
 def _calibrated(rig: Rig, typed: Corrections, found: Mapping[str, float]) -> Rig:
-    """A rig that knows how its recordings are corrected: as they were read, and by what was found in them."""
+    """A rig with the calibration of its recordings: as read, combined with the found one."""
     corrected = typed.followed_by(found_calibrations.corrections(found))
     return rig.replaced(calibration=Calibration(**corrected.calibration()))
 

@@ -1,4 +1,4 @@
-"""What ``identify`` and ``diagnose`` give of a joint with pressure regulators in many short episodes."""
+"""Results of ``identify`` and ``diagnose`` for a joint with pressure regulators in many short episodes."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ class EpisodesIdentifyResult:
 
     Attributes:
         rig: with the identified values.
-        found: these with their intervals, and the errors on episodes that were held out whole.
+        found: the values with their intervals, and errors on whole held-out episodes.
         joint: the episodes.
-        hashes: SHA-256 of the recording, as a tuple of one.
+        hashes: SHA-256 of the recording, a tuple of one.
     """
 
     rig: Rig
@@ -70,13 +70,13 @@ class EpisodesIdentifyResult:
 
         Args:
             path: of a new folder.
-            figures: plays no part: this page has none.
+            figures: ignored, because this page has no figures.
 
         Returns:
             The folder.
 
         Raises:
-            BadInput: it exists already, or cannot be written.
+            BadInput: the folder exists, or cannot be written.
         """
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {self.found.counts[0]} episodes of "
         with output_folder(Path(path)) as folder:
@@ -92,12 +92,12 @@ class EpisodesIdentifyResult:
 
 @dataclass(frozen=True, eq=False)
 class EpisodesDiagnoseResult:
-    """What the model of a joint lacks, from episodes.
+    """Effects that the model of a joint lacks, from episodes.
 
     Attributes:
-        found: effects, errors on episodes that were held out whole, and the drift.
+        found: effects, errors on whole held-out episodes, and the drift.
         joint: the episodes.
-        hashes: SHA-256 of the recordings, the one that is held out as a whole behind.
+        hashes: SHA-256 of the recordings, a whole held-out one last.
     """
 
     found: EpisodeDiagnosis
@@ -111,17 +111,17 @@ class EpisodesDiagnoseResult:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Names of the effects that were found, each with the signal that it goes by."""
+        """Names of the detected effects, each with its signal if there is one."""
         return self.found.effects
 
     @property
     def sentence(self) -> str:
-        """What was found, in words."""
+        """The result in words."""
         return diagnosis_report.verdict(self.found)
 
     @property
     def rig_extended(self) -> Rig:
-        """The rig with the effects, and with the further signals that they need."""
+        """The rig with the effects, and the further signals that they need."""
         values = self.joint.values(self.found.model)
         rig = moved(self.joint.rig, values)
         last = max((int(path[-1]) for path in values if "_by_signal." in path), default=0)
@@ -144,7 +144,7 @@ class EpisodesDiagnoseResult:
             The folder.
 
         Raises:
-            BadInput: it exists already, or cannot be written.
+            BadInput: the folder exists, or cannot be written.
         """
         about = f"By pam_antagonist close_loop, from rig {self.joint.rig.name}. {self.sentence}"
         with output_folder(Path(path)) as folder:
@@ -165,15 +165,15 @@ def identified(
     """Identify mechanics and regulators.
 
     Args:
-        recordings: one, of many episodes.
-        rig: whose pressures regulators hold.
-        free: parameters that were asked to move, or not to; what episodes tell is fixed.
+        recordings: one recording of many episodes.
+        rig: with pressure regulators.
+        free: parameters that the caller chose to free or to hold; must be empty, because the choice is fixed.
         holdout: share of the episodes that is held out at the end.
         jobs: threads.
-        progress: is called with what is being done.
+        progress: called with a text about each step.
 
     Raises:
-        BadInput: several recordings, parameters that were chosen, or episodes from which nothing can be learned.
+        BadInput: several recordings, chosen parameters, or episodes that allow no identification.
     """
     if len(recordings) > 1:
         raise BadInput("a recording of many episodes: expected it alone, as it is a series by itself")
@@ -190,19 +190,19 @@ def diagnosed(
     fitted: Sequence[Recording], kept: Sequence[Recording], rig: Rig, also: Sequence[str], holdout: float, jobs: int,
     progress: Progress,
 ) -> EpisodesDiagnoseResult:  # fmt: skip
-    """Trace what the model lacks.
+    """Find the effects that the model lacks.
 
     Args:
         fitted: one recording of many episodes.
-        kept: one that is held out as a whole, or none.
-        rig: whose pressures regulators hold.
+        kept: one whole held-out recording, or none.
+        rig: with pressure regulators.
         also: names of further signals that may be causes.
-        holdout: share of the episodes that is held out at the end, where no recording is.
+        holdout: share of the episodes that is held out at the end, if no recording is held out.
         jobs: threads.
-        progress: is called with what is being done.
+        progress: called with a text about each step.
 
     Raises:
-        BadInput: several recordings, or episodes from which nothing can be learned.
+        BadInput: several recordings, or episodes that allow no diagnosis.
     """
     if len(fitted) > 1 or len(kept) > 1:
         raise BadInput(f"rig {rig.name} has pressure regulators: expected one recording, and one to hold out at most")
@@ -213,7 +213,7 @@ def diagnosed(
 
 
 def _silent(_text: str) -> None:
-    """Nobody asked what is being done."""
+    """Ignore progress."""
 
 
 def _table(values: Mapping[str, Interval]) -> DataFrame:

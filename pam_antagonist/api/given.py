@@ -1,4 +1,4 @@
-"""What every function of the API takes: a rig or its name, a recording or its bag."""
+"""Common arguments of the API: a rig or its name, a recording or its bag."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pam_antagonist.recording.recording import Recording as _Recording
 from pam_antagonist.rig import Rig, load_rig
 
 RigGiven: TypeAlias = Rig | str | Path
-"""A rig, the name of one of the package's, or the path of a rig file."""
+"""A rig, the name of a rig of the package, or the path of a rig file."""
 Bag: TypeAlias = _Recording | str | Path
 """A recording, or the path of a rosbag2."""
 
@@ -21,14 +21,14 @@ def as_rig(rig: RigGiven, regulators: bool = False) -> Rig:
     """The rig itself.
 
     Args:
-        rig: or its name, or its file.
-        regulators: as of :func:`load_rig`.
+        rig: a rig, its name, or its file.
+        regulators: as for :func:`load_rig`.
     """
     return rig if isinstance(rig, Rig) else load_rig(rig, regulators)
 
 
 def calibration(rig: Rig) -> Corrections:
-    """What a rig file says of its recordings.
+    """Corrections of recordings, from the calibration in a rig file.
 
     Args:
         rig: the rig.
@@ -40,26 +40,26 @@ def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
     """The recording itself; a bag is read with the calibration of its rig.
 
     Args:
-        bag: or its bag.
+        bag: a recording or its bag.
         rig: of the recording.
-        also: further signals that it has to hold.
+        also: required further signals.
     """
     return bag if isinstance(bag, _Recording) else read_bag(bag, corrections=calibration(rig), also=also)
 
 
 def as_recordings(bags: Bag | Sequence[Bag], rig: Rig, also: Sequence[str] = ()) -> list[Recording]:
-    """Recordings, one by one; bags are read with the calibration of their rig.
+    """A list of recordings; bags are read with the calibration of their rig.
 
     Args:
         bags: one or several.
         rig: of the recordings.
-        also: further signals that each has to hold.
+        also: required further signals of each.
     """
     return [as_recording(bag, rig, also) for bag in _several(bags)]
 
 
 def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:
-    """Those with which recordings are read here: none of recordings that were read elsewhere.
+    """Corrections with which bags are read here; none for recordings that the caller has read.
 
     Args:
         bags: one or several.

@@ -43,12 +43,12 @@ class IdentifyResult:
 
     Attributes:
         rig: with the identified parameters, noise and tuning.
-        own: of several recordings, the rig with each one's own values in place of the common ones.
-        warnings: what the user should know.
+        own: with several recordings, a rig with each one's own values; otherwise empty.
+        warnings: for the user.
         report: the numbers of ``report.json``.
-        found: everything behind them.
-        judged: the recordings by the rigs that are compared, for figures.
-        recordings: each with its joint's condition and its name.
+        found: all results.
+        judged: the recordings, replayed with the compared rigs, for figures.
+        recordings: each with its joint condition and name.
         seed: of further starts.
     """
 
@@ -63,7 +63,7 @@ class IdentifyResult:
 
     @property
     def lacks_an_effect(self) -> bool:
-        """Whether the filter got worse on held-out data: then :func:`diagnose` looks for what the model lacks."""
+        """Whether the filter got worse on held-out data; :func:`diagnose` then searches for the missing effect."""
         return isinstance(self.report, IdentifyReport) and lacks_an_effect(self.report)
 
     def summary(self) -> str:
@@ -73,7 +73,7 @@ class IdentifyResult:
         return terminal.render(identify_document.summary(self.report))
 
     def save(self, path: str | Path, figures: bool = True) -> Path:
-        """Write ``rig.yaml``, ``report.html`` and ``report.json``, and of several recordings ``rig_1.yaml`` and so on.
+        """Write ``rig.yaml``, ``report.html`` and ``report.json``, and ``rig_1.yaml`` ... for several recordings.
 
         Args:
             path: of a new folder.
@@ -83,7 +83,7 @@ class IdentifyResult:
             The folder.
 
         Raises:
-            BadInput: it exists already, or cannot be written.
+            BadInput: the folder exists, or cannot be written.
         """
         with output_folder(Path(path)) as folder:
             self._write_rigs(folder)
@@ -95,7 +95,7 @@ class IdentifyResult:
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:
-        """A row for each identified parameter: value at the start, now, and its standard error (needs pandas)."""
+        """A row for each identified parameter: start value, identified value, standard error (needs pandas)."""
         with needs("import", "a data frame"):
             import pandas as pd
         if isinstance(self.report, sealed.SealedReport):
@@ -151,25 +151,25 @@ def identify(
     """Identify a rig: parameters with error bars, sensor noise, filter tuning.
 
     Args:
-        recordings: of a joint that moves, and of one that is held, with angle and torque measured where you can. Or,
-            of a joint with pressure regulators, one of many short episodes, of which whole ones are held out; then
-            joint, lock_angle, starts and seed play no part.
+        recordings: of a free and of a locked joint, if possible with measured angle and torque. For a joint with
+            pressure regulators, it may be one recording of many short episodes. Then whole episodes are held out, and
+            joint, lock_angle, starts and seed are ignored.
         rig: start values, priors and bounds: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
         lock_angle: of a locked joint [rad], where it is known.
-        free: parameters, or beginnings of their names, that may move beside the usual ones.
-        freeze: parameters, or beginnings of their names, that may not.
-        holdout: share at the end of each recording that is not fitted but judges the result.
-        starts: how many places the refinement begins from.
+        free: additional free parameters, or prefixes of their names.
+        freeze: parameters to hold, or prefixes of their names.
+        holdout: share at the end of each recording that is not fitted, to assess the result.
+        starts: number of starts of the refinement.
         seed: of further starts.
         jobs: threads.
-        progress: is called with what is being done.
+        progress: called with a text about each step.
 
     Returns:
-        The identified rig and everything behind it; of episodes a result of its own kind.
+        The identified rig with all results; for episodes a result of another type.
 
     Raises:
-        BadInput: recordings from which nothing can be learned, or that are not of one rig.
+        BadInput: recordings that allow no identification, or that are not of one rig.
 
     Example:
         >>> from pam_antagonist import identify, simulate
@@ -215,7 +215,7 @@ def _sealed(
     progress: Callable[[str], None] | None,
     chosen: Sequence[str],
 ) -> IdentifyResult:
-    """The same for a joint whose muscles are sealed: other steps, fewer parameters."""
+    """Identify a joint with sealed muscles, with other steps and fewer parameters."""
     if chosen:
         raise BadInput(f"{chosen[0]}: the parameters of a sealed joint that can be identified are fixed; leave it out")
     for _, state, name in read:

@@ -1,4 +1,4 @@
-"""``replay``: a recording through the estimator that runs live, and through the model alone."""
+"""``replay``: run a recording through the live estimator, and through the model alone."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class ReplayResult(Replay):
     """A replayed recording.
 
     Attributes:
-        recording: what was recorded.
+        recording: the recording.
         rig: the rig as configured.
         tuning: name of the filter's tuning.
-        joint: whether the joint could move.
-        run: the estimates, M of them; ``run.index`` are their samples in the recording.
+        joint: whether the joint was free or locked.
+        run: M estimates; ``run.index`` are their samples in the recording.
         model: the model alone at the same samples.
         report: the numbers of ``report.json``.
         plan: where the filter was started.
@@ -40,18 +40,18 @@ class ReplayResult(Replay):
         return terminal.render(summary(self))
 
     def save(self, path: str | Path, figures: bool = True) -> Path:
-        """Write the report, or the estimate.
+        """Write the report or the estimates.
 
         Args:
             path: of a new folder for ``report.html`` and ``report.json``, or of a new file ``*.csv`` or ``*.mcap`` for
-                the estimate.
+                the estimates.
             figures: False leaves the figures out of the page.
 
         Returns:
             The path.
 
         Raises:
-            BadInput: it exists already, or cannot be written.
+            BadInput: the path exists, or cannot be written.
         """
         path = Path(path)
         if path.suffix in (".csv", ".mcap"):
@@ -62,9 +62,9 @@ class ReplayResult(Replay):
         return path
 
     def to_dataframe(self) -> DataFrame:
-        """A row for each estimate, with its standard deviations and what was measured (needs pandas).
+        """A row for each estimate, with standard deviations and measurements (needs pandas).
 
-        The columns are those of ``replay --save estimate.csv``; the unit stands in each name.
+        The columns are those of ``replay --save estimate.csv``; each name contains the unit.
         """
         with needs("import", "a data frame"):
             import pandas as pd
@@ -82,7 +82,7 @@ def replay(
     begin_s: float | None = None,
     angle_sensor: str = "auto",
 ) -> ReplayResult:
-    """Run a recording through the estimator and through the model alone, and judge both.
+    """Run a recording through the estimator and through the model alone, and compute the errors of both.
 
     Args:
         recording: a recording or its bag.
@@ -90,19 +90,19 @@ def replay(
         tuning: name of one of its tunings.
         joint: ``free``, ``locked`` or ``auto`` (detected).
         lock_angle: of a locked joint [rad], where it is known.
-        progress: is called now and then with the number of samples done since the last call.
-        read_seconds: what reading the recording took [s], for the real-time factor.
-        begin_s: time from the first sample from which on there is to be an estimate [s]; None: all of it. The
-            estimates are those of the whole.
-        angle_sensor: ``none``, ``encoder`` (the recording's topic ``angle_sensor`` is an input of the filter as well),
-            or ``auto``: as the live filter, where its checkpoints tell, else none.
+        progress: called regularly with the number of samples done since the last call.
+        read_seconds: time that reading the recording took [s], for the real-time factor.
+        begin_s: time from the first sample at which the estimates begin [s]; None: at the start. The estimates equal
+            those of a complete replay.
+        angle_sensor: ``none``, ``encoder`` (the recording's topic ``angle_sensor`` is an additional input of the
+            filter), or ``auto``: as in the live filter's checkpoints, without any ``none``.
 
     Returns:
-        Estimates, errors against what was measured, and the consistency of the filter.
+        Estimates, errors against the measurements, and the consistency of the filter.
 
     Raises:
-        BadInput: a tuning or joint condition that does not exist, or no sample to start from, or none from that
-            time on.
+        BadInput: a tuning or joint condition that does not exist, no complete sample to start from, no estimate after
+            ``begin_s``, or a recording whose drive is not the rig's.
 
     Example:
         >>> from pam_antagonist import read_bag, replay

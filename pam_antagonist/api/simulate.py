@@ -15,7 +15,7 @@ from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
 
 FIRST_STAMP_NS = 1_000_000_000_000_000_000
-"""Stamps begin here (in 2001), whatever the time is: the same arguments give the same recording."""
+"""First stamp (in 2001), constant so that the same arguments give the same recording."""
 
 
 def simulate(
@@ -32,30 +32,29 @@ def simulate(
     path: str | Path = "simulated",
     progress: Callable[[int], object] | None = None,
 ) -> Recording:
-    """Drive a simulated joint and record what its sensors show.
+    """Drive a simulated joint and record its sensors.
 
-    The model runs at a finer step than the estimator's, behind noisy, quantised sensors. It is this package's own
-    model: agreement with it says nothing about a real joint.
+    The model runs with finer steps than the estimator's, and its sensors are noisy and quantised. It is this package's
+    own model, so agreement with it proves nothing about a real joint.
 
     Args:
         rig: a rig, its name or its file.
-        voltage: on the valves (N, 2) [V], or what regulators are asked for [Pa], row k over sample period k; default: a
-            profile.
-        profile: ``paper``, ``steps`` or ``multisine``, where no voltages are given.
+        voltage: on the valves (N, 2) [V], or pressure commands [Pa], row k over sample period k; default: a profile.
+        profile: ``paper``, ``steps`` or ``multisine``, used without ``voltage``.
         duration: of the profile [s].
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
-        seed: of everything that is random.
-        mismatch: relative scatter of the joint's parameters from the rig's.
+        seed: of all random numbers.
+        mismatch: relative standard deviation of the joint's parameters from the rig's.
         noise: False for exact sensors.
-        path: what the recording is called; nothing is written.
-        progress: is called with the number of samples done since the last call.
+        path: name of the recording; nothing is written.
+        progress: called with the number of samples done since the last call.
 
     Returns:
         The recording; sample k is stamped at the end of period k. ``write_bag`` makes a bag of it.
 
     Raises:
-        BadInput: voltages of another shape, or a value that is not physical.
+        BadInput: voltages of a wrong shape, or a value that is not physical.
 
     Example:
         >>> from pam_antagonist import simulate
@@ -71,7 +70,7 @@ def simulate(
     given = np.asarray(voltage, dtype=np.float64)
     if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
         raise BadInput(f"voltage has shape {given.shape}, expected (N, 2)")
-    # Regulators hold the first command before; a valve's voltage alone tells no pressure.
+    # Regulators start at the first command; the voltage of a valve does not determine a pressure.
     before = (450e3, 450e3) if chosen.drive == "valve" else (float(given[0, 0]), float(given[0, 1]))
     plant = Plant(chosen, joint, lock_angle, seed, mismatch=mismatch, noise=noise, initial_pressure=before)
     count = len(given)
