@@ -1,7 +1,6 @@
 """Sensor-less angle and torque of a joint that is driven by two pneumatic artificial muscles.
 
-The Python API is what stands in ``__all__``. Names are imported when they are first used, so that ``import
-pam_antagonist`` costs nothing.
+``__all__`` lists the Python API. Names are imported at their first use, so that ``import pam_antagonist`` is fast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``pam NAME ...`` and ``python -m pam_antagonist NAME ...``: the one table of everything that can be run."""
+"""``pam NAME ...`` and ``python -m pam_antagonist NAME ...``: the table of all executables."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 
 class Command(NamedTuple):
-    """Something that can be run.
+    """An executable.
 
     Attributes:
         target: ``module:function``; the function takes the arguments and returns an exit status.
-        summary: what it does, in one line.
+        summary: description in one line.
     """
 
     target: str
@@ -91,18 +91,18 @@ COMMANDS: dict[str, Command] = {
     "joints": Command("pam_antagonist.nodes.joints:main", "several joints, with all of these nodes, in one process"),
     "record": Command("pam_antagonist.nodes.recorder:main", "write all topics into a rosbag2 (MCAP) bag"),
 }
-"""Name of an executable -> what it is. In a ROS workspace, ``setup.py`` installs one script for each."""
+"""Name of an executable -> description. In a ROS workspace, ``setup.py`` installs one script for each."""
 
 _PLACES = {
     "Commands": "pam_antagonist.cli.",
     "What measures the product": "pam_antagonist.validation.",
     "ROS 2 nodes": "pam_antagonist.nodes.",
 }
-"""Title in the help -> where the modules of its executables lie."""
+"""Title in the help -> package of its executables."""
 
 
 def usage() -> str:
-    """One line for each executable, commands and nodes apart."""
+    """Text of the help: one line for each executable, by groups."""
     from pam_antagonist.program import program
 
     width = max(len(name) for name in COMMANDS)
@@ -126,10 +126,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the executable that the first argument names.
 
     Args:
-        argv: its name and arguments; default: those of the process.
+        argv: name and arguments; default: those of the process.
 
     Returns:
-        Its exit status; 2 for a name that does not exist.
+        Exit status of the executable; 2 for an unknown name.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):

@@ -1,4 +1,4 @@
-"""The one way in which this package compiles: numba, cached on disk, strict floating point.
+"""Compilation by numba, cached on disk, with strict floating point.
 
 Strict (no ``fastmath``) because a replay has to reproduce the live estimate bit for bit.
 """
@@ -32,18 +32,18 @@ EFFECTS_GROUP = "pam_antagonist.effects"
 _PACKAGE = Path(__file__).parent
 _FOLDERS = ("model", "estimation")
 _DESCRIPTIONS = ("Effect", "EffectParameter", "AddedState", "per_muscle", "state_per_muscle")
-"""What effects are described by: their sentences, which have spaces and which no kernel sees, make no other code."""
+"""Classes and functions that describe effects. Their sentences (strings with spaces) do not change machine code."""
 _IMPORT = re.compile(r"^\s*(?:from|import) (pam_antagonist[\w.]*)(?: import (\([^)]*\)|[^\n(]*))?", re.MULTILINE)
 
 
 @lru_cache(maxsize=1)
 def _source_hash() -> str:
-    """Hash over all code that machine code is made of: of this package, and of effects that others add.
+    """Hash of all code that is compiled: of this package, and of effects from other packages.
 
-    numba looks at the file of a cached function only, not at those of the functions that it calls: after an update of
-    the package, an unchanged estimator would go on with yesterday's physics. A cache folder of its own for each state
-    of the code rules that out. Comments, docstrings, sentences about effects and files without kernels do not count:
-    they change no machine code.
+    numba only checks the file of a cached function, not the files of the functions that it calls. So after an update of
+    the package, an unchanged estimator would use the old physics. A separate cache folder for each state of the code
+    prevents this. Comments, docstrings, sentences about effects and files without kernels do not count, because they do
+    not change machine code.
     """
     raw = hashlib.sha256(numba.__version__.encode())
     sources = [(path.relative_to(_PACKAGE).as_posix(), path.read_bytes()) for path in _kernel_sources()]
@@ -51,7 +51,7 @@ def _source_hash() -> str:
         sources += [(module, source.read_bytes()) for source in added]
     for name, content in sources:
         raw.update(name.encode() + content)
-    # Parsing takes longer than a command should to start: once for each state of the files.
+    # Parsing would slow down the start of commands, so its result is stored for each state of the files.
     known = _base() / "pam_antagonist" / "sources" / raw.hexdigest()[:16]
     with contextlib.suppress(OSError):
         return known.read_text(encoding="ascii")
@@ -68,7 +68,7 @@ def _source_hash() -> str:
 
 
 def _code(content: bytes) -> str:
-    """Source code without comments, docstrings, the sentences of effects, and the places of its lines."""
+    """Source code without comments, docstrings, sentences of effects, and line numbers."""
     tree = ast.parse(content)
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _DESCRIPTIONS:
@@ -84,9 +84,9 @@ def _code(content: bytes) -> str:
 
 @lru_cache(maxsize=1)
 def _kernel_sources() -> tuple[Path, ...]:
-    """The files of the model, and those of the estimator that hold kernels or are imported by them.
+    """All files of the model, and the files of the estimator that have kernels or are imported by them.
 
-    All of the model: its effects are found by looking into their folder.
+    All files of the model count, because its effects are found by listing their folder.
     """
     files = {
         ".".join(("pam_antagonist", *path.relative_to(_PACKAGE).with_suffix("").parts)).removesuffix(".__init__"): path
@@ -100,7 +100,7 @@ def _kernel_sources() -> tuple[Path, ...]:
         name = waiting.pop()
         for base, names in _IMPORT.findall(texts[name]):
             inside = {f"{base}.{word}" for word in re.findall(r"\w+", names)}
-            # A folder's own file counts where a name is from it, and not for the modules beside it.
+            # A package's __init__ counts only if a name is imported from it, not if all names are its modules.
             others = inside if inside and inside <= set(files) else {base, *inside}
             new = {other for other in others if other in files} - found
             found |= new
@@ -109,9 +109,9 @@ def _kernel_sources() -> tuple[Path, ...]:
 
 
 def _added_effects() -> Iterator[tuple[str, list[Path]]]:
-    """Modules of effects that other packages add, with the sources that may hold their kernels.
+    """Modules of effects from other packages, with the sources that may have their kernels.
 
-    Nothing is imported: the kernels of these modules need the hash while they are being imported themselves.
+    Nothing is imported here, because these modules need the hash during their own import.
     """
     for point in sorted(entry_points(group=EFFECTS_GROUP), key=lambda point: point.name):
         spec = find_spec(point.module.split(".")[0])
@@ -123,7 +123,7 @@ def _added_effects() -> Iterator[tuple[str, list[Path]]]:
 
 
 def _base() -> Path:
-    """``NUMBA_CACHE_DIR``, else the user's cache."""
+    """Base folder of the cache: ``NUMBA_CACHE_DIR``, else the user's cache."""
     user_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     return Path(os.environ["NUMBA_CACHE_DIR"]) if "NUMBA_CACHE_DIR" in os.environ else user_cache
 
@@ -143,9 +143,9 @@ def cache_dir() -> Path:
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]
-    """Where a kernel's machine code lies: by what it is made of, not by where and when its file was written.
+    """Location of a kernel's machine code, determined by the code and not by path and time of its file.
 
-    So an update of the package, another checkout, or a comment does not compile again what is the same.
+    So an update of the package, another checkout, or a changed comment does not recompile unchanged code.
     """
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
@@ -155,7 +155,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]
         self._stamp = "" if path in _kernel_sources() else _content_hash(str(path.parent) if inside else py_file)
         name = path.relative_to(_PACKAGE).with_suffix("").as_posix().replace("/", ".") if inside else path.stem
         self._cache_path = str(cache_dir() / name)
-        # The line changes with every comment above; which of several kernels of a name this is does not.
+        # Number kernels of the same name; line numbers would change with every comment above.
         number = _NAMES[py_file, py_func.__qualname__] if inside else py_func.__code__.co_firstlineno
         _NAMES[py_file, py_func.__qualname__] += 1
         self._disambiguator = str(number)
@@ -179,20 +179,20 @@ _NAMES: Counter[tuple[str, str]] = Counter()
 
 @lru_cache(maxsize=64)
 def _content_hash(place: str) -> str:
-    """Hash of a file, or of the files of a folder: kernels of this package call those beside them."""
+    """Hash of a file, or of all files of a folder, whose kernels may call each other."""
     files = sorted(Path(place).glob("*.py")) if Path(place).is_dir() else [Path(place)]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 class Compiling(event.Listener):  # type: ignore[misc]
-    """Counts what is compiled, which happens once for each state of the code and each machine.
+    """Counts compilations, which happen once for each state of the code and each machine.
 
-    It takes about a minute. Who looks at a terminal is told, and how far it is.
+    Compiling takes about a minute; a terminal shows its progress.
 
     Attributes:
-        seconds: spent on it by this process, so that whoever measures speed can leave it out.
-        kernels: how many were compiled.
-        tell: is called with one sentence when the first one is compiled; None: nobody is told but a terminal.
+        seconds: time that this process has spent compiling, to be excluded when speed is measured [s].
+        kernels: number of compiled functions.
+        tell: called with one sentence at the first compilation; None: not called.
     """
 
     def __init__(self) -> None:
@@ -201,7 +201,7 @@ class Compiling(event.Listener):  # type: ignore[misc]
         self.tell: Callable[[str], object] | None = None
 
     def on_start(self, event: Any) -> None:
-        """A kernel, or one inside of it, is being compiled."""
+        """A kernel, or a function that it calls, is being compiled."""
         self._began = self._began if self._depth else time.perf_counter()
         self._depth += 1
         self.kernels += 1
@@ -213,7 +213,7 @@ class Compiling(event.Listener):  # type: ignore[misc]
             print(text, end="", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        """It is done."""
+        """A compilation has ended."""
         self._depth -= 1
         if self._depth == 0:
             self.seconds += time.perf_counter() - self._began
@@ -227,7 +227,7 @@ event.register("numba:compile", COMPILING)
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     previous = caching.CompileResultCacheImpl._locator_classes
-    # numba asks for a place while it decorates; other users of numba in the process keep theirs.
+    # numba looks for a locator while it decorates; restored for other users of numba in the process.
     caching.CompileResultCacheImpl._locator_classes = [_Locator]
     try:
         return numba.njit(cache=True, error_model="numpy", nogil=True, **options)(function)
@@ -244,30 +244,30 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 def in_place(function: Callable[..., Any]) -> Any:
-    """A kernel that works on the arrays that it is given, and neither makes nor returns one.
+    """A kernel that works only on given arrays, and neither makes nor returns arrays.
 
-    numba counts references to arrays, at each row that is taken of one. Here it need not.
+    So numba need not count references to arrays, which it does for each row that is taken.
     """
     return _compiled(function, _nrt=False)
 
 
 def merged(function: Callable[..., Any]) -> Any:
-    """A piece of one kernel in place, compiled as a part of it: by itself, it would be compiled once more."""
+    """A part of an in-place kernel that is compiled only within this kernel, not by itself."""
     return _compiled(function, _nrt=False, inline="always")
 
 
 def by_types(function: Callable[..., Any]) -> Any:
-    """Decorate what gives compiled code for calls of ``function``, a part of the kernel in place that calls it.
+    """Decorator for a function that returns an implementation of ``function`` for given argument types.
 
-    It is given the types of the arguments when such a kernel is compiled, and not where machine code is loaded.
+    It is called when an in-place kernel that calls ``function`` is compiled, not when machine code is loaded.
     """
     return numba.extending.overload(function, jit_options={"_nrt": False, "error_model": "numpy", "nogil": True})
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """A kernel in place that is always inlined into the kernels that call it.
+    """An in-place kernel that is always inlined into its callers.
 
-    For the pieces of the model: a Runge-Kutta step then knows that the parameters stay the same over its
-    four stages, which makes it a fifth faster.
+    For parts of the model: a Runge-Kutta step is a fifth faster, because the compiler knows that the parameters are
+    constant over its four stages.
     """
     return _compiled(function, _nrt=False, forceinline=True)

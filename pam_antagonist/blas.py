@@ -1,8 +1,8 @@
-"""One thread for linear algebra while a calculation runs, whatever the host program has set.
+"""Limit BLAS to one thread during a calculation, independent of the host program's setting.
 
-Fits and diagnoses solve many small linear problems, beside threads of their own (``jobs``). The threads that a BLAS
-library starts for each of these problems wait for one another longer than they work. One thread also makes the result
-independent of how many the library would have taken.
+Fits and diagnoses solve many small linear problems, and have threads of their own (``jobs``). The threads of a BLAS
+library would wait for each other longer than they work. With one thread, the result also does not depend on the
+library's number of threads.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _Result = TypeVar("_Result")
 
 
 def one_blas_thread(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """Decorator: BLAS has one thread while the function runs; the former number is restored when it ends.
+    """Decorator: BLAS has one thread while the function runs; afterwards the former number is restored.
 
     Args:
-        function: a whole calculation; what it needs of numpy and scipy is imported before it begins.
+        function: a whole calculation; numpy and scipy must be imported before it is called.
     """
 
     @functools.wraps(function)
@@ -34,7 +34,7 @@ def one_blas_thread(function: Callable[_Arguments, _Result]) -> Callable[_Argume
 
 
 def _limit() -> AbstractContextManager[object]:
-    # rosdep does not know threadpoolctl: where ROS installed what the nodes need, a fit only takes longer.
+    # threadpoolctl is optional, because rosdep does not know it; without it a fit only takes longer.
     if not available("threadpoolctl"):
         return nullcontext()
     from threadpoolctl import threadpool_limits

@@ -1,4 +1,4 @@
-"""What can be wrong with the input, in one place and in one line."""
+"""The exception for invalid input."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from __future__ import annotations
 class BadInput(Exception):
     """Input that cannot be used: a file, topic, parameter or value.
 
-    The message is one line that names what is wrong, where it stands and what was expected. Commands
-    and nodes print it after ``error:`` and end with status 2.
+    The message is one line with the problem, its place and what was expected. Commands and nodes print it after
+    ``error:`` and end with status 2.
     """

@@ -1,4 +1,4 @@
-"""Libraries that not everybody installs: a missing one is reported in one line that says what to type."""
+"""Optional libraries: a missing one is reported in one line that tells how to install it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _ROS = ("rclpy", "pam_antagonist_msgs")
 
 
 def install(extra: str) -> str:
-    """What to type to get an extra of ``setup.py``."""
+    """Command that installs an extra of ``setup.py``."""
     return f"pip install 'pam_antagonist[{extra}]'"
 
 
 def available(module: str) -> bool:
-    """Whether a module can be imported; nothing is loaded. A folder without Python in it is no module."""
+    """Whether a module can be imported, without importing it. A folder without ``__init__.py`` does not count."""
     try:
         found = importlib.util.find_spec(module)
     except (ImportError, ValueError):
@@ -27,14 +27,14 @@ def available(module: str) -> bool:
 
 @contextmanager
 def needs(extra: str, what: str) -> Iterator[None]:
-    """Around the imports of libraries that an extra brings.
+    """Context manager for imports of an extra's libraries.
 
     Args:
         extra: of ``setup.py``, such as ``reports``.
-        what: needs them, such as "figures".
+        what: the feature that needs them, such as "figures".
 
     Raises:
-        BadInput: one of them cannot be imported.
+        BadInput: a library cannot be imported.
     """
     try:
         yield
@@ -44,7 +44,7 @@ def needs(extra: str, what: str) -> Iterator[None]:
 
 
 def needs_ros(what: str) -> None:
-    """Refuse to start what cannot run without ROS 2.
+    """Refuse to start a command or node without ROS 2.
 
     Args:
         what: the command or node.

@@ -1,4 +1,4 @@
-"""Output folders that are whole or not there."""
+"""Output folders that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ def check_output(path: Path) -> Path:
     """Refuse an output path that exists, before any work is done.
 
     Args:
-        path: a folder to be made.
+        path: of a new folder.
 
     Raises:
-        BadInput: it exists, or cannot be made.
+        BadInput: the path exists, or cannot be made.
     """
     if path.exists() or path.is_symlink():
         raise BadInput(f"{path}: exists; expected the name of a new folder, nothing is overwritten")
@@ -33,14 +33,14 @@ def check_output(path: Path) -> Path:
 
 @contextmanager
 def output_folder(path: Path, make: bool = True) -> Iterator[Path]:
-    """A folder that appears when everything in it is written, and not at all when something goes wrong.
+    """A new folder that appears only after everything in it is written without an error.
 
     Args:
-        path: the folder to be made, see :func:`check_output`.
-        make: False for writers that want to make the folder themselves.
+        path: of a new folder, see :func:`check_output`.
+        make: False for writers that make the folder themselves.
 
     Yields:
-        An empty folder of the same name to write into (or its path only), which is moved to `path` at the end.
+        An empty folder of the same name to write into (or only its path), which is moved to `path` at the end.
 
     Raises:
         BadInput: as :func:`check_output`, or the disk is full or not writable.

@@ -1,4 +1,4 @@
-"""Where the files lie that come with the package: rigs, scenarios, node parameters."""
+"""Location of the package's data files: rigs, scenarios, node parameters."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _PACKAGE = Path(__file__).resolve().parent
 def config_dir() -> Path:
     """Folder ``config`` of the package.
 
-    It lies beside the package in a checkout (also under an editable installation and under
-    ``colcon build --symlink-install``). Everything that installs the package, pip as well as colcon, puts it into
-    ``share/pam_antagonist/config`` of the same prefix: the nearest folder above the package that has it is the one.
+    In a checkout the folder is next to the package (also with an editable installation and with
+    ``colcon build --symlink-install``). Installations by pip or colcon have it as ``share/pam_antagonist/config`` in
+    the same prefix, so the nearest folder above the package that contains it is used.
 
     Raises:
         FileNotFoundError: the package was installed without its files.

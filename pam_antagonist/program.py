@@ -1,4 +1,4 @@
-"""How a command is typed where this process was started, for help and hints."""
+"""The way to call a command in the user's environment, for help and hints."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 VARIABLE = "PAM_PROGRAM"
-"""Environment variable by which a script that starts the package, such as ``./run``, says how it was called."""
+"""Environment variable in which a start script, such as ``./run``, passes its own name."""
 
 
 def program() -> str:
@@ -24,9 +24,9 @@ def program() -> str:
 
 
 def typed(command: str) -> str:
-    """A command as it is typed here.
+    """A command as the user would type it.
 
     Args:
-        command: its name and arguments, such as ``replay --help``.
+        command: name and arguments, such as ``replay --help``.
     """
     return f"{program()} {command}"

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of what decides about its numbers."""
+    """Versions of this package and of the software that its results depend on."""
     try:
         own = metadata.version("pam_antagonist")
     except metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""JSON that every reader accepts: no NaN, no infinity, no numpy types; what is not known is null."""
+"""Strict JSON, which every reader accepts: no NaN, no infinity, no numpy types; missing values are null."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 
 
 def plain(value: Any) -> Any:
-    """The same value in Python's own types, with None for every number that is not finite.
+    """A value converted to Python's own types, with None for every number that is not finite.
 
-    A dataclass becomes an object with its fields as keys, unless it has a method ``to_json`` that says otherwise.
+    A dataclass becomes an object with its fields as keys, unless it has a method ``to_json``.
 
     Raises:
-        TypeError: a type that JSON has no form for.
+        TypeError: a type that JSON cannot represent.
     """
     if hasattr(value, "to_json"):
         return plain(value.to_json())

@@ -1,4 +1,4 @@
-"""Files that people write (rigs, maps of CSV columns): strict YAML, checked by a schema, refused in one line.
+"""Files of users (rigs, maps of CSV columns): strict YAML, checked by a schema, with errors in one line.
 
 Works with pydantic 1.10 and 2.
 """
@@ -24,7 +24,7 @@ from pam_antagonist.errors import BadInput
 _LARGEST_FILE = 100_000
 _DEEPEST = 5
 _LONGEST_NUMBER = 1000  # characters; the largest float has 309 digits
-_MOST_NODES = 100_000  # values of a file once its aliases are written out
+_MOST_NODES = 100_000  # values of a file with its aliases expanded
 
 if pydantic.VERSION.startswith("1."):
 
@@ -79,7 +79,7 @@ def _mapping_without_duplicates(loader: _StrictLoader, node: yaml.MappingNode) -
 
 
 def _sane_integer(loader: _StrictLoader, node: yaml.ScalarNode) -> int:
-    """An integer that can be printed: Python refuses to write out those of thousands of digits."""
+    """An integer that can be printed; Python refuses to print thousands of digits."""
     if len(node.value) > _LONGEST_NUMBER:
         raise yaml.YAMLError(f"a number in line {node.start_mark.line + 1} is too large: {len(node.value)} characters")
     return int(loader.construct_yaml_int(node))  # type: ignore[no-untyped-call]
@@ -90,36 +90,36 @@ _StrictLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _m
 
 
 def load_bounded(text: str, most: int = _MOST_NODES) -> Any:
-    """Plain YAML values of a text that nobody vouches for.
+    """Plain YAML values of an untrusted text.
 
-    A few hundred bytes of aliases can stand for billions of values. They are counted before any is made, so that
-    whoever copies, merges or prints the result meets no more than ``most``.
+    A few hundred bytes of aliases can expand to billions of values. The values are counted before any is made, so that
+    copying, merging or printing the result is safe.
 
     Args:
         text: one YAML document.
-        most: values that it may hold with its aliases written out.
+        most: largest number of values with aliases expanded.
 
     Raises:
-        yaml.YAMLError: not YAML, a key that stands twice, a value that holds itself, or too many values.
-        RecursionError: nested too deep.
-        ValueError: a number or a date that is none.
+        yaml.YAMLError: not YAML, a repeated key, a value that contains itself, or too many values.
+        RecursionError: nested too deeply.
+        ValueError: an invalid number or date.
     """
     loader = _StrictLoader(text)
     try:
         root = loader.get_single_node()
         if root is None:
             return None
-        if _written_out(root, {}) > most:
+        if _expanded_size(root, {}) > most:
             raise yaml.YAMLError(f"its aliases stand for more than {most} values")
         return loader.construct_document(root)
-    except (AttributeError, LookupError):  # what PyYAML makes of !!timestamp x, !!bool x and an empty !!int
+    except (AttributeError, LookupError):  # errors of PyYAML for !!timestamp x, !!bool x and an empty !!int
         raise yaml.YAMLError("a value is not of the type that its tag names") from None
     finally:
         loader.dispose()  # type: ignore[no-untyped-call]
 
 
-def _written_out(node: yaml.Node, known: dict[int, int]) -> int:
-    """Number of values in a node with every alias in its place; an alias is the same node once more."""
+def _expanded_size(node: yaml.Node, known: dict[int, int]) -> int:
+    """Number of values in a node with its aliases expanded; an alias is the same node object again."""
     if isinstance(node, yaml.ScalarNode):
         return 1
     if id(node) in known:
@@ -129,7 +129,7 @@ def _written_out(node: yaml.Node, known: dict[int, int]) -> int:
     known[id(node)] = 0
     pairs = isinstance(node, yaml.MappingNode)
     parts = (part for pair in node.value for part in pair) if pairs else iter(node.value)
-    known[id(node)] = 1 + sum(_written_out(part, known) for part in parts)
+    known[id(node)] = 1 + sum(_expanded_size(part, known) for part in parts)
     return known[id(node)]
 
 
@@ -138,11 +138,11 @@ def read_mapping(path: Path, what: str, example: str) -> dict[str, Any]:
 
     Args:
         path: the file.
-        what: what it is, for messages ("rig").
-        example: a file that is a good one, for messages.
+        what: kind of file, for messages ("rig").
+        example: name of a valid file, for messages.
 
     Raises:
-        BadInput: not there, not readable, too large, not YAML, a key that stands twice, or no mapping.
+        BadInput: not there, not readable, too large, not YAML, a repeated key, or no mapping.
     """
     try:
         kind = path.stat()
@@ -167,10 +167,10 @@ def validated(schema: type[Schema], content: dict[str, Any], where: str, switche
     """Check a file's content by its schema.
 
     Args:
-        schema: what the file may hold.
-        content: what it holds.
+        schema: of the content.
+        content: of the file.
         where: the file, for messages.
-        switches: keys that may be yes or no.
+        switches: keys whose values may be yes or no.
 
     Raises:
         BadInput: unknown or missing keys, a value of another kind or out of bounds.
@@ -187,7 +187,7 @@ def validated(schema: type[Schema], content: dict[str, Any], where: str, switche
 
 
 def _switches(content: dict[str, Any], prefix: str = "", depth: int = 0) -> Iterator[str]:
-    """Paths of all values that YAML reads as true or false; pydantic would take them for 1 and 0."""
+    """Paths of all booleans; pydantic would accept them as the numbers 1 and 0."""
     for key, value in content.items():
         if isinstance(value, bool):
             yield f"{prefix}{key}"
@@ -196,11 +196,11 @@ def _switches(content: dict[str, Any], prefix: str = "", depth: int = 0) -> Iter
 
 
 def _first_complaint(error: ValidationError, schema: type[BaseModel]) -> str:
-    """One line for the first thing that pydantic found wrong, typos first: they explain missing keys."""
+    """One line for pydantic's first error; unknown keys first, because a typo explains a missing key."""
     complaints = sorted(error.errors(), key=lambda item: "extra" not in str(item["type"]))
     first = complaints[0]
     kind, loc = str(first["type"]), first["loc"]
-    # pydantic 2 adds which member of a union it tried; each member complains for itself.
+    # pydantic 2 adds the member of a union to the location, and reports each member.
     tried = kind.split("_", maxsplit=1)[0]
     if len(loc) > 1 and str(loc[-1]) == {"string": "str"}.get(tried, tried):
         loc = loc[:-1]
@@ -224,21 +224,21 @@ def _first_complaint(error: ValidationError, schema: type[BaseModel]) -> str:
 
 
 def _expected(complaint: Mapping[str, Any], location: tuple[Any, ...], schema: type[BaseModel]) -> str:
-    """What pydantic expected, in words that do not name its classes."""
+    """The value that pydantic expected, in words without its class names."""
     kind, message = str(complaint["type"]), str(complaint["msg"])
     if kind in ("model_type", "type_error.dict", "model_attributes_type"):
         part = _at(location, schema)[0]
         fields = getattr(part, "model_fields", None) or getattr(part, "__fields__", {})
         return f"expected entries {', '.join(fields)}"
     text = f"{message[:1].lower()}{message[1:]}"
-    # pydantic 1 does not say what it found.
+    # pydantic 1 does not report the input.
     if "float" in kind and re.fullmatch(r"[-+]?\d+,\d+", str(complaint.get("input", "0,0"))):
         text += "; decimals are written after a point"
     return text
 
 
 def _description(location: tuple[Any, ...], schema: type[BaseModel]) -> str:
-    """What the schema says about the value at a location."""
+    """The schema's description of the value at a location."""
     return _at(location, schema)[1]
 
 
