@@ -1,7 +1,7 @@
-"""The air alone, equation (4) with regulators, driven by commands and by a motion that was measured.
+"""The chambers alone: equation (4) with pressure regulators, driven by commands and by the measured angle.
 
-The same Runge-Kutta step as everywhere runs it. The joint is locked, and its angle is moved from outside: the
-muscles' volumes change as they did, and only the regulators have to be right.
+The Runge-Kutta step of the whole model integrates it. The joint is locked, and the angle is set from outside. So the
+muscles have their measured volumes, and the result tests the model of the regulators only.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ def pressures(first, start, time, command, angle, p, longest):
     """Pressures of episodes, each started anew at rest.
 
     Args:
-        first: index of the first row of each episode, and behind the last one (E + 1,).
-        start: pressures with which each begins (E, 2) [Pa].
+        first: index of the first row of each episode, then the number of rows (E + 1,).
+        start: pressures with which each episode begins (E, 2) [Pa].
         time: of the rows [s] (N,), increasing within an episode.
-        command: what the regulators are asked for over the step that ends at each row (N, 2) [Pa].
+        command: pressures commanded over the step that ends at each row (N, 2) [Pa].
         angle: measured (N,) [rad], linear between rows.
         p: parameter vector (m,) of a locked joint.
-        longest: step of the integration [s].
+        longest: longest step of the integration [s].
 
     Returns:
         P_1, P_2 of each row (N, 2) [Pa].

@@ -1,20 +1,21 @@
-"""The effects of the catalogue put together: one compiled function for each hook, which the equations call.
+"""Composition of the effects in the catalogue: one compiled function for each hook, which the equations call.
 
 The equations (``dynamics``, ``flow``, ``equilibrium``, ``sensor``) must not name effects, and compiled code cannot go
-through a list of functions. So a small module is written as text when the package is imported: a function for each
-hook, which calls the functions of the registered effects by name, one after another. It goes through three steps:
+through a list of functions. So a small module is generated as text when the package is imported. It has a function for
+each hook, which calls the functions of the registered effects by name, one after another. There are three steps:
 
-1. :func:`source_text` writes the module. Arguments are filled in by name (:mod:`pam_antagonist.model.effects.hooks`):
-   a parameter becomes its place in the vector ``p``, a state its place in ``x``, a quantity an expression.
-2. The text is kept in the folder of the compiled kernels, under a name that holds its hash. numba finds kernels of the
-   last process by file and time: a file that is there already is not written again.
+1. :func:`source_text` generates the module. Arguments are filled in by name
+   (:mod:`pam_antagonist.model.effects.hooks`): a parameter becomes its place in the vector ``p``, a state its place in
+   ``x``, a quantity an expression.
+2. The text is kept in the folder of the compiled kernels. The name of the file contains a hash of the text, so that
+   later processes find the module and its kernels.
 3. The module is imported from there (:mod:`pam_antagonist.model.written`); its functions become names of this module.
 
-What an absent effect costs is one comparison: a function is called only where a size of its effect, or the state that
-it asks for, is there. A state is there if the rig has it *and* ``x`` holds it: a state of four numbers is one without
-effects that add states. From the path without added states, ``x`` is None, and the compiler leaves those calls out.
+An absent effect costs one comparison: a function is called only if a size of its effect is not 0, or if its state is
+present. A state is present if the rig has it *and* ``x`` holds it: ``x`` with four entries holds no added state. The
+path without added states passes None for ``x``, and the compiler leaves these calls out.
 
-To read what was written: ``python -m pam_antagonist.model.composition``.
+To read the generated module: ``python -m pam_antagonist.model.composition``.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _EXPRESSIONS = {
     "passive_force": "static_map(i, muscle_length, p[ATMOSPHERE], p)",
     **{f"signal{k + 1}": f"p[SIGNAL + {k}]" for k in range(SIGNALS)},
 }
-"""Quantities that are worked out where a function asks for them."""
+"""Quantities that are computed only where a function asks for them."""
 _HEADER = '''"""Effects put together; written by pam_antagonist.model.composition, which explains it."""
 
 import numpy as np
@@ -66,7 +67,7 @@ from pam_antagonist.model.parameters import ATMOSPHERE, SIGNAL, STATELESS_EFFECT
 
 
 class _Writer:
-    """Text of the module, with the constants and imports that its functions need."""
+    """Collects the text of the module: its functions, and the constants and imports that they need."""
 
     def __init__(self, effects: Mapping[str, Effect]) -> None:
         self.effects = effects
@@ -75,7 +76,7 @@ class _Writer:
         self.functions: list[str] = []
 
     def parameter(self, effect: Effect, item: EffectParameter, of_muscle: bool) -> str:
-        """Expression of a parameter: that of muscle ``i`` where each has one and ``i`` is known."""
+        """Expression that reads a parameter; of muscle ``i`` if each muscle has its own and the hook is of a muscle."""
         each = of_muscle and item.muscle is not None
         name = item.family if each else item.name
         first = f"{name}_1" if each else name
@@ -84,7 +85,7 @@ class _Writer:
         return f"p[{constant} + i]" if each else f"p[{constant}]"
 
     def slot(self, state: AddedState, of_muscle: bool) -> str:
-        """Expression of where in ``p`` the index of a state stands."""
+        """Expression that reads the index of a state from ``p``."""
         each = of_muscle and state.muscle is not None
         name = state.family if each else state.name
         constant = f"AT_{name}".upper()
@@ -124,16 +125,16 @@ class _Writer:
         return f"{alias}({', '.join(arguments)})", used, held
 
     def hook(self, hook: Hook, before: str = "") -> None:
-        """Write the function of a hook; of the effects before one alone, where its name is given."""
+        """Write the function of a hook. With ``before``, only the effects ahead of the named one act in it."""
         index = ["i"] if hook.of_muscle else []
         extra = [name for name in hook.quantities if name not in _EXPRESSIONS]
         within = ["x"] if hook.states != "none" else []
         title = f"{hook.name}_before_{before}" if before else hook.name
         lines = ["@inlined", f"def {title}({', '.join([hook.value, *index, *extra, *within, 'p'])}):"]
         lines.append(f"    value = {hook.value}")
-        at_once, later = [], []
-        first = itertools.takewhile(lambda effect: effect.name != before, self.effects.values())
-        acting = [effect for effect in first if hook.name in effect.hooks]
+        stateless_lines, state_lines = [], []
+        ahead = itertools.takewhile(lambda effect: effect.name != before, self.effects.values())
+        acting = [effect for effect in ahead if hook.name in effect.hooks]
         for effect in reversed(acting) if hook.name == "sensor_inverse" else acting:
             expressions = {hook.value: "value"} if hook.way == "replaces" else {}
             text, used, held = self.call(
@@ -146,30 +147,30 @@ class _Writer:
             change = {"adds": f"value + {text}", "subtracts": f"value - {text}", "replaces": text}[hook.way]
             change = f"max({change}, 0.0)" if hook.floor else change
             if effect.states and hook.states != "none":
-                later += self._with_states(effect, held, hook.of_muscle, f"value = {change}")
+                state_lines += self._with_states(effect, held, hook.of_muscle, f"value = {change}")
             else:
                 sizes = [item for item in used if item.is_size] or [item for item in effect.parameters if item.is_size]
                 guards = dict.fromkeys(f"{self.parameter(effect, item, hook.of_muscle)} != 0.0" for item in sizes)
-                at_once += [f"if {' or '.join(guards)}:", f"    value = {change}"]
+                stateless_lines += [f"if {' or '.join(guards)}:", f"    value = {change}"]
         stateless = all(not effect.states for effect in acting)
-        if at_once:
+        if stateless_lines:
             indent = "    "
             if stateless or hook.states != "none":
                 lines.append("    if p[STATELESS_EFFECTS] != 0.0:")
                 indent = "        "
-            lines += [indent + line for line in at_once]
-        if later:
-            lines += ["    if x is not None:", *(f"        {line}" for line in later)]
+            lines += [indent + line for line in stateless_lines]
+        if state_lines:
+            lines += ["    if x is not None:", *(f"        {line}" for line in state_lines)]
         self.functions.append("\n".join([*lines, "    return value"]))
 
     def _with_states(self, effect: Effect, held: Sequence[AddedState], of_muscle: bool, then: str) -> list[str]:
-        """Lines that run where the states are there."""
+        """Lines that run only if the states are present."""
         lines, indent = [], ""
         for state in held or effect.states[:1]:
             name = state.family if of_muscle else state.name
             lines += [
                 f"{indent}{name}_at = {self.slot(state, of_muscle)}",
-                # Most states are absent: nothing is converted for those, and an unsigned index need not be turned.
+                # Most states are absent: their index is not converted. numba does not wrap around an unsigned index.
                 f"{indent}if {name}_at > 0.0 and {name}_at < x.shape[0]:",
             ]
             indent += "    "
@@ -181,7 +182,7 @@ class _Writer:
         self, title: str, into: str, which: str, of_muscle: bool, quantities: Sequence[str],
         expressions: Mapping[str, str],
     ) -> None:  # fmt: skip
-        """Write a function that fills in what each state has: its derivative (``rate``), or its ``steady_value``."""
+        """Write a function that fills in the derivative (``rate``) or the ``steady_value`` of each state."""
         arguments = [name for name in quantities if name not in _EXPRESSIONS and name not in expressions]
         index = ["i"] if of_muscle else []
         given = dict.fromkeys(["x", into])
@@ -201,13 +202,13 @@ class _Writer:
                 name = state.family
                 lines += [f"    {name}_at = {self.slot(state, of_muscle)}", f"    if {name}_at > 0.0:"]
                 for other in held:
-                    # The states of one effect come and go together.
+                    # The states of one effect are present or absent together.
                     lines.append(f"        {other.family}_ = x[int({self.slot(other, of_muscle)})]")
                 lines.append(f"        {into}[int({name}_at)] = {text}")
         self.functions.append("\n".join([*lines, "    return"]))
 
     def lags(self) -> None:
-        """Write the function of the states' time constants; it is not compiled, since nothing calls it often."""
+        """Write the function of the states' time constants. It is called seldom, so it is not compiled."""
         lines = ["def small_signal_lags(p):", "    return np.array([0.0"]
         for effect in self.effects.values():
             for state in effect.states:
@@ -227,18 +228,18 @@ class _Writer:
 
 
 def _asks(function: Any) -> bool:
-    """Whether a function of a state asks for the pressure that a regulator goes by."""
+    """Whether a function of a state has the argument ``asked_pressure``."""
     return "asked_pressure" in inspect.signature(getattr(function, "py_func", lambda: None)).parameters
 
 
 def source_text(effects: Mapping[str, Effect]) -> str:
-    """Source of the module that puts effects together.
+    """Source of the module that composes the effects.
 
     Args:
-        effects: by name; their parameters and states stand in the parameter vector.
+        effects: by name; their parameters and states are in the parameter vector.
 
     Raises:
-        BadInput: a hook that does not exist, or a function that asks for what it cannot have.
+        BadInput: a hook that does not exist, or a function with an argument that it cannot have.
     """
     for effect in effects.values():
         for name in effect.hooks:
@@ -271,16 +272,16 @@ def source_text(effects: Mapping[str, Effect]) -> str:
 
 
 def imported(text: str, what: str) -> ModuleType:
-    """A module of this text, kept in the folder of the compiled kernels.
+    """Import a text as a module. Its file is kept in the folder of the compiled kernels.
 
     Args:
-        text: its source.
-        what: a word for its name.
+        text: source of the module.
+        what: first part of the module's name; the second is a hash of the text.
     """
     name = f"{what}_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     file = cache_dir() / f"{name}.py"
     if not file.exists():
-        # Whoever comes second finds a whole file, and leaves it: a newer one would make numba compile again.
+        # Another process may write the same file now. A link makes it visible as a whole, and fails where it exists.
         draft = file.with_name(f"{name}.{os.getpid()}.tmp")
         draft.write_text(text, encoding="utf-8")
         try:

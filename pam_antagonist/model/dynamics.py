@@ -21,10 +21,10 @@ from pam_antagonist.model.parameters import (
 
 ANGLE, VELOCITY, PRESSURE_1, PRESSURE_2 = 0, 1, 2, 3
 FIRST, SECOND = np.int64(0), np.int64(1)
-"""The muscles. numba would compile whatever is given a bare 0 or 1 once for each."""
+"""Indices of the muscles. numba would compile a function anew for each literal 0 or 1."""
 WITH_EFFECTS = np.int64(1)
-"""What stands for ``effects`` where they may be at work. None stands for a plain rig: by its type, numba leaves out
-what only others need, so that it compiles less and runs faster."""
+"""Value of the argument ``effects`` where a rig may have effects. The value for a plain rig is None: numba compiles
+another version for that type, which is smaller and faster."""
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
@@ -33,7 +33,7 @@ _valve_flow, _pressure_rate = flow.valve_flow, flow.pressure_rate
 _open_rate, _flow_regime = flow.open_rate, flow.flow_regime
 _muscle_torque, _coulomb_torque, _acceleration = joint.muscle_torque, joint.coulomb_torque, joint.acceleration
 
-# What effects do.
+# Composed functions of the effects.
 _spool_voltage, _held_open_rate = composition.spool_voltage, composition.open_rate
 _supply_change, _chamber = composition.supply_change, composition.chamber_pressure
 _mass_loss, _cooling, _valve_pressure_rate = composition.mass_loss, composition.cooling, composition.valve_pressure_rate
@@ -43,12 +43,12 @@ _with_disturbance, _joint_torque = composition.disturbance_torque, composition.j
 _muscle_rates, _joint_rates = composition.muscle_rates, composition.joint_rates
 
 small_signal_lags = composition.small_signal_lags
-"""Time constants [s] with which those states follow small changes that may do so within milliseconds (L,)."""
+"""Time constants [s] for small changes (L,), of the added states that may be as quick as milliseconds."""
 
 
 @inlined
 def chamber_pressure(i, x, p):
-    """Pressure [Pa] in muscle i: that of its sensor, unless an effect says otherwise.
+    """Pressure [Pa] in muscle i. It equals P_i of the state, the pressure at the sensor, unless an effect changes it.
 
     Args:
         i: muscle, 0 or 1.
@@ -60,14 +60,14 @@ def chamber_pressure(i, x, p):
 
 @inlined
 def _force_with_effects(i, muscle_length, length_rate, chamber, x, p):
-    """Contraction force [N] of muscle i: the static map, what effects add to it, and what of the sum is passed on."""
+    """Contraction force [N] of muscle i: static map plus the forces of effects, then what the muscle passes on."""
     static = _force(i, muscle_length, chamber, p)
     return _passed_on(_contraction_force(static, i, muscle_length, length_rate, chamber, x, p), i, p)
 
 
 @inlined
 def _muscle_force(i, sine, cosine, x, p, effects):
-    """Contraction force of muscle i of a state, effects included where they are not None."""
+    """Contraction force [N] of muscle i in a state; without effects if ``effects`` is None."""
     if effects is None:
         return _linear_force(i, _length(i, sine, p), x[PRESSURE_1 + i], p)
     muscle_length, chamber = _length(i, sine, p), chamber_pressure(i, x, p)
@@ -113,7 +113,7 @@ def torque_slope(x, p, effects=True):
     """
     force_1, force_2 = forces(x, p, effects)
     sine, cosine, bend = _leverage(x[ANGLE], p)
-    # ∂l_1/∂ψ = −r cos ψ and ∂l_2/∂ψ = +r cos ψ, through the same functions as everywhere.
+    # ∂l_1/∂ψ = −r cos ψ and ∂l_2/∂ψ = +r cos ψ: the length rates at 1 rad/s.
     slope_1 = _force_length_slope(FIRST, _length(FIRST, sine, p), chamber_pressure(FIRST, x, p), p)
     slope_2 = _force_length_slope(SECOND, _length(SECOND, sine, p), chamber_pressure(SECOND, x, p), p)
     slope_1 *= _length_rate(FIRST, cosine, 1.0, p)
@@ -123,7 +123,7 @@ def torque_slope(x, p, effects=True):
 
 @inlined
 def _stopped(angle, velocity, p):
-    """The velocity, or none into a stop that is reached: without this, the volumes would go on changing there."""
+    """The velocity, but 0 if it points into a stop that is reached: the volumes must not change there."""
     if angle >= p[STOP]:
         return min(velocity, 0.0)
     if angle <= -p[STOP]:
@@ -159,7 +159,7 @@ def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_
 
 @inlined
 def sliding_friction(x, direction, p):
-    """Torque [N m] by which friction holds a joint back that slides, equation (9).
+    """Friction torque [N m] of a sliding joint, equation (10).
 
     Args:
         x: state (n,), of which angle, velocity and pressures count.
@@ -175,7 +175,7 @@ def sliding_friction(x, direction, p):
 
 @inlined
 def torque_needed(x, acceleration, direction, p):
-    """Torque from outside [N m] that a motion needs: equation (8) solved for it.
+    """External torque [N m] that a motion needs, from equation (8).
 
     Args:
         x: state (n,), of which angle, velocity and pressures count.
@@ -191,7 +191,7 @@ def torque_needed(x, acceleration, direction, p):
 
 @inlined
 def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, effects):
-    """The rows of equation (11a) without added states, in scalars: a sigma point passes through registers, not memory.
+    """The rows of equation (11a) without added states, as scalars: a sigma point stays in the processor's registers.
 
     Args:
         angle: ψ [rad].
@@ -202,7 +202,7 @@ def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, 
         alpha_2: likewise of valve 2.
         external: torque from outside [N m].
         p: parameter vector (m,).
-        effects: None where the rig is known to be plain, which is spared the branches of options and effects.
+        effects: None where the rig is known to be plain: the branches of options and effects are left out.
     """
     velocity = _stopped(angle, velocity, p)
     sine, cosine, _ = _leverage(angle, p)
@@ -238,7 +238,7 @@ def external_torque(u):
 
 @in_place
 def rows(x, u, wanted_1, wanted_2, p, dx):
-    """All rows with any added states; the same functions as in :func:`slopes`, put together for every case.
+    """All rows of equation (11a), with any added states, from the same functions as :func:`slopes`.
 
     Args:
         x: state (n,).

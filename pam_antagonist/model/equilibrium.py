@@ -1,4 +1,4 @@
-"""Where a joint stands before anything moves: angle of rest, closed chambers, and the state from which a run starts."""
+"""Joints at rest: angle of rest, pressures of sealed muscles, and the state from which a run starts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _joint_steady = composition.joint_steady
 
 @inlined
 def pull(x, p, effects=True):
-    """Torque [N m] that moves a joint which stands and does not stick, without a torque from outside.
+    """Torque [N m] on a joint at rest, without friction and without a torque from outside.
 
     Args:
         x: state (n,), of which angle and pressures count.
@@ -37,7 +37,7 @@ def pull(x, p, effects=True):
 def rest_angle(pressure_1, pressure_2, p, effects=True):
     """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within the stop.
 
-    Where the balance lies beyond the stop (or beyond ±60° without one), that bound.
+    A balance beyond the stop (or beyond ±60° without one) gives that bound.
 
     Args:
         pressure_1: P_1 [Pa].
@@ -64,7 +64,7 @@ def rest_angle(pressure_1, pressure_2, p, effects=True):
 
 @inlined
 def closed_pressure(i, angle, p):
-    """Pressure [Pa] of a sealed muscle: equation (4) without flow keeps P V^k_2 as it was charged.
+    """Pressure [Pa] of a sealed muscle: by equation (4) without flow, P V^k_2 stays constant after the charge.
 
     Args:
         i: muscle, 0 or 1.
@@ -81,8 +81,8 @@ def closed_pressure(i, angle, p):
 def start_angle(pressure_1, pressure_2, p, effects=True):
     """Angle [rad] at which a filter starts.
 
-    Of sealed muscles whose charge is known, the angle at which the ratio of the pressures is that of the
-    closed chambers; otherwise the angle of rest.
+    If the charge of sealed muscles is known, it is the angle at which the closed chambers have this ratio of
+    pressures. Otherwise it is the angle of rest.
 
     Args:
         pressure_1: P_1 [Pa].
@@ -107,10 +107,10 @@ def start_angle(pressure_1, pressure_2, p, effects=True):
 
 @kernel
 def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
-    """State of a joint that has stood for long: at rest, valves open as they are asked to, slow states steady.
+    """State of a joint after a long rest: valves at the open rates that ``u`` asks for, added states steady.
 
-    What a line loses is that of the flow which the valves let through at these pressures; of a joint that has stood
-    for long, nothing. With a velocity, the joint has moved this way for long instead.
+    The pressure drop of a line belongs to the valve flow at these pressures, so it is 0 if they are steady. With a
+    velocity, the added states are those after a long motion at this velocity.
 
     Args:
         angle: ψ [rad].
@@ -118,7 +118,7 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
         pressure_2: P_2 [Pa].
         u: input, as for :func:`integration.rk4_step`.
         p: parameter vector.
-        velocity: ψ̇ [rad/s] with which it has come; the state's own is 0.
+        velocity: ψ̇ [rad/s] of the motion before; the velocity in the state is 0.
 
     Returns:
         State (n,), n = p[parameters.STATES].
@@ -139,7 +139,7 @@ def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, effects):
         pressure_2: P_2 [Pa].
         u: input, as for :func:`integration.rk4_step`.
         p: parameter vector (m,).
-        velocity: ψ̇ [rad/s] with which it has come.
+        velocity: ψ̇ [rad/s] of the motion before.
         effects: None where the rig is known to be plain.
     """
     x[:] = 0.0

@@ -47,7 +47,7 @@ def _on_curve(valve, voltage, p):
 
 @inlined
 def open_rate(valve, voltage, p):
-    """α = κ(u) as far as the valve goes, with what effects shift of it.
+    """α = κ(u) with the shifts of effects, limited to 0 and 1.
 
     Args:
         valve: 0 or 1.
@@ -63,17 +63,17 @@ def open_rate(valve, voltage, p):
 
 @inlined
 def curve_shift(valve, p):
-    """By how much effects shift the curve of a valve (0 or 1): along the voltage [V], and along the open rate [-]."""
+    """Shifts that effects give the curve of a valve (0 or 1): along the voltage [V], and along the open rate [-]."""
     return -_voltage_shift(0.0, valve, p), _open_rate_shift(0.0, valve, p)
 
 
 @inlined
 def valve_flow(valve, alpha, pressure, supply, p):
-    """Equation (5) from a supply of any pressure, and what of it is drawn from the supply.
+    """Mass flow by equation (5) from a supply of any pressure, and the flow drawn from the supply.
 
     A_0 is the inflow area where the sum is positive and the outflow area where it is not. A_0 is a
-    factor of both terms, so the sign is known before the area is. What is drawn passes the inflow orifice, so that its
-    area is A_1 whichever A_0 is.
+    factor of both terms, so the sign is known before the area is. The drawn flow passes the inflow orifice, so
+    its area is always A_1.
 
     Args:
         valve: 0 or 1.
@@ -124,7 +124,7 @@ def open_rate_for(valve, flow, pressure, supply, p):
 
 @inlined
 def voltage_for(valve, alpha, p):
-    """κ solved for the voltage [V] that opens a valve so far; the nearest end of the curve beyond its ends.
+    """Voltage [V] of an open rate, the inverse of κ; beyond the curve, the voltage of its nearest end.
 
     Args:
         valve: 0 or 1.
@@ -172,13 +172,13 @@ def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
         p: parameter vector.
     """
     supplied = p[POLYTROPIC_FLOW] * p[GAS_CONSTANT] * p[TEMPERATURE] * flow
-    # The reciprocal is ready long before the flow is: one division less to wait for.
+    # The processor computes the reciprocal before it has the flow, so no division waits for the flow.
     return (supplied - p[POLYTROPIC_VOLUME] * volume_rate * pressure) * (1.0 / chamber_volume)
 
 
 @inlined
 def flow_for(rate, pressure, chamber_volume, volume_rate, p):
-    """Equation (4) solved for the mass flow m_i [kg/s] that changes the pressure so fast.
+    """Mass flow m_i [kg/s] that gives a rate of the pressure, the inverse of equation (4).
 
     Args:
         rate: Ṗ_i wanted [Pa/s].
@@ -187,7 +187,7 @@ def flow_for(rate, pressure, chamber_volume, volume_rate, p):
         volume_rate: V̇_i [m³/s].
         p: parameter vector.
     """
-    # The equation is linear in the flow: its own function gives the part without flow, and what a unit of flow adds.
+    # pressure_rate is linear in the flow: its value without flow is the offset, its value for a unit of flow the slope.
     without = pressure_rate(pressure, chamber_volume, volume_rate, 0.0, p)
     return (rate - without) / pressure_rate(0.0, chamber_volume, 0.0, 1.0, p)
 

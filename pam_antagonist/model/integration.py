@@ -15,7 +15,7 @@ from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, 
 from pam_antagonist.model.parameters import BASE_STATES, LONGEST_STEP, PLAIN, STOP
 
 STAGES = 4
-"""Stages of a Runge-Kutta step; a step with added states needs a row of scratch for each, and one more."""
+"""Stages of a Runge-Kutta step. A step with added states needs scratch of STAGES + 1 rows."""
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _open_rate, _external_torque = flow.open_rate, dynamics.external_torque
@@ -124,7 +124,7 @@ def rk4_step_within(x, u, p, dt, result, scratch):
 
 @kernel
 def rk4_step(x, u, p, dt, result, effects=True):
-    """:func:`rk4_step_within` with scratch of its own; in a loop, to ask for memory takes as long as the step.
+    """:func:`rk4_step_within` that allocates its scratch, which takes as long as the step: not for loops.
 
     Args:
         x: state (n,), not changed unless it is also ``result``.
@@ -141,11 +141,11 @@ def rk4_step(x, u, p, dt, result, effects=True):
 
 
 def substeps_of(period: float, longest: float = LONGEST_STEP) -> int:
-    """Runge-Kutta steps a sample, so that none is longer than wanted.
+    """Number of Runge-Kutta steps in a sample.
 
     Args:
         period: sample period [s].
-        longest: step [s]; a tenth more is no reason for another step.
+        longest: longest step [s]; a tenth more is allowed.
     """
     return max(1, math.ceil(period / longest - 0.1))
 
@@ -163,7 +163,7 @@ def _course(x, voltage, p, dt, substeps, states, torques, scratch):
 
 @kernel
 def course(x0, voltage, p, dt, substeps):
-    """The model alone, driven by recorded voltages: states and torques, which is all that a fit compares.
+    """The model alone, driven by recorded voltages: states and torques, as a fit needs them.
 
     Args:
         x0: state (n,) at the first sample.
@@ -184,14 +184,14 @@ def course(x0, voltage, p, dt, substeps):
 
 @kernel
 def simulate(x0, voltage, p, dt, substeps):
-    """:func:`course`, and the subsystems σ (N,) that it passed through.
+    """States and torques of :func:`course`, and the subsystem σ (N,) at each sample.
 
     Args:
         x0: first state (n,).
         voltage: as for :func:`course`, (N, 2) or (N, 3) [V, N m].
         p: parameter vector (m,).
         dt: time between the rows [s].
-        substeps: steps of the integration in it.
+        substeps: Runge-Kutta steps in that time.
     """
     states, torques = course(x0, voltage, p, dt, substeps)
     sigma = np.empty(states.shape[0], dtype=np.int64)

@@ -1,6 +1,6 @@
 """The joint: torque of the muscles, friction, motion. Equations (8), (9) and (10).
 
-With them the laws of friction that the paper compares (10) with.
+The laws of friction that the paper compares with (10) are here too.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
 
 @in_place
 def _compared_coulomb(velocity, p):
-    """Torque [N m] of the compared laws; a function of its own, so that the paper's own law's stays small and quick."""
+    """Torque [N m] of the other laws. It is a separate function to keep the code of the paper's law small and fast."""
     if p[FRICTION_LAW] == _SIMPLE:
         return p[LEVER_FORCE] * p[RADIUS]
     fade = exp(-abs(velocity) / p[FRICTION_VELOCITY])
@@ -95,7 +95,7 @@ def kikuuwe_torque(velocity, applied, coulomb, viscous, p):
     Returns:
         T_f [N m], and 1.0 where the joint slides or 0.0 where it sticks.
     """
-    # Divisions cost most, and those by parameters alone are the same in all stages of a step.
+    # Divisions are slow. Those of parameters alone are the same in all stages of a step: the compiler does them once.
     z = p[FRICTION_STEP] / p[INERTIA]
     free = velocity + z * applied
     if abs(free) <= z * coulomb:
@@ -114,9 +114,9 @@ def quickest_lag(p):
 def friction_torque(velocity, applied, coulomb, p):
     """T_f [N m] by the rig's law of friction, and whether the joint slides.
 
-    The laws that the paper compares (10) with (Table III) put another torque in place of T_s + T_p, and no
-    viscous one: ``simple`` a constant force on the lever, r F_r sgn ψ̇; ``tondu``
-    ((f_s − f_k) exp(−|ψ̇|/v) + f_k) sgn ψ̇ (Tondu and Lopez 2000), read as torques; ``none`` nothing.
+    The laws that the paper compares with (10) (Table III) replace T_s + T_p and have no viscous torque:
+    ``simple`` is a constant force on the lever, r F_r sgn ψ̇; ``tondu`` is
+    ((f_s − f_k) exp(−|ψ̇|/v) + f_k) sgn ψ̇ (Tondu and Lopez 2000), read as torques; ``none`` is no friction.
 
     Args:
         velocity: ψ̇ [rad/s].
@@ -142,7 +142,7 @@ def acceleration(angle, velocity, torque, coulomb, p, effects=True):
         torque: τ of the muscles [N m].
         coulomb: T_s + T_p [N m].
         p: parameter vector (m,).
-        effects: None where the law is known to be the paper's own, so that it need not be looked up.
+        effects: None where the rig is known to be plain, so that the friction law is the paper's own.
     """
     applied = torque - p[STIFFNESS] * angle
     if effects is None:

@@ -1,6 +1,6 @@
-"""The course of eight models side by side, compiled. It is imported when it is needed: it writes the lane form first.
+"""The course of eight models side by side, compiled. Import it only where it is needed: this generates the lane form.
 
-To read what is written: ``python -m pam_antagonist.model.lane_course``.
+To read the generated module: ``python -m pam_antagonist.model.lane_course``.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ def course(x, voltage, p, dt, substeps, states, torques, scratch):
     """:func:`~pam_antagonist.model.integration.course` of eight models.
 
     Args:
-        x: states (n, 8) at the first sample; those at the last one after it.
-        voltage: input (N, 2) or (N, 3) of all of them [V, N m].
+        x: states (n, 8) at the first sample; changed in place to the states at the last one.
+        voltage: input (N, 2) or (N, 3) of all models [V, N m].
         p: parameter vectors (P, 8).
         dt: sample period [s].
         substeps: Runge-Kutta steps a sample.
         states: result (8, N, n).
         torques: result (8, N) [N m].
-        scratch: (STAGES + 1, n, 8) for a step, (CHUNK, n, 8) and (CHUNK, 8) for some samples.
+        scratch: (STAGES + 1, n, 8) for a step, (CHUNK, n, 8) and (CHUNK, 8) for the last samples.
     """
     stages, recent, recent_torques = scratch
     for begin in range(0, states.shape[1], CHUNK):

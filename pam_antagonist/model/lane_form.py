@@ -1,16 +1,16 @@
 """The lane form of compiled functions: the same equations for eight numbers at once, written from their source.
 
-The equations stand once, for numbers. Their form for lanes (:mod:`pam_antagonist.model.lane_values`) differs in the
-branches only: different lanes may go different ways. So this module writes it, from the source of the functions:
+The equations are written once, for numbers. Their form for lanes (:mod:`pam_antagonist.model.lane_values`) differs only
+in the branches, since different lanes may take different ones. This module generates it from the functions' source:
 
-* ``if c: v = a`` becomes ``if some(c): v = where(c, a, v)``: a way that no lane goes is left out, as with numbers;
-* a ``return`` within such a branch sets the result of the lanes that are on this way; the others go on;
+* ``if c: v = a`` becomes ``if some(c): v = where(c, a, v)``: a branch that no lane takes is skipped, as with numbers;
+* a ``return`` within such a branch sets the result of the lanes that take the branch; the others go on;
 * an entry of an array, ``a[k]``, becomes ``item(a, k)``: arrays of lanes have a further dimension.
 
-A condition that is the same in all lanes stays an ``if``. So does an index. What cannot be written so is refused, by
-:class:`NoLaneForm`: the functions for numbers do it then, with the same result.
+A condition that is the same in all lanes stays an ``if``. Code without a lane form raises :class:`NoLaneForm`: the
+functions for numbers are used instead, with the same result.
 
-To read what was written: ``python -m pam_antagonist.model.lane_course``.
+To read the generated module: ``python -m pam_antagonist.model.lane_course``.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ from pam_antagonist.model.lane_values import both, either, item, no, put, shared
 
 
 class NoLaneForm(Exception):
-    """A function that has no form for lanes; the message says which and why."""
+    """A function has no form for lanes; the message says which one and why."""
 
 
 def lane_module(roots: Sequence[Any]) -> str:
-    """Source of a module with the lane form of some compiled functions, and of all that they call.
+    """Source of a module with the lane form of some compiled functions, and of all functions that they call.
 
     Args:
-        roots: the functions, each compiled; they keep their names.
+        roots: the compiled functions; they keep their names.
 
     Raises:
-        NoLaneForm: a function with what cannot be written for lanes.
+        NoLaneForm: a function that has no form for lanes.
     """
     module = _Module()
     for root in roots:
@@ -65,7 +65,7 @@ def lane_module(roots: Sequence[Any]) -> str:
 
 
 class _Module:
-    """The text so far."""
+    """Collects the text of the generated module."""
 
     def __init__(self) -> None:
         self.names: dict[int, str] = {}
@@ -75,7 +75,7 @@ class _Module:
         self.functions: list[str] = []
 
     def add(self, kernel: Any) -> str:
-        """The name of a function's lane form, which is written where it is not there yet."""
+        """Name of a function's lane form, which is generated at the first call."""
         function = kernel.py_func
         name = self.names.setdefault(id(kernel), f"{function.__module__.split('.')[-1]}__{function.__name__}")
         if id(kernel) not in self.done:
@@ -85,7 +85,7 @@ class _Module:
         return name
 
     def named(self, name: str, function: Any) -> str:
-        """What a global name of a function is called in the module."""
+        """Name in the generated module for a global name of a function."""
         if name not in function.__globals__:
             if name in _BUILT_IN:
                 return name
@@ -109,7 +109,7 @@ class _Module:
 
 
 class _Function:
-    """One function, statement by statement."""
+    """Generates the lane form of one function, statement by statement."""
 
     def __init__(self, module: _Module, function: Any, name: str) -> None:
         self.module, self.function, self.name = module, function, name
@@ -119,14 +119,18 @@ class _Function:
         self.arguments = [argument.arg for argument in tree.args.args]
         self.locals = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
         self.locals |= set(self.arguments)
+        # Names that have a value in every lane by now.
         self.known: set[str] = set(self.arguments)
+        # Names that have the same value in all lanes.
         self.shared = set(_SHARED_ARGUMENTS) & set(self.arguments)
+        # Names of indices of parameters that are the same in all lanes.
         self.structural: set[str] = set()
         self.counter = itertools.count(1)
+        # Of each loop with a return, from the outermost: the mask of the lanes that have no result yet.
         self.going: list[str] = []
 
     def written(self) -> ast.FunctionDef:
-        """The lane form."""
+        """The lane form of the function."""
         body = self.tree.body
         if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
             body = body[1:]
@@ -153,7 +157,7 @@ class _Function:
     # Statements.
 
     def block(self, body: Sequence[ast.stmt], active: str | None) -> list[ast.stmt]:
-        """Statements of the lanes that are active (None: all)."""
+        """Lane form of statements, for the lanes in the mask ``active`` (None: all lanes)."""
         out: list[ast.stmt] = []
         for k, statement in enumerate(body):
             out += self.statement(statement, active)
@@ -164,7 +168,7 @@ class _Function:
         return out
 
     def statement(self, node: ast.stmt, active: str | None) -> Iterator[ast.stmt]:
-        """What a statement becomes."""
+        """Lane form of a statement."""
         if isinstance(node, ast.Assign) and len(node.targets) == 1:
             yield from self.assignment(node.targets[0], node.value, active)
         elif isinstance(node, ast.AugAssign):
@@ -185,7 +189,7 @@ class _Function:
             raise self.refusal(node, f"a statement of the kind {type(node).__name__}")
 
     def assignment(self, target: ast.expr, value: ast.expr, active: str | None) -> Iterator[ast.stmt]:
-        """``target = value`` in the lanes that are active."""
+        """``target = value`` in the active lanes."""
         if isinstance(target, ast.Tuple):
             parts = [self.fresh("part") for _ in target.elts]
             given, before = self.expression(value)
@@ -204,7 +208,7 @@ class _Function:
         yield from self.set(target, given, active)
 
     def set(self, target: ast.expr, value: ast.expr, active: str | None) -> Iterator[ast.stmt]:
-        """Set a name or an entry to a value that is written already."""
+        """Set a name or an entry of an array to a value in lane form."""
         if isinstance(target, ast.Name):
             if active is not None:
                 self.shared.discard(target.id)
@@ -222,11 +226,11 @@ class _Function:
         yield from (*before, *more, ast.Expr(_call("put", array, index, value)))
 
     def branch(self, node: ast.If, active: str | None) -> Iterator[ast.stmt]:
-        """An ``if``: of all lanes where the condition is the same in all of them, else of each."""
+        """An ``if``: it stays one if the condition is the same in all lanes; otherwise each branch gets a mask."""
         condition, before = self.expression(node.test)
         yield from before
         if self.is_shared(node.test):
-            # What is set on both ways is known behind them.
+            # Both branches start with the same names. Names set in either are known after them.
             known, shared = set(self.known), set(self.shared)
             body = self.block(node.body, active)
             known_then, shared_then = self.known, self.shared
@@ -249,26 +253,26 @@ class _Function:
             yield from self.way(other_way, node.orelse)
 
     def way(self, mask: str, body: Sequence[ast.stmt]) -> Iterator[ast.stmt]:
-        """One way of a branch, left out where no lane goes it."""
+        """One branch of an ``if``, skipped where no lane takes it."""
         known = set(self.known)
         inner = self.block(body, mask)
         self.known = known
         yield ast.If(_call("some", _name(mask)), inner or [ast.Pass()], [])
         if self.going and any(_returns(body)):
-            # Within a loop, lanes that have their result are done.
+            # Within a loop, lanes that have their result take no further part.
             going = self.going[-1]
             yield _assign(going, _call("both", _name(going), _call("no", _name(mask))))
             yield ast.If(ast.UnaryOp(ast.Not(), _call("some", _name(going))), [ast.Break()], [])
 
     def loop(self, node: ast.For, active: str | None) -> Iterator[ast.stmt]:
-        """A loop over whole numbers that are the same in all lanes."""
+        """A loop over integers that are the same in all lanes."""
         if not isinstance(node.target, ast.Name) or node.orelse or not self.is_shared(node.iter):
             raise self.refusal(node, "a loop that is not over whole numbers that all lanes share")
         self.shared.add(node.target.id)
         over, before = self.expression(node.iter)
         yield from before
         self.known.add(node.target.id)
-        # What a loop sets may have become different between lanes when it begins again.
+        # Names set in the loop may differ between lanes from the second pass on.
         self.shared -= _set_names(node.body)
         if any(_returns(node.body)):
             active_before, active = active, self.fresh("going")
@@ -277,7 +281,7 @@ class _Function:
         yield ast.For(_name(node.target.id, True), over, self.block(node.body, active), [])
 
     def returned(self, node: ast.Return, active: str | None) -> Iterator[ast.stmt]:
-        """A result, of the function or of the lanes that are active."""
+        """A ``return``, of the whole function or of the active lanes."""
         if node.value is None:
             if active is not None:
                 raise self.refusal(node, "an end in some lanes")
@@ -304,28 +308,28 @@ class _Function:
     # Expressions.
 
     def expression(self, node: ast.expr) -> tuple[ast.expr, list[ast.stmt]]:
-        """What an expression becomes, and statements that go before it."""
+        """Lane form of an expression, and the statements that must precede it."""
         before: list[ast.stmt] = []
         writer = _Expression(self, before)
         return writer.visit(copy.deepcopy(node)), before
 
     def fresh(self, what: str) -> str:
-        """A name that is not used yet."""
+        """A new name that no other variable has."""
         return f"{what}_{next(self.counter)}_"
 
     def follow(self, name: str, value: ast.expr) -> None:
-        """Note what is known of a name that is set."""
+        """Note whether a name that is set is an index of structure, and whether it is the same in all lanes."""
         (self.structural.add if self.is_structural(value) else self.structural.discard)(name)
         (self.shared.add if self.is_shared(value) else self.shared.discard)(name)
 
     def follow_all(self, target: ast.Tuple, value: ast.Tuple) -> None:
-        """Likewise of several."""
+        """:meth:`follow` for several names."""
         for to, part in zip(target.elts, value.elts, strict=True):
             if isinstance(to, ast.Name):
                 self.follow(to.id, part)
 
     def is_structural(self, index: ast.expr) -> bool:
-        """Whether an index names a place in the parameters that holds the same in all lanes."""
+        """Whether an index is that of a parameter that has the same value in all lanes."""
         for node in ast.walk(index):
             if isinstance(node, ast.Name):
                 value = self.function.__globals__.get(node.id)
@@ -357,13 +361,13 @@ class _Function:
         return False
 
     def refusal(self, node: ast.AST, what: str) -> NoLaneForm:
-        """What is said of something that has no form for lanes."""
+        """Exception for code that has no form for lanes."""
         place = f"{self.function.__module__}.{self.function.__name__}, line {getattr(node, 'lineno', 0)}"
         return NoLaneForm(f"{place}: {what}")
 
 
 class _Expression(ast.NodeTransformer):
-    """Rewrites an expression of one function."""
+    """Rewrites an expression of one function; ``before`` collects the statements that must precede it."""
 
     def __init__(self, function: _Function, before: list[ast.stmt]) -> None:
         self.of, self.before = function, before
@@ -434,7 +438,7 @@ def _holds_structure(place: int) -> bool:
 
 
 def _returns_last(body: Sequence[ast.stmt]) -> list[ast.stmt]:
-    """The same statements, those behind a branch that always returns put into the other branch."""
+    """The same statements, where those after a branch that always returns are moved into the other branch."""
     out: list[ast.stmt] = []
     for k, node in enumerate(body):
         if isinstance(node, ast.If):

@@ -1,11 +1,11 @@
 """Eight numbers that one instruction works on: a type of value for compiled code, with the operators of a number.
 
-A kernel on such *lanes* does eight times what it does on a number: lane k of every result has the bits that the kernel
-gives for the numbers in lane k of its arguments. The processor has the instructions (AVX-512, AVX or SSE), or LLVM puts
-smaller ones in their place; the bits are the same.
+A kernel on such *lanes* computes eight results at once: lane k of every result has the bits that the kernel gives for
+the numbers in lane k of its arguments. The processor has the instructions (AVX-512, AVX or SSE), or LLVM uses several
+smaller ones; the bits are the same.
 
-A comparison of lanes gives a *mask*, eight truth values. ``if`` cannot go two ways at once: :func:`some` says whether
-any lane goes a way, and :func:`where` takes from each way what belongs to a lane.
+A comparison of lanes gives a *mask*, eight truth values. An ``if`` cannot take two branches at once: :func:`some` says
+whether any lane takes a branch, and :func:`where` chooses between the results of two branches, lane by lane.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numba.core import cgutils, codegen, config, types
 from numba.core.typing import signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model, type_callable
 
-# numba's own writer of LLVM's language.
+# The builder of LLVM code that numba uses.
 ir: Any = cgutils.ir
 
 
@@ -42,7 +42,7 @@ def width(features: str) -> tuple[int, int]:
 
 LANES, FEWEST = width(config.CPU_FEATURES or codegen.get_host_cpu_features())
 CHUNK = 64
-"""Samples of all lanes that are kept until they are given to each model: as many as stay in the processor's cache."""
+"""Samples of all lanes that are collected before they are copied to each model: so many fit into the cache."""
 _DOUBLE, _BIT, _INDEX = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
 _LANES, _MASK = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_BIT, LANES)
 
@@ -58,7 +58,7 @@ class _LanesType(types.Type):  # type: ignore[misc]
         return typingctx.can_convert(other, types.float64) if isinstance(other, types.Number) else None
 
     def unify(self, typingctx: Any, other: Any) -> Any:
-        """What is lanes on one way is lanes behind both."""
+        """A variable that is lanes in one branch and a number in the other is lanes after both."""
         return self if isinstance(other, types.Number) else None
 
 
@@ -73,7 +73,7 @@ class _MaskType(types.Type):  # type: ignore[misc]
         return typingctx.can_convert(other, types.boolean) if isinstance(other, types.Boolean) else None
 
     def unify(self, typingctx: Any, other: Any) -> Any:
-        """What is a mask on one way is a mask behind both."""
+        """A variable that is a mask in one branch and a truth value in the other is a mask after both."""
         return self if isinstance(other, types.Boolean) else None
 
 
@@ -109,12 +109,12 @@ def _mask_of_truth(context: Any, builder: Any, fromty: Any, toty: Any, value: An
 
 
 def _any_lanes(*args: Any) -> bool:
-    """Whether arguments are numbers, at least one of them eight."""
+    """Whether all arguments are numbers or lanes, and at least one is lanes."""
     return lanes in args and all(arg is lanes or isinstance(arg, types.Number) for arg in args)
 
 
 def _operator(function: Callable[..., Any], result: Any, build: Callable[..., Any], count: int = 2) -> None:
-    """Give a function of numbers a meaning for lanes."""
+    """Define a function of numbers for lanes."""
 
     @type_callable(function)
     def typed(context: Any) -> Any:
@@ -151,7 +151,7 @@ for _function, _sign in (
     _operator(_function, mask, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y))
 _operator(operator.ne, mask, lambda b, x, y: b.fcmp_unordered("!=", x, y))
 _operator(operator.neg, lanes, lambda b, x: b.fneg(x), 1)
-# As of numbers: the second one where it is more (or less) for certain, so that a NaN in the first one stays.
+# As for numbers: the second argument only if it is greater (or less), so that a NaN in the first one stays.
 _operator(max, lanes, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
 _operator(min, lanes, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
 
@@ -171,7 +171,7 @@ _operator(math.sqrt, lanes, _by_llvm("sqrt"), 1)
 
 
 def _one_by_one(function: Callable[..., Any], count: int) -> None:
-    """Functions that no instruction has are called for one lane after another."""
+    """Define a function without an instruction for lanes: it is called for one lane after another."""
 
     @type_callable(function)
     def typed(context: Any) -> Any:
@@ -247,13 +247,13 @@ def no(typingctx: Any, a: Any) -> Any:
 
 @intrinsic
 def where(typingctx: Any, condition: Any, a: Any, b: Any) -> Any:
-    """A choice for each lane; of numbers and truth values as well.
+    """A choice between two values, for each lane. Numbers and truth values are allowed as well.
 
     Args:
         typingctx: numba's.
         condition: mask, or a truth value.
-        a: where the condition holds.
-        b: elsewhere.
+        a: value where the condition holds.
+        b: value elsewhere.
     """
     unified = typingctx.unify_types(a, b)
     if unified is None:
@@ -272,12 +272,12 @@ def where(typingctx: Any, condition: Any, a: Any, b: Any) -> Any:
 
 
 def _address(context: Any, builder: Any, arrayty: Any, array: Any, index_type: Any, index: Any) -> Any:
-    """Where the first lane of an entry is."""
+    """Address of the first lane of an entry."""
     holder = context.make_array(arrayty)(context, builder, array)
     many = isinstance(index_type, types.BaseTuple)
     kinds = list(index_type.types) if many else [index_type]
     values = cgutils.unpack_tuple(builder, index) if many else [index]
-    # An index out of floats is whole by then; all of them count from the front.
+    # An index read from an array of floats is an integer by now. No index is negative.
     at = [context.cast(builder, v, t, types.intp) for v, t in zip(values, kinds, strict=True)]
     at.append(context.get_constant(types.intp, 0))
     return cgutils.get_item_pointer(context, builder, arrayty, holder, at, wraparound=False)
@@ -294,7 +294,7 @@ def item(typingctx: Any, array: Any, index: Any) -> Any:
     Args:
         typingctx: numba's.
         array: of any dimension.
-        index: a whole number from 0 on, or several.
+        index: an integer that is not negative, or a tuple of them.
     """
     if not isinstance(array, types.Array):
         return None
@@ -326,7 +326,7 @@ def put(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     Args:
         typingctx: numba's.
         array: its last dimension is that of the lanes.
-        index: a whole number from 0 on, or several.
+        index: an integer that is not negative, or a tuple of them.
         value: lanes, or a number for all of them.
     """
     if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != _dimensions(index) + 1:
@@ -348,7 +348,7 @@ def shared(typingctx: Any, array: Any, index: Any) -> Any:
     Args:
         typingctx: numba's.
         array: (n, 8).
-        index: a whole number from 0 on.
+        index: an integer that is not negative.
     """
     if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != 2:
         return None
@@ -363,7 +363,7 @@ _LONG = ir.IntType(64)
 
 
 def _of_bits(doc: str, build: Callable[..., Any]) -> Any:
-    """A function of the bits of a number, or of each lane."""
+    """Define a function of the bits of a number, or of those of each lane."""
 
     def typer(typingctx: Any, value: Any) -> Any:
         if value is not lanes and not isinstance(value, types.Float):

@@ -1,8 +1,8 @@
 """Many models on the same inputs at once, eight in a step of the integration.
 
-A fit asks for the same recording simulated with many parameter vectors. Eight of them run side by side
-(:mod:`pam_antagonist.model.lane_values`), by the same equations (:mod:`pam_antagonist.model.lane_form`), and each gives
-the bits that :func:`pam_antagonist.model.integration.course` gives for it alone.
+A fit simulates the same recording with many parameter vectors. Eight of them run side by side
+(:mod:`pam_antagonist.model.lane_values`), by the same equations (:mod:`pam_antagonist.model.lane_form`). Each result
+has the same bits as that of :func:`pam_antagonist.model.integration.course` for this model alone.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def courses(
             for k in group:
                 out[k] = integration.course(starts[k], voltage, vectors[k], dt, substeps)
             continue
-        # Lanes that are left over do what the first one does.
+        # Unused lanes repeat the first model.
         filled = [*group, *group[:1] * (LANES - len(group))]
         x = np.stack([starts[k] for k in filled], axis=1)
         p = beside([vectors[k] for k in filled])
@@ -53,10 +53,10 @@ def courses(
 
 
 def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
-    """Parameters of eight models that run side by side (P, 8).
+    """Parameters of eight models that run side by side (P, 8). All take the branches that any of them needs.
 
     Args:
-        vectors: parameter vector (P,) of each; all go the ways that any of them needs.
+        vectors: parameter vector (P,) of each.
     """
     p = np.stack(vectors, axis=1)
     p[par.PLAIN], p[par.STATELESS_EFFECTS] = p[par.PLAIN].min(), p[par.STATELESS_EFFECTS].max()
@@ -64,10 +64,10 @@ def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def step(plain: bool) -> Any:
-    """The Runge-Kutta step of eight models, compiled; None where they had better run one by one.
+    """The Runge-Kutta step of eight models, compiled; None where single steps are faster or eight cannot be compiled.
 
     Args:
-        plain: whether all of them are known to be plain: much less is compiled then.
+        plain: whether all models are known to be plain: much less is compiled then.
 
     Returns:
         :func:`~pam_antagonist.model.integration.plain_step` or
@@ -86,27 +86,27 @@ def step(plain: bool) -> Any:
 
 
 def groups(models: Sequence[Sequence[np.ndarray]]) -> list[list[int]]:
-    """Which models can run side by side: indices, at most eight together.
+    """Groups of models that can run side by side, as indices; at most eight in a group.
 
     Args:
         models: parameter vectors (P,) of each model, one for each of its phases.
     """
-    alike: dict[tuple[bytes, ...], list[int]] = {}
+    by_structure: dict[tuple[bytes, ...], list[int]] = {}
     for k, vectors in enumerate(models):
-        alike.setdefault(tuple(map(_structure, vectors)), []).append(k)
-    return [some[begin : begin + LANES] for some in alike.values() for begin in range(0, len(some), LANES)]
+        by_structure.setdefault(tuple(map(_structure, vectors)), []).append(k)
+    return [same[begin : begin + LANES] for same in by_structure.values() for begin in range(0, len(same), LANES)]
 
 
 def _structure(p: np.ndarray) -> bytes:
     """What models must have in common to run side by side: options of the rig, added states, signals, valve curves."""
-    behind = p[par.LOCKED :].copy()
-    behind[[place - par.LOCKED for place in (*par.FLOW_CONSTANTS, par.PLAIN, par.STATELESS_EFFECTS)]] = 0.0
-    return behind.tobytes()
+    shared = p[par.LOCKED :].copy()
+    shared[[place - par.LOCKED for place in (*par.FLOW_CONSTANTS, par.PLAIN, par.STATELESS_EFFECTS)]] = 0.0
+    return shared.tobytes()
 
 
 @lru_cache(maxsize=1)
 def _side_by_side() -> Any:
-    """The course of eight models; None where an effect of another package has no lane form."""
+    """The compiled course of eight models; None where an effect of another package has no lane form."""
     try:
         return importlib.import_module("pam_antagonist.model.lane_course").course
     except lane_form.NoLaneForm:
@@ -114,5 +114,5 @@ def _side_by_side() -> Any:
 
 
 def _scratch(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For a step, and for states and torques of some samples."""
+    """Scratch of the course: for a step, and for states and torques of the last samples."""
     return np.empty((integration.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES)), np.empty((CHUNK, LANES))

@@ -1,6 +1,6 @@
 """Geometry, volume and contraction force of a muscle: equations (2), (3), (6) and (7).
 
-With them the forms of the force map that the paper compares (6) with.
+The forms of the force map that the paper compares with (6) are here too.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _UNIT_PRESSURE = 1e5
 
 @inlined
 def leverage(angle, p):
-    """How the joint moves the muscles' ends: travel over r, its derivative (the lever arm over r), and that one's.
+    """Travel of the muscles' ends over r, with its first derivative (the lever arm over r) and its second.
 
     A seesaw's ends travel by r sin ψ (equation (2)), of which the paper counts the vertical part; a pulley
     winds up r ψ.
@@ -91,7 +91,6 @@ def volume(muscle, muscle_length, p):
         muscle_length: l_i [m].
         p: parameter vector (m,).
 
-
     Returns:
         V_i [m³] and dV_i/dl_i [m²].
     """
@@ -123,8 +122,8 @@ def force(muscle, muscle_length, pressure, p):
     """Contraction force [N] of a form of the static force map.
 
     ``linear`` is equations (6) and (7): F = v(l) P + w(l). It is not cut off at zero: inside the joint's range and
-    above 200 kPa it stays positive within a newton, and a cut would hide a wrong calibration. The others are those that
-    the paper compares it with (Table IV), in the contraction k = 1 − l/L_0 and q = P/100 kPa:
+    above 200 kPa it stays positive within a newton, and a cut would hide a wrong calibration. The other forms are those
+    of the paper's comparison (Table IV), in the contraction k = 1 − l/L_0 and q = P/100 kPa:
 
     * ``hildebrandt`` (Hildebrandt et al. 2005): area and elastic force as polynomials,
       (c1 + c2 k + c3 k²) q + c4 + c5 k + c6 k² + c7 k³;
@@ -145,7 +144,7 @@ def force(muscle, muscle_length, pressure, p):
 
 @in_place
 def _compared_force(base, muscle_length, pressure, p):
-    """The forms beside the linear one; a function of its own, so that the linear one's stays small and quick."""
+    """The other forms. They are a separate function to keep the code of the linear form small and fast."""
     form = p[FORCE_FORM]
     k, q, c = 1.0 - muscle_length / p[LENGTH], pressure / _UNIT_PRESSURE, base + C1
     if form == _HILDEBRANDT:

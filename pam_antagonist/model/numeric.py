@@ -1,8 +1,8 @@
 """Elementary functions of numbers and of lanes, with the same bits: sums of their power series.
 
-The libraries' own functions work on one number. With these here, a kernel on lanes
+The functions of the libraries work on one number. With the functions here, a kernel on lanes
 (:mod:`pam_antagonist.model.lane_values`) gives the bits of the kernel on numbers, on any processor. The terms are
-summed in pairs, which a processor works out side by side.
+summed in pairs, which the processor computes in parallel.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pam_antagonist._jit import inlined
 from pam_antagonist.model.lane_values import exponent, fraction, power_of_two, where
 
 _WHOLE = 1.5 * 2.0**52
-"""A number of ordinary size added to this is rounded to a whole one."""
+"""Adding this to a number rounds it to an integer, if its absolute value is below 2^51."""
 _LOG2_E = 1.0 / math.log(2.0)
-# Two parts of ln 2 and of π/2, the first one with zeros at its end: its product with a small whole number is exact.
+# ln 2 and π/2 in two parts. The first part ends with zero bits, so that its product with a small integer is exact.
 _LN2, _LN2_REST = float.fromhex("0x1.62E42FEEp-1"), 1.9082149292705877e-10
 _QUARTER, _QUARTER_REST = float.fromhex("0x1.921FB544p0"), 6.077100506506192e-11
 _FIRST_OF_UPPER_HALF = math.sqrt(2.0)
@@ -23,9 +23,9 @@ _FIRST_OF_UPPER_HALF = math.sqrt(2.0)
 
 @inlined
 def exp(x):
-    """The power e^x, to 1e-15 of its value; below −708 and above 709 that of these.
+    """The power e^x with a relative error of 1e-15; x is limited to −708 and 709.
 
-    With x = n ln 2 + r, it is 2^n e^r, and |r| ≤ 0.35: fourteen terms of the series.
+    With x = n ln 2 + r and |r| ≤ 0.35, it is 2^n e^r: fourteen terms of the series.
     """
     bounded = min(max(x, -708.0), 709.0)
     shifted = bounded * _LOG2_E + _WHOLE
@@ -41,7 +41,7 @@ def exp(x):
 
 @inlined
 def log(x):
-    """Natural logarithm, to 1e-15 of its value or of 1e-15; −inf of 0 and what is smaller than 2e-308, NaN below.
+    """Natural logarithm, to 1e-15 of its value or of 1e-15; −inf for 0 to 2e-308, NaN for negative numbers.
 
     With x = 2^n m and m from √½ to √2, it is n ln 2 + 2 artanh s, s = (m − 1)/(m + 1): eleven terms of the series.
     """
@@ -57,7 +57,7 @@ def log(x):
     low = (1.0 / 3.0 + z * (1.0 / 5.0)) + z2 * (1.0 / 7.0 + z * (1.0 / 9.0))
     high = (1.0 / 11.0 + z * (1.0 / 13.0)) + z2 * (1.0 / 15.0 + z * (1.0 / 17.0))
     tail = low + z4 * (high + z4 * (1.0 / 19.0 + z * (1.0 / 21.0)))
-    # 2 artanh s = f − s f + 2 z s (1/3 + ...): the first two terms make no error of rounding that counts.
+    # 2 artanh s = f − s f + 2 z s (1/3 + ...): the rounding errors of the first two terms are negligible.
     value = n * _LN2 + (f + ((2.0 * s * z * tail - s * f) + n * _LN2_REST))
     usual = where(x < math.inf, value, x)
     return where(x >= 2.3e-308, usual, where(x >= 0.0, -math.inf, math.nan))
@@ -65,7 +65,7 @@ def log(x):
 
 @inlined
 def power(base, exponent):
-    """A power of what is not negative, faster than a general power and as exact here."""
+    """A power of a base that is not negative; faster than a general power, and as exact for the model's values."""
     return exp(exponent * log(base))
 
 
@@ -73,7 +73,7 @@ def power(base, exponent):
 def sine_and_cosine(x):
     """The sine and the cosine of x, to 1e-15 for |x| up to some thousands.
 
-    With x = n π/2 + r, they are those of r in another order, and |r| ≤ π/4: nine terms of each series.
+    With x = n π/2 + r and |r| ≤ π/4, they are sine and cosine of r up to order and sign: nine terms of each series.
     """
     n = (x * (2.0 / math.pi) + _WHOLE) - _WHOLE
     r = (x - n * _QUARTER) - n * _QUARTER_REST
@@ -90,7 +90,7 @@ def sine_and_cosine(x):
     quarter = n - 4.0 * ((0.25 * n + _WHOLE) - _WHOLE)
     swapped = abs(quarter) == 1.0
     first, second = where(swapped, cosine, sine), where(swapped, sine, cosine)
-    # sin(r + π/2) = cos r, cos(r + π/2) = −sin r; by half a turn, both change their signs.
+    # sin(r + π/2) = cos r and cos(r + π/2) = −sin r. After half a turn, both change their signs.
     back = abs(quarter) == 2.0
     return (
         where(back, -first, where(quarter == -1.0, -first, first)),

@@ -1,9 +1,9 @@
 """The parameter vector: every number that the physics needs, in one flat array.
 
 The compiled physics reads parameters by the indices defined here; people read and write them by name.
-A name is the dotted path of the value in a rig file (``muscle_1.force.v1``), so that a rig, an
-uncertainty and an identified value all speak of the same thing. Values that depend on others (the flow
-constants of equation (5)) stand behind the named ones and are filled in by :func:`refresh`.
+A name is the dotted path of the value in a rig file (``muscle_1.force.v1``), so that rigs, uncertainties
+and identified values use the same names. Values that depend on others (the flow constants of
+equation (5)) follow the named ones and are filled in by :func:`refresh`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FORCE_FORMS = ("linear", "hildebrandt", "sarosi", "polynomial")
 FRICTION_LAWS = ("kikuuwe", "simple", "tondu", "none")
 """Laws of friction (``joint.friction_torque``)."""
 COEFFICIENTS = 7
-"""The most coefficients that a force map beside the linear one has."""
+"""The most coefficients of a force map other than the linear one."""
 
 _MUSCLE = (
     *("volume.d1", "volume.d2", "volume.d3", "force.v1", "force.v2", "force.w1", "force.w2"),
@@ -97,10 +97,10 @@ KINETIC_FRICTION = INDEX["friction.kinetic"]
 FRICTION_VELOCITY = INDEX["friction.velocity"]
 FRICTION_STEP = INDEX["friction.time_step"]
 LONGEST_STEP = 1e-3
-"""[s] Step of the integration in longer samples. A step may be a tenth longer where a sample is
-(:func:`~pam_antagonist.model.integration.substeps_of`), and up to a half between uneven stamps in the filter."""
+"""[s] Longest step of the integration; a longer sample is divided. A step may be a tenth longer
+(:func:`~pam_antagonist.model.integration.substeps_of`), and a half longer between uneven stamps in the filter."""
 
-# Behind the named values: the joint's condition, what is derived, the two valve curves.
+# The named values are followed by the options of the joint, the derived values and the two valve curves.
 LOCKED = len(_NAMES)
 CRITICAL_RATIO = LOCKED + 1
 CHOKED_FLOW = LOCKED + 2
@@ -110,23 +110,23 @@ PULLEY = LOCKED + 4
 FORCE_FORM = LOCKED + 5
 FRICTION_LAW = LOCKED + 6
 STATELESS_EFFECTS = LOCKED + 7
-"""1 where an effect that adds no state is at work, so that a rig without any pays for one comparison."""
+"""1 if an effect without an added state is present; a rig that has none costs one comparison."""
 STATES = LOCKED + 8
-"""How many states there are."""
+"""Number of states, added ones included."""
 PLAIN = LOCKED + 9
-"""1 for the paper's own model and no effect: what most rigs run, and the quickest."""
+"""1 for the paper's own model without effects, which most rigs have and which runs fastest."""
 SUBSONIC = LOCKED + 10
-"""Where the coefficients of the subsonic flow begin (:mod:`pam_antagonist.model.subsonic`)."""
+"""First of the coefficients of the subsonic flow (:mod:`pam_antagonist.model.subsonic`)."""
 SIGNAL = SUBSONIC + TERMS
-"""Where the further signals begin, by which effects may go; 0 where a signal is not measured."""
+"""First of the further signals on which effects may depend; the value is 0 where a signal is not measured."""
 SLOT = SIGNAL + SIGNALS
-"""Index in the state of each of ``effects.ADDED_STATES``, 0 for one that is not there."""
+"""First of the slots for ``effects.ADDED_STATES``: each holds the index in the state, or 0 for an absent state."""
 CURVE = SLOT + len(ADDED_STATES)
 CURVE_SIZE = 1 + 2 * MAX_KNOTS
 SIZE = CURVE + 2 * CURVE_SIZE
 
 SLOT_OF: Mapping[str, int] = {state.name: SLOT + k for k, (_, state) in enumerate(ADDED_STATES)}
-"""Where in the vector the index of an added state stands, by the state's name."""
+"""Index of each added state's slot, by the state's name."""
 _SWITCHES = [
     [INDEX[parameter_path(effect, name)] for name in (state.switch, *state.further)] for effect, state in ADDED_STATES
 ]
@@ -150,9 +150,9 @@ def added_states(p: np.ndarray) -> list[str]:
 
 
 def refresh(p: np.ndarray) -> np.ndarray:
-    """Fill in what follows from the named values.
+    """Fill in the values that follow from the named ones.
 
-    These are the constants of equation (5) that hold no pressure, and which states the effects add.
+    These are the constants of equation (5) that do not depend on a pressure, and the states that the effects add.
 
     Args:
         p: parameter vector (SIZE,), changed in place.

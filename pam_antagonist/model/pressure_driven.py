@@ -1,7 +1,7 @@
-"""The joint's mechanics alone, equations (6) to (10), driven by pressures that were measured.
+"""The joint's mechanics alone, equations (6) to (10), driven by the measured pressures.
 
-The same Runge-Kutta step as everywhere runs it. The valves are shut and the chambers keep what they are given, so that
-only the equations of forces, friction and motion act, with every effect on them.
+The Runge-Kutta step of the whole model integrates it. The valves are shut and the chambers keep the measured pressures.
+So only the equations of force, friction and motion act, with all their effects.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ def angles(first, start, time, pressure, signals, p, longest):
     """Angles of episodes, each started anew.
 
     Args:
-        first: index of the first row of each episode, and behind the last one (E + 1,).
-        start: angle [rad] and velocity [rad/s] with which each begins (E, 2).
+        first: index of the first row of each episode, then the number of rows (E + 1,).
+        start: angle [rad] and velocity [rad/s] with which each episode begins (E, 2).
         time: of the rows [s] (N,), increasing within an episode.
         pressure: P_1, P_2 (N, 2) [Pa], linear between rows.
         signals: further signals less their values in the rig file (N, S) [SI], linear between rows; S = 0 for none.
         p: parameter vector (m,).
-        longest: step of the integration [s].
+        longest: longest step of the integration [s].
 
     Returns:
         ψ of each row (N,) [rad].
     """
     p = p.copy()
-    # No air passes, and a muscle that changes its volume does not change its pressure.
+    # With these zeros, equation (4) keeps the pressures: no flow, and no effect of the volume.
     p[VALVE : VALVE + 2 * VALVE_SIZE] = 0.0
     p[POLYTROPIC_VOLUME] = 0.0
     u = np.zeros(2)
@@ -55,12 +55,12 @@ def angles(first, start, time, pressure, signals, p, longest):
             h = dt / steps
             p[FRICTION_STEP] = h
             for s in range(steps):
-                # Held over a step at its middle.
-                late = (s + 0.5) / steps
-                x[PRESSURE_1] = pressure[k - 1, 0] + late * (pressure[k, 0] - pressure[k - 1, 0])
-                x[PRESSURE_2] = pressure[k - 1, 1] + late * (pressure[k, 1] - pressure[k - 1, 1])
+                # The inputs are held over a step, at their values in its middle.
+                share = (s + 0.5) / steps
+                x[PRESSURE_1] = pressure[k - 1, 0] + share * (pressure[k, 0] - pressure[k - 1, 0])
+                x[PRESSURE_2] = pressure[k - 1, 1] + share * (pressure[k, 1] - pressure[k - 1, 1])
                 for j in range(signals.shape[1]):
-                    p[SIGNAL + j] = signals[k - 1, j] + late * (signals[k, j] - signals[k - 1, j])
+                    p[SIGNAL + j] = signals[k - 1, j] + share * (signals[k, j] - signals[k - 1, j])
                 _rk4_step(x, u, p, h, x, scratch)
             out[k] = x[ANGLE]
     return out

@@ -1,4 +1,4 @@
-"""What a pressure sensor shows: the pressure itself, unless an effect says otherwise."""
+"""Readings of a pressure sensor: the pressure itself, unless an effect changes it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pam_antagonist.model.composition import sensor_inverse, sensor_reading
 
 @inlined
 def reading(muscle, pressure, p):
-    """What a pressure sensor shows [Pa].
+    """Reading of a pressure sensor [Pa].
 
     Args:
         muscle: 0 or 1.
@@ -34,7 +34,7 @@ def pressure_behind(muscle, shown, p):
 
 @kernel
 def readings(pressure, p):
-    """What both sensors show [Pa] at pressures (N, 2) [Pa]."""
+    """Readings of both sensors (N, 2) [Pa] at pressures (N, 2) [Pa]."""
     shown = np.empty(pressure.shape)
     for k in range(len(pressure)):
         for i in range(2):

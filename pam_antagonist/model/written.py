@@ -1,6 +1,6 @@
-"""Modules that this package writes: effects put together, and the equations for lanes.
+"""Modules that this package generates: the composed effects, and the equations for lanes.
 
-They lie in the folder of the compiled kernels, so that a kernel of an earlier process finds those of which it is made.
+Their files are kept with the compiled kernels, so that a kernel of an earlier process finds the functions it calls.
 """
 
 from pam_antagonist._jit import cache_dir

@@ -1,7 +1,7 @@
-"""The effects that the paper's model leaves out: one file each, and the catalogue of them all.
+"""The effects that the paper's model leaves out: one file each, and the catalogue of all effects.
 
-``base`` says what an effect is made of, ``registry`` finds them. The catalogue is read when it is first asked for, so
-that a file of an effect can be imported by itself.
+``base`` defines the parts of an effect, ``registry`` collects the effects. The catalogue is read when it is first
+used, so that a file of an effect can be imported by itself.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What an effect is made of.
+"""The parts of an effect.
 
-An effect is what a real rig may have beside equations (1) to (11). One file holds all that the package knows of it: its
-numbers, its states, its law, and what a report says of it. ``docs/effects.md`` shows a complete file.
+An effect is a property that a real rig may have beside equations (1) to (11). One file holds all that the package knows
+of it: its parameters, states and law, and what a report says of it. ``docs/effects.md`` shows a complete file.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ Kernel = Any
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """A number of an effect.
+    """A parameter of an effect.
 
     Attributes:
         name: as in a rig file; ends in ``_1`` or ``_2`` where each muscle has its own.
         unit: of the value.
-        neutral: value of a rig that does not mention it; a *size* is 0 there, a *shape* (a time, a width) has a start.
+        neutral: value in a rig that does not mention it: 0 for a *size*, a start value for a *shape* (a time, a width).
         low: least value that makes sense.
-        high: largest value.
-        scale: a value that is neither small nor large, for searches.
+        high: largest value that makes sense.
+        scale: a typical value, for searches.
         meaning: in words.
         symbol: as in the documentation's equation, in LaTeX.
     """
@@ -61,7 +61,7 @@ class EffectParameter:
 
     @property
     def is_size(self) -> bool:
-        """Whether the effect vanishes with this parameter: sizes are neutral at zero, shapes are not."""
+        """Whether the effect vanishes where this parameter is 0: sizes are neutral at 0, shapes are not."""
         return self.neutral == 0.0
 
     @property
@@ -82,18 +82,18 @@ class AddedState:
     Attributes:
         name: of the state.
         unit: of the state.
-        switch: the parameter (of this effect) whose value other than zero brings the state.
-        initial_std: how well it is known when a filter starts.
+        switch: the parameter (of this effect) that adds the state when it is not 0.
+        initial_std: standard deviation when a filter starts.
         noise: process noise of a filter, standard deviation a square root of a second; or the name of the parameter
-            (of this effect) that says it.
-        further: other parameters (of this effect) that bring the state likewise.
+            (of this effect) that holds it.
+        further: other parameters (of this effect) that add the state when they are not 0.
         symbol: as in the documentation's equation, in LaTeX.
-        rate: its derivative by time; None for a state that stays (a random walk).
-        steady_value: its value in a joint that has stood for long; None for 0.
-        prior: the parameter (of this effect) that says how well it is known where nothing is observed, when a filter
-            starts as well; at its neutral value: without bound, and ``initial_std`` at a start.
-        lag: time constant [s] with which it follows small changes, where that may be a few milliseconds. It may ask
-            for parameters only.
+        rate: derivative by time; None for 0 (a random walk).
+        steady_value: value after a long rest; None for 0.
+        prior: the parameter (of this effect) that holds the standard deviation without observations, and at the start
+            of a filter. At its neutral value there is no bound, and a filter starts with ``initial_std``.
+        lag: time constant [s] for small changes, where it may be a few milliseconds. Its arguments are parameters
+            only.
     """
 
     name: str
@@ -121,14 +121,14 @@ class AddedState:
 
 @dataclass(frozen=True)
 class Form:
-    """The numbers of an effect that a fit frees.
+    """The parameters of an effect that a fit frees.
 
     Attributes:
         tied: whether both muscles have the same sizes.
-        without: parameters that stay at their neutral values, by name.
-        scale: other scales than the parameters' own, by name without the muscle's number.
-        low: other least values, likewise.
-        shapes: values of the shapes that a search starts from; empty for the usual grid about their scales.
+        without: names of the parameters that stay at their neutral values.
+        scale: scales that replace the parameters' own, by name without the muscle's number.
+        low: least values that replace the parameters' own, likewise.
+        shapes: values of the shapes with which a search starts; empty for the usual grid around their scales.
     """
 
     tied: bool = False
@@ -140,15 +140,15 @@ class Form:
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """How an effect turns the torque round where a joint turns round, to compare it with others that do.
+    """How an effect reverses its torque when the joint reverses, to compare it with other effects that do so.
 
     Attributes:
-        sizes: parameters that have one value together, by name.
-        torque: where a search for it starts [N m]; of a size in N, on the lever arm.
-        width: parameter over which it turns round [m]; empty where it does so at once.
-        widths_a_turn: so many widths until it has turned round.
-        widths: where a search for it starts as well [m].
-        about: what to know where it is compared; ``{step}`` becomes the encoder's step.
+        sizes: names of the parameters that share one value.
+        torque: start of a search [N m]; for a size in N, times the lever arm.
+        width: name of the parameter that holds the width of the reversal [m]; empty for a reversal at once.
+        widths_a_turn: number of widths until the torque has reversed.
+        widths: further starts of a search for the width [m].
+        about: note on the comparison; ``{step}`` becomes the encoder's step.
     """
 
     sizes: tuple[str, ...]
@@ -161,19 +161,19 @@ class Loop:
 
 @dataclass(frozen=True, kw_only=True)
 class SealedJoint:
-    """What a sealed joint that is moved by a drive can show of an effect.
+    """What a sealed joint that is moved by a drive shows of an effect.
 
     Attributes:
-        part: what shows it: ``air`` (the pressures), ``balance`` (the torque that the motion needs), None for neither.
+        part: ``air`` if the pressures show it, ``balance`` if the torque that the motion needs does, else None.
         reason: why it does not show, where ``part`` is None.
-        forms: in which it is tried, the simplest first.
-        sentence: what a report says where it was found; default: the effect's own sentence.
-        instead: what a report says where it would explain as much as the one that was found.
+        forms: forms that a diagnosis tries, the simplest first.
+        sentence: what a report says if it was detected; default: the effect's own sentence.
+        instead: what a report says if it explains the data as well as the detected effect.
         experiment: which recording distinguishes it from the others; default: the effect's own experiment.
-        loop: how it turns the torque round; None where it does not. Effects with a loop are compared with each other.
-        loss: whether it takes pressure at a ``steady`` rate or at one that is ``fading``; empty for neither. Those that
-            are steady are compared with those that fade.
-        loss_about: what such a loss is, for that comparison.
+        loop: how it reverses the torque; None if it does not. Effects with a loop are compared with each other.
+        loss: ``steady`` or ``fading`` if the effect loses pressure at such a rate, else empty. Steady losses are
+            compared with fading ones.
+        loss_about: description of the loss, for that comparison.
     """
 
     part: Literal["air", "balance"] | None
@@ -196,24 +196,24 @@ class Effect:
         meaning: what happens, in a sentence.
         law: its equation in words and symbols.
         source: where the law comes from.
-        signature: which residual it moves, and how.
-        parameters: its numbers.
-        sentence: what a report says where it was found. ``{muscle}`` and ``{valve}`` become "muscle 1" or "both
-            muscles", ``{s}`` the ending of a verb, the name of a parameter its value.
+        signature: which residual it changes, and how.
+        parameters: its sizes and shapes.
+        sentence: what a report says if it was detected. ``{muscle}`` and ``{valve}`` become "muscle 1" or "both
+            valves", ``{s}`` the ending of a verb, the name of a parameter its value.
         experiment: which recording shows it best.
         distinguished_by: which recording distinguishes it from another effect, by the name of the other.
-        sealed: what a sealed joint can show of it.
+        sealed: what a sealed joint shows of it.
         states: the states that it adds.
-        hooks: what it does to the model: functions by the names of :data:`~pam_antagonist.model.effects.hooks.HOOKS`.
-        form: in which a joint with valves is tried for it.
+        hooks: functions that change the model, by the names of :data:`~pam_antagonist.model.effects.hooks.HOOKS`.
+        form: form that a diagnosis of a joint with valves tries.
         needs_motion: whether a locked joint does not show it.
         needs_angle: whether it hardly shows without a measured angle.
-        deterministic: False for a disturbance that no law gives. A filter estimates it, and a diagnosis judges it by
-            its course.
-        tested_with: ways of driving a joint with which it is a candidate: ``valve`` by voltages, ``command`` by what
-            pressure regulators are asked for, ``regulator`` by the pressures that these hold, as measured.
-        module: where it is written; the registry fills it in.
-        notes: what its documentation says beside the tables, in Markdown: the module's docstring without its first
+        deterministic: False for a disturbance that follows no law. A filter estimates it, and a diagnosis judges its
+            course in time.
+        tested_with: ways of driving a joint with which it is a candidate: ``valve`` by voltages, ``command`` by the
+            pressures commanded to regulators, ``regulator`` by the measured pressures that these hold.
+        module: its module; the registry fills it in.
+        notes: text of its documentation beside the tables, in Markdown: the module's docstring without its first
             line; the registry fills it in.
     """
 
@@ -243,11 +243,11 @@ class Effect:
         return self.name.replace("_", " ")
 
     def in_words(self, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
-        """What a report says where the effect was found.
+        """Sentence of a report if the effect was detected.
 
         Args:
             muscle: 1 or 2, or None for both.
-            values: of its parameters, by name; those that are not there count as 0.
+            values: of its parameters, by name; those that are missing count as 0.
             sealed: whether the joint is sealed.
         """
         which, valve = ("both muscles", "both valves") if muscle is None else (f"muscle {muscle}", f"valve {muscle}")
@@ -278,7 +278,7 @@ def per_muscle(
         unit: SI.
         low: smallest value, in that unit.
         high: largest value, in that unit.
-        scale: a size that matters, in that unit.
+        scale: a typical size, in that unit.
         meaning: without the muscle.
         symbol: without the muscle's number; it goes in the place of ``#``, or becomes an index.
     """
@@ -288,7 +288,7 @@ def per_muscle(
 
 @inlined
 def along_signals(slope1, slope2, slope3, slope4, signal1, signal2, signal3, signal4):
-    """What goes with the further signals, for hooks of effects with :func:`per_signal` parameters: their weighted sum.
+    """Weighted sum of the further signals, for hooks of effects with :func:`per_signal` parameters.
 
     Args:
         slope1: of signal 1 [unit of the hook by SI].
@@ -305,12 +305,12 @@ def along_signals(slope1, slope2, slope3, slope4, signal1, signal2, signal3, sig
 
 @inlined
 def played(width, held, command, quickest_lag):
-    """Rate of what a command takes along at either end of a play: the play operator, for rates of added states.
+    """Rate of an added state that follows a command through play: the play operator.
 
     Args:
         width: of the play, in the unit of the command.
-        held: what stays within the play, likewise.
-        command: what moves it, likewise.
+        held: value of the state, which stays while the command moves within the play; likewise.
+        command: the command, likewise.
         quickest_lag: shortest time constant that a step of the integration follows [s].
     """
     taken_along = min(max(held, command - 0.5 * width), command + 0.5 * width)
@@ -327,7 +327,7 @@ def per_signal(
         unit: SI.
         low: smallest value, in that unit.
         high: largest value, in that unit.
-        scale: a size that matters, in that unit.
+        scale: a typical size, in that unit.
         meaning: without the signal.
         symbol: without the signal's number, which becomes an index.
     """
@@ -352,14 +352,14 @@ def state_per_muscle(
     Args:
         name: without the muscle's number.
         unit: SI.
-        switch: the size that brings it about, without the muscle's number.
+        switch: the size that adds it when it is not 0, without the muscle's number.
         initial_std: at the start, in that unit.
         noise: as of :class:`AddedState`; the name of a parameter without the muscle's number.
         *further: as of :class:`AddedState`.
         symbol: without the muscle's number; it goes in the place of ``#``, or becomes an index.
-        rate: its derivative.
-        steady_value: in a joint that has stood for long.
-        lag: its time constant.
+        rate: as of :class:`AddedState`.
+        steady_value: as of :class:`AddedState`.
+        lag: as of :class:`AddedState`.
     """
     return tuple(
         AddedState(

@@ -24,7 +24,7 @@ from pam_antagonist.model.effects.base import (
 
 @inlined
 def relaxing_force(share, stiffness, static_force, muscle_length):
-    """Y [N], what of the force relaxes: a share of it, and the tube's own stiffness.
+    """Force y [N] that relaxes: a share of the static force, and the tube's own spring.
 
     Args:
         share: φ [-].
@@ -37,7 +37,7 @@ def relaxing_force(share, stiffness, static_force, muscle_length):
 
 @inlined
 def late_force(share, stiffness, static_force, muscle_length, creep):
-    """What creep adds to the contraction force [N]: the late force c less the relaxing one.
+    """Force [N] that creep adds to the contraction force: the late force c minus the relaxing force y.
 
     Args:
         share: φ [-].
@@ -51,7 +51,7 @@ def late_force(share, stiffness, static_force, muscle_length, creep):
 
 @inlined
 def late_rate(share, stiffness, time, static_force, muscle_length, creep):
-    """dc/dt [N/s]: what relaxes, late by the time constant.
+    """dc/dt [N/s]: the late force follows the relaxing force with the time constant.
 
     Args:
         share: φ [-].

@@ -12,13 +12,13 @@ from __future__ import annotations
 from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, Loop, SealedJoint, inlined
 from pam_antagonist.model.numeric import exp
 
-# Less than no friction at rest would take the joint's sticking away.
+# A negative Coulomb torque would remove the sticking of the joint.
 _LEAST = {"coulomb": 0.0, "stribeck": 0.0}
 
 
 @inlined
 def extra_coulomb(coulomb, stribeck, velocity, joint_velocity):
-    """What is added to T_s + T_p [N m]: a constant, and a part that fades with the velocity.
+    """Torque [N m] added to T_s + T_p: a constant, and a part that fades with the velocity.
 
     Args:
         coulomb: c [N m].

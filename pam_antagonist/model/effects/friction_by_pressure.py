@@ -16,7 +16,7 @@ from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_
 
 @inlined
 def extra_coulomb(slope_1, slope_2, first_pressure, second_pressure, atmosphere):
-    """What is added to T_s + T_p [N m].
+    """Torque [N m] added to T_s + T_p.
 
     Args:
         slope_1: b_1 [N m/Pa].

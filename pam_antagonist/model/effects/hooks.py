@@ -1,8 +1,8 @@
-"""Where an effect can act on the model, and what it can know there.
+"""Hooks: where an effect can act on the model, and which quantities it can use there.
 
-The equations name no effect. At each hook they hand on a value, which effects add to, subtract from or replace. An
-effect's function is called with what its arguments are named after: parameters of the effect (``area`` for ``area_1``
-or ``area_2``, whichever muscle is at work), its states (likewise), and the quantities below.
+The equations name no effect. At each hook they pass a value, which effects add to, subtract from or replace. The names
+of its arguments say what an effect's function gets: parameters of the effect (``area`` for ``area_1`` or ``area_2``,
+whichever muscle is computed), its states (likewise), and the quantities below.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ class Hook:
     Attributes:
         name: as in ``Effect.hooks``.
         meaning: what the function of an effect returns.
-        unit: of that.
-        way: what happens to the model's value by it.
+        unit: of the returned value.
+        way: how the returned value changes the model's value.
         value: name of the model's value, as a quantity.
-        quantities: others that the function may ask for.
+        quantities: other quantities that the function may ask for.
         of_muscle: whether the hook is at each muscle (valve, sensor) in turn.
         states: whether functions may ask for states, must do so, or cannot.
         floor: whether the value is kept at 0 at least.
@@ -118,6 +118,6 @@ MUSCLE_STEADY = (
     *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "asked_pressure", "wanted_open_rate",
     "valve_pressure", "chamber_pressure", "valve_flow",
 )  # fmt: skip
-"""What the value of a muscle's state after a long rest may ask for."""
+"""What the steady value of a muscle's state may ask for."""
 JOINT_STEADY = ("drawn_flow",)
-"""What the value of a state of the whole joint after a long rest may ask for."""
+"""What the steady value of a state of the whole joint may ask for."""

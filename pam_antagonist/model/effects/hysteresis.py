@@ -26,7 +26,7 @@ from pam_antagonist.model.effects.base import (
 
 @inlined
 def loop_force(amplitude, hysteresis):
-    """What the loop adds to the contraction force [N].
+    """Force [N] that the loop adds to the contraction force.
 
     Args:
         amplitude: a [N], half the width of the loop.
@@ -37,7 +37,7 @@ def loop_force(amplitude, hysteresis):
 
 @inlined
 def loop_rate(width, length_rate, hysteresis):
-    """dz/dt [1/s] by Bouc and Wen, which depends on the way of the length and not on its speed.
+    """dz/dt [1/s] by Bouc and Wen: z depends on the path of the length and not on its speed.
 
     Args:
         width: s [m].
@@ -49,7 +49,7 @@ def loop_rate(width, length_rate, hysteresis):
 
 @inlined
 def turned_round(length_rate):
-    """Z [-] of a muscle that has stood, or has moved one way for long."""
+    """Loop state z [-] of a muscle after a long rest, or after a long motion in one direction."""
     if length_rate == 0.0:
         return 0.0
     return 1.0 if length_rate > 0.0 else -1.0
@@ -76,7 +76,7 @@ EFFECT = Effect(
         "muscles goes with the pressure",
         "creep": "turn the joint by the same way slowly and fast: hysteresis gives the same loop, creep does not",
     },
-    # Both lengths move as one, and so do their loops: the share of each muscle does not show.
+    # Both lengths change together, and so do both loops: the share of each muscle is not observable.
     form=Form(tied=True),
     sealed=SealedJoint(
         part="balance",
@@ -85,7 +85,7 @@ EFFECT = Effect(
         experiment="drive the joint with half the torque, and again with another charge: friction of the drive keeps "
         "its torque, hysteresis makes a smaller loop and grows with the pressure; or uncouple the drive and turn by "
         "hand",
-        # A loop by Bouc and Wen turns round to 95 % in four widths: one until it is at 0, three more from there.
+        # A loop by Bouc and Wen reverses to 95 % in four widths: one until z is 0, and three more from there.
         loop=Loop(
             sizes=("amplitude_1", "amplitude_2"),
             torque=0.1,

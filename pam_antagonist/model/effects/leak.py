@@ -15,7 +15,7 @@ from pam_antagonist.model.effects.base import Effect, EffectParameter, Form, Sea
 from pam_antagonist.model.numeric import power
 
 _SLOW = 1e-11
-"""[m²] A closed muscle loses a hundredth of its air in a minute by it; the usual scale is for muscles with valves."""
+"""[m²] Scale for sealed muscles: such a leak takes a hundredth of the air in a minute."""
 
 _GAUGE = 350e3
 """[Pa] Gauge pressure at which a leak of any exponent is an orifice of its area."""
@@ -23,7 +23,7 @@ _GAUGE = 350e3
 
 @inlined
 def outflow(area, exponent, chamber_pressure, atmosphere, orifice_flow):
-    """Mass flow out of a leaking muscle [kg/s]: an orifice to the atmosphere, or a crack that resists more at first.
+    """Mass flow out of a leaking muscle [kg/s], through an orifice or through a crack with viscous flow.
 
     Args:
         area: A [m²].
@@ -58,7 +58,7 @@ EFFECT = Effect(
     },
     sealed=SealedJoint(
         part="air",
-        # Of a pressure that hardly falls, the law by which a leak depends on it does not show.
+        # A sealed muscle's pressure hardly falls, so the exponent is not observable.
         forms=(
             Form(tied=True, without=("exponent",), scale={"area": _SLOW}),
             Form(without=("exponent",), scale={"area": _SLOW}),

@@ -25,12 +25,12 @@ from pam_antagonist.model.effects.base import (
 from pam_antagonist.model.numeric import power
 
 _FLOW = 5e-5
-"""[kg/s] Flow at which lines of any exponent have their resistance; what a muscle draws when it fills."""
+"""[kg/s] Flow at which the resistance is R for any exponent; typical while a muscle fills."""
 
 
 @inlined
 def pressure_fall(resistance, exponent, valve_flow):
-    """Fall of the pressure [Pa] along a line.
+    """Pressure drop [Pa] along a line.
 
     Args:
         resistance: R [Pa s/kg].
@@ -57,7 +57,7 @@ def behind_rate(chamber_rate):
 
 @inlined
 def before_rate(resistance, exponent, time, valve_pressure, chamber_pressure, valve_flow):
-    """dP_s/dt [Pa/s] of the pressure at the valve: the chamber's and what the line's resistance adds, with a lag.
+    """dP_s/dt [Pa/s] at the valve: the pressure follows chamber pressure plus pressure drop with a lag.
 
     Args:
         resistance: R [Pa s/kg].
@@ -72,10 +72,10 @@ def before_rate(resistance, exponent, time, valve_pressure, chamber_pressure, va
 
 @inlined
 def steady_chamber(resistance, exponent, valve_pressure, valve_flow, atmosphere, supply_pressure):
-    """Pressure behind the line [Pa] while it carries what the valve lets through.
+    """Pressure behind the line [Pa] while it carries the flow of the valve.
 
-    A line settles within milliseconds: a recording that begins while a muscle fills does not begin with the pressures
-    before and behind it alike.
+    A line settles within milliseconds. If a recording begins while a muscle fills, the pressures before and behind the
+    line differ from the start.
 
     Args:
         resistance: R [Pa s/kg].

@@ -1,9 +1,9 @@
-"""The page of the effects, ``docs/effects.md``: a section for each, written from the catalogue.
+"""The page of the effects, ``docs/effects.md``: a section for each, generated from the catalogue.
 
     python -m pam_antagonist.model.effects.page NAME ...     prints the sections of these effects
     python -m pam_antagonist.model.effects.page --write docs/effects.md
 
-What stands between a pair of marks ``<!-- begin X -->`` and ``<!-- end X -->`` is written; the rest is written by hand.
+The text between a pair of marks ``<!-- begin X -->`` and ``<!-- end X -->`` is generated; the rest is written by hand.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ def sections(effects: Iterable[Effect]) -> str:
 
 
 def page(text: str, catalogue: Mapping[str, Effect]) -> str:
-    """A page with its marked parts written anew.
+    """A page with its marked parts generated anew.
 
     Args:
         text: of the page.
-        catalogue: whose built-in effects have a section.
+        catalogue: effects by name; the built-in ones get a section.
 
     Raises:
         BadInput: a mark without its counterpart.

@@ -30,7 +30,7 @@ from pam_antagonist.model.effects.base import (
 
 @inlined
 def shown(offset, gain, pressure):
-    """What the sensor shows [Pa].
+    """Reading of the sensor [Pa].
 
     Args:
         offset: o [Pa].
@@ -60,7 +60,7 @@ def without_drift(reading_drift, valve_pressure):
 
 @inlined
 def with_drift_rate(reading_drift_rate, chamber_rate):
-    """dP/dt [Pa/s] of the reading: the chamber's, and that of the drift."""
+    """dP/dt [Pa/s] of the reading: rate of the chamber plus rate of the drift."""
     return chamber_rate + reading_drift_rate
 
 
@@ -72,7 +72,7 @@ def drift_change(reading_drift_rate):
 
 @inlined
 def drift_acceleration(drift_time, reading_drift, reading_drift_rate):
-    """d²s/dt² [Pa/s²] but for its noise: the drift goes back to 0 within a few T.
+    """d²s/dt² [Pa/s²] without the noise: the drift goes back to 0 within a few T.
 
     Args:
         drift_time: T [s].

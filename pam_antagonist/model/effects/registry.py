@@ -1,8 +1,8 @@
 """The catalogue of effects: the built-in ones, and those that installed packages add.
 
 A package adds an effect by an entry point of the group ``pam_antagonist.effects``, whose value names the module or the
-:class:`~pam_antagonist.model.effects.base.Effect`. The order of the catalogue is the order in which states follow
-P_2 and in which what effects add is summed: the built-in ones first, then those of packages by their names.
+:class:`~pam_antagonist.model.effects.base.Effect`. The catalogue has the built-in effects first, then those of packages
+by their names. In this order, added states follow P_2, and contributions of effects are summed.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def catalogue(effects: Iterable[Effect]) -> dict[str, Effect]:
 
 
 def _incomplete(effect: Effect) -> str:
-    """What an effect lacks, in one line; empty where nothing is wrong."""
+    """What is wrong with an effect, in one line; empty if nothing is."""
     if not effect.name.isidentifier():
         return "expected a name of letters, digits and underscores"
     for what in ("meaning", "law", "source", "signature", "sentence", "experiment"):
@@ -170,18 +170,18 @@ ADDED_STATES: tuple[tuple[str, AddedState], ...] = tuple(
 """Every state that effects can add, with the effect's name, in the order in which they follow P_2."""
 
 DISTURBANCE = next(effect.name for effect in CATALOGUE.values() if not effect.deterministic)
-"""The effect that no law gives: the disturbance torque, which a filter estimates."""
+"""The effect that follows no law: the disturbance torque, which a filter estimates."""
 
 
 def experiment_between(effect: str, other: str) -> str | None:
-    """Which recording tells two effects apart, by their names; None where neither entry knows one."""
+    """Which recording distinguishes two effects, given by name; None if neither entry names one."""
     return CATALOGUE[effect].distinguished_by.get(other) or CATALOGUE[other].distinguished_by.get(effect)
 
 
 def random_part(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Of a rig's effects, what no law gives: a filter estimates it, and the model alone has none of it.
+    """The part of a rig's effects that follows no law: a filter estimates it, and the model alone leaves it out.
 
-    These are the numbers that drive a state by noise, and the shapes of the same effect.
+    It consists of the parameters that drive a state by noise, and of the shapes of the same effect.
 
     Args:
         effects: of a rig, as in its file.

@@ -18,41 +18,41 @@ from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_
 
 @inlined
 def delayed(late_command):
-    """Pressure [Pa] that the regulator goes by: the state itself."""
+    """Pressure [Pa] that the regulator follows: the state itself."""
     return late_command
 
 
 @inlined
 def passing(late_command_rate):
-    """Rate [Pa/s] of what the regulator goes by: a state as well."""
+    """Rate [Pa/s] of the pressure that the regulator follows: a state as well."""
     return late_command_rate
 
 
 @inlined
 def approaching(time, late_command, late_command_rate, asked_pressure, quickest_lag):
-    """Second derivative [Pa/s²] of what the regulator goes by.
+    """Second derivative [Pa/s²] of the pressure that the regulator follows.
 
     Args:
         time: T [s].
         late_command: P* [Pa].
-        late_command_rate: of it [Pa/s].
+        late_command_rate: dP*/dt [Pa/s].
         asked_pressure: u [Pa].
         quickest_lag: shortest time constant that a step of the integration follows [s].
     """
-    # A search tries times that no step of the integration would follow; a rig file may not have them.
+    # A search may try times that are too short for the integration step; a rig file may not have them.
     late = max(time, 2.0 * quickest_lag)
     return 2.0 / (late * late) * (asked_pressure - late_command - late * late_command_rate)
 
 
 @inlined
 def as_asked(asked_pressure):
-    """P* [Pa] of a regulator whose command has stood for long."""
+    """P* [Pa] after a long time with a constant command."""
     return asked_pressure
 
 
 @inlined
 def small_signal_lag(time):
-    """Time constant [s] with which it follows small changes."""
+    """Time constant [s] for small changes of the command."""
     return time / math.sqrt(2.0)
 
 

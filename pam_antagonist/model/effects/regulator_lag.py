@@ -27,7 +27,7 @@ from pam_antagonist.model.effects.base import (
 
 @inlined
 def with_flow(chamber_rate, regulator_rate):
-    """dP/dt [Pa/s] of a chamber that a regulator fills: that of the closed chamber, and the regulator's."""
+    """dP/dt [Pa/s] of a chamber with a regulator: rate of the closed chamber plus rate of the regulator."""
     return chamber_rate + regulator_rate
 
 
@@ -35,7 +35,7 @@ def with_flow(chamber_rate, regulator_rate):
 def correcting(
     frequency, damping, dead_zone, largest_rate, regulator_rate, asked_pressure, valve_pressure, quickest_lag
 ):
-    """d²P/dt² [Pa/s²] by which a regulator goes towards what it is asked for.
+    """ds/dt [Pa/s²]: change of the rate by which a regulator approaches the pressure P*.
 
     Args:
         frequency: ω [1/s].
@@ -47,7 +47,7 @@ def correcting(
         valve_pressure: P [Pa].
         quickest_lag: shortest time constant that a step of the integration follows [s].
     """
-    # A search tries frequencies that no step of the integration would follow; a rig file may not have them.
+    # A search may try frequencies that are too high for the integration step; a rig file may not have them.
     omega = min(frequency, 1.0 / quickest_lag)
     fading = min(2.0 * damping * omega, 1.0 / quickest_lag)
     error = asked_pressure - valve_pressure

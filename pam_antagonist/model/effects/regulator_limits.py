@@ -15,7 +15,7 @@ from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoi
 
 @inlined
 def within(lowest, highest, asked_pressure):
-    """Pressure [Pa] that the regulator goes by.
+    """Pressure [Pa] that the regulator follows.
 
     Args:
         lowest: P_min [Pa]; 0: none.

@@ -18,13 +18,13 @@ from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_
 
 @inlined
 def held(regulator_goal):
-    """Pressure [Pa] that the regulator goes by: the state itself."""
+    """Pressure [Pa] that the regulator follows: the state itself."""
     return regulator_goal
 
 
 @inlined
 def following(threshold, regulator_goal, asked_pressure, quickest_lag):
-    """Rate [Pa/s] of what the regulator goes by, which its command takes along at either end of the threshold.
+    """Rate [Pa/s] of the pressure P*, which the command moves at either end of the threshold.
 
     Args:
         threshold: b [Pa].
@@ -37,7 +37,7 @@ def following(threshold, regulator_goal, asked_pressure, quickest_lag):
 
 @inlined
 def in_the_middle(asked_pressure):
-    """P* [Pa] of a regulator whose command has stood for long."""
+    """P* [Pa] after a long time with a constant command."""
     return asked_pressure
 
 

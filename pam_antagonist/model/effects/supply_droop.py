@@ -20,7 +20,7 @@ from pam_antagonist.model.effects.base import AddedState, Effect, EffectParamete
 
 @inlined
 def deviation(supply):
-    """What the supply's pressure is off [Pa]: the state itself."""
+    """Deviation [Pa] of the supply's pressure: the state itself."""
     return supply
 
 

@@ -23,7 +23,7 @@ from pam_antagonist.model.effects.base import (
 
 @inlined
 def cooling(time, warmth):
-    """What dP/dt loses [Pa/s] by cooling.
+    """Rate [Pa/s] by which cooling reduces dP/dt.
 
     Args:
         time: T [s].

@@ -31,7 +31,7 @@ def position(open_rate):
 
 @inlined
 def position_rate(time, reach, open_rate, wanted_open_rate, quickest_lag):
-    """dα/dt [1/s] of a valve that follows the open rate that its voltage asks for, at its full speed at most.
+    """dα/dt [1/s] of a valve that follows the wanted open rate, at its full speed at most.
 
     Args:
         time: T [s].
@@ -40,7 +40,7 @@ def position_rate(time, reach, open_rate, wanted_open_rate, quickest_lag):
         wanted_open_rate: α* [-].
         quickest_lag: shortest time constant that a step of the integration follows [s].
     """
-    # A search tries times that no step of the integration would follow; a rig file may not have them.
+    # A search may try times that are too short for the integration step; a rig file may not have them.
     stroke = max(time, quickest_lag)
     behind = wanted_open_rate - open_rate
     if reach >= 1.0:
@@ -51,7 +51,7 @@ def position_rate(time, reach, open_rate, wanted_open_rate, quickest_lag):
 
 @inlined
 def asked_for(wanted_open_rate):
-    """α [-] of a valve whose voltage has stood for long."""
+    """Open rate α [-] after a long time with a constant voltage."""
     return wanted_open_rate
 
 

@@ -26,7 +26,7 @@ def position(spool_voltage):
 
 @inlined
 def following(play, spool_voltage, valve_voltage, quickest_lag):
-    """dv/dt [V/s] of a spool that its command takes along at either end of the play.
+    """dv/dt [V/s] of a spool, which the command moves at either end of the play.
 
     Args:
         play: b [V].
@@ -39,7 +39,7 @@ def following(play, spool_voltage, valve_voltage, quickest_lag):
 
 @inlined
 def in_the_middle(valve_voltage):
-    """V [V] of a spool whose command has stood for long: the middle of the play."""
+    """Voltage v [V] after a long time with a constant command: the middle of the play."""
     return valve_voltage
 
 

@@ -26,7 +26,7 @@ from pam_antagonist.model.effects.base import (
 
 @inlined
 def lost_force(share, warmed, static_force, passive_force):
-    """What warming up adds to the contraction force [N]: a share of the pressure's part, with the sign of a loss.
+    """Force [N] that warming adds to the contraction force: minus a share of the pressure's part.
 
     Args:
         share: s [-].
@@ -69,8 +69,8 @@ EFFECT = Effect(
         "not",
         "pressure_sensor": "compare the sensor with a gauge at the start and at the end",
     },
-    # Looked for as a loss only: muscles that get stronger would imitate any slow drift. Set with a recording of rig A
-    # in view, in which it was named beside hysteresis.
+    # A diagnosis looks for a loss only: a gain would fit any slow drift. The bound was set after a diagnosis of a
+    # recording of rig A had named this effect beside hysteresis.
     form=Form(low={"share": 0.0}),
     sealed=SealedJoint(part=None, reason="within one recording a slow drift of the force looks like creep"),
     needs_angle=True,
