@@ -1,7 +1,7 @@
-"""Checkpoints of a running filter: all that it remembers, so that another one goes on from there bit for bit.
+"""Checkpoints of a running filter: its whole memory, so that another filter goes on from there bit for bit.
 
-A checkpoint is of use only to a filter with the same numbers: the same rig, tuning and joint condition. It says what it
-was made with, so that any other filter refuses it with the reason.
+Only a filter with the same rig, tuning and joint condition can use a checkpoint. So a checkpoint holds the identity of
+its filter, and any other filter refuses it and says why.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.external_torque import NEVER, UNBOUNDED
 
 _DIGITS = 16
-_LAST_OF_FIRST = "slack"
-"""The last effect of the catalogue when checkpoints began; new ones stand behind it."""
-_LATER_EFFECTS = tuple(CATALOGUE)[tuple(CATALOGUE).index(_LAST_OF_FIRST) + 1 :]
-_LATER = {
+_LAST_OLD_EFFECT = "slack"
+"""The last effect of the catalogue when checkpoints were introduced; newer effects follow it."""
+_NEW_EFFECTS = tuple(CATALOGUE)[tuple(CATALOGUE).index(_LAST_OLD_EFFECT) + 1 :]
+_NEW_PARAMETERS = {
     par.INDEX["effects.external_torque.prior"]: UNBOUNDED,
     par.INDEX["effects.external_torque.onset"]: NEVER,
     **{
         par.INDEX[parameter_path(name, item.name)]: item.neutral
-        for name in _LATER_EFFECTS
+        for name in _NEW_EFFECTS
         for item in CATALOGUE[name].parameters
     },
-    **{par.SLOT_OF[state.name]: 0.0 for name in _LATER_EFFECTS for state in CATALOGUE[name].states},
+    **{par.SLOT_OF[state.name]: 0.0 for name in _NEW_EFFECTS for state in CATALOGUE[name].states},
     **dict.fromkeys(range(par.SIGNAL, par.SIGNAL + SIGNALS), 0.0),
 }
-"""What of the parameter vector came after the first checkpoints: index, and value where it is not used."""
+"""Entries of the parameter vector that are newer than the first checkpoints: index, and value while unused."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class FilterIdentity:
         joint: ``free`` or ``locked``.
         lock_angle: angle of a locked joint [rad].
         added: names of the states that effects add.
-        settings: hash of every number that the filter is set to.
+        settings: hash of all settings of the filter.
     """
 
     rig: str
@@ -62,7 +62,7 @@ class FilterIdentity:
     settings: str
 
     def difference(self, other: FilterIdentity) -> str:
-        """What another filter was made with that this one was not, in words; empty where nothing is."""
+        """In words, how another filter differs from this one; empty if it does not."""
         if other.fingerprint != self.fingerprint:
             return f"rig {other.rig} ({other.fingerprint}) rather than {self.rig} ({self.fingerprint})"
         if other.added != self.added:
@@ -78,7 +78,7 @@ class FilterIdentity:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """All that a filter remembers after a sample; n states, m consider parameters.
+    """The whole memory of a filter after a sample; n states, m consider parameters.
 
     Attributes:
         stamp_ns: stamp of that sample [ns].
@@ -88,9 +88,9 @@ class Checkpoint:
         covariance: (n, n).
         cross: covariance with the consider parameters (n, m).
         voltage: last known ones (2,) [V].
-        rejected: samples in a row that the gate refused.
-        distances: how many distances between stamps there were since the start, then the last of them [ns], a ring.
-        angle_sensor: what is remembered of a measured angle (encoder.MEMORY,); empty where none was read.
+        rejected: consecutive samples that the gate rejected.
+        distances: number of intervals between stamps since the start, then the last intervals [ns], a ring buffer.
+        angle_sensor: memory of the encoder (encoder.MEMORY,); empty where none was read.
     """
 
     stamp_ns: int
@@ -106,15 +106,15 @@ class Checkpoint:
 
 
 def settings_hash(settings: Settings) -> str:
-    """Sixteen hex digits that stand for every number that a filter is set to.
+    """Hash of all settings of a filter, sixteen hex digits.
 
     Args:
         settings: of the filter.
     """
     content = settings._asdict()
     sets = settings.parameter_sets
-    # What came later has no part in it where it is not used, so that checkpoints of before stay of use.
-    unused = [index for index, value in _LATER.items() if np.all(sets[:, index] == value)]
+    # Unused newer entries are left out of the hash, so that old checkpoints remain valid.
+    unused = [index for index, value in _NEW_PARAMETERS.items() if np.all(sets[:, index] == value)]
     content["parameter_sets"] = np.delete(sets, unused, axis=1)
     if settings.angle_noise == 0.0:
         for name in ("angle_noise", "angle_offset", "angle_step"):
@@ -126,11 +126,11 @@ def settings_hash(settings: Settings) -> str:
 
 
 def take(memory: Memory, identity: FilterIdentity) -> Checkpoint:
-    """The checkpoint of a running filter, a copy.
+    """A checkpoint of a running filter, as a copy.
 
     Args:
         memory: of the filter.
-        identity: what it was made with.
+        identity: of the filter.
     """
     clock = memory.clock
     return Checkpoint(
@@ -148,15 +148,15 @@ def take(memory: Memory, identity: FilterIdentity) -> Checkpoint:
 
 
 def put(checkpoint: Checkpoint, memory: Memory, identity: FilterIdentity) -> None:
-    """Make a filter remember what a checkpoint holds; a filter that refuses it is left as it was.
+    """Load a checkpoint into a filter's memory. A filter that refuses it stays unchanged.
 
     Args:
-        checkpoint: of a filter with the same numbers.
+        checkpoint: of a filter with the same settings.
         memory: of the filter, changed in place.
-        identity: what the filter was made with.
+        identity: of the filter.
 
     Raises:
-        BadInput: the checkpoint is of another filter, or cannot be one.
+        BadInput: the checkpoint is of another filter, or damaged.
     """
     other = identity.difference(checkpoint.identity)
     if other:

@@ -1,22 +1,23 @@
-"""The measured angle as an input of the filter: one scalar update more, and what is wrong with an encoder.
+"""The measured angle as an input of the filter: a further scalar update, and the detection of encoder faults.
 
-A reading z = ψ + offset + e comes with a sample, or does not. Its noise is independent of the pressures', so that an
-update after theirs (:func:`pam_antagonist.estimation.ukf.update_angle`) is exact. As for the pressures, a reading
-beyond the gate is left out, and after ``PATIENCE`` of these in a row it is the filter that is wrong.
+A sample may have a reading z = ψ + offset + e. Its noise is independent of that of the pressures, so that an update
+after theirs (:func:`pam_antagonist.estimation.ukf.update_angle`) is exact. As for the pressures, a reading beyond the
+gate is left out. After ``PATIENCE`` such readings in a row the filter is taken to be wrong: readings are used again.
 
-Three faults are no outliers. They are refused for good, and the filter goes on without the encoder:
+Three faults are not outliers. The filter then goes on without the encoder:
 
-* It **jumped**: from one reading to the next by more than a joint can move, and stayed there.
+* The encoder **jumped**: from one reading to the next by more than a joint can move, and stayed there.
 * It is **frozen**: it reads the same bits, although its declared noise or the pressures say that the joint moves.
-* It has the **wrong sign**: the pressures say that the joint moves the other way.
+* It has the **wrong sign**: the pressures say that the joint moves in the other direction.
 
-What the pressures say of the motion is independent of any torque from outside. Equation (4) is linear in the velocity,
-Ṗ_i = f_i(P, u) + g_i(ψ, P) ψ̇, and both come from the model. So over 50 ms
+The pressures show the motion whatever torque acts from outside. Equation (4) is linear in the velocity,
+Ṗ_i = f_i(P, u) + g_i(ψ, P) ψ̇, and the model gives f_i and g_i. So over 50 ms
 
     M = Σ_k Σ_i g_i (ΔP_i − f_i Δt) / Σ_i g_i²
 
-is the joint's way, with the variance V of the sensors' noise and of flows that are off by ``_FLOW_ERROR``. The slope of
-M over the encoder's own way is 1; where it is below −½ and below 0 by four standard deviations, the sign is wrong.
+is the joint's displacement. Its variance V comes from the sensors' noise and from a relative error ``_FLOW_ERROR`` of
+the flows. Over the encoder's own displacement E, M has the slope 1. The sign is wrong if this slope is below −½ and
+below 0 by four standard deviations.
 """
 
 from __future__ import annotations
@@ -33,42 +34,42 @@ from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND, VELO
 FINE, JUMPED, FROZEN, WRONG_SIGN = range(4)
 """Verdicts on an encoder."""
 (
-    VERDICT, SIZE_OF_JUMP, REJECTED, WITHOUT, _LAST, _SAME_FOR, _WAITING, _BEFORE, _PRESSURE_1, _PRESSURE_2, _WINDOW,
-    _WAY, _FLOW, _BEGAN, _STILL, _STILL_V, _WINDOWS, _EE, _EM, _EEV,
+    VERDICT, SIZE_OF_JUMP, REJECTED, WITHOUT, _LAST, _SAME_FOR, _WAITING, _BEFORE, _PRESSURE_1, _PRESSURE_2, _SPAN_TIME,
+    _MOTION, _FLOW, _BEGAN, _STILL_MM, _STILL_V, _STILL_SPANS, _EE, _EM, _EEV,
 ) = range(20)  # fmt: skip
 MEMORY = 20
-"""Numbers that are remembered of an encoder: the verdict, the jump [rad], refused readings in a row, the time without
-a reading [s], and what it is judged by."""
+"""Numbers in the memory of an encoder: the verdict, the jump [rad], rejected readings in a row, the time without a
+reading [s], and the sums that the verdict needs (products of E, M and V; ``_STILL``: of spans with equal readings)."""
 
 PATIENCE = 20
-"""Readings in a row, as of the pressures."""
+"""Largest number of rejected readings in a row, as for the pressures."""
 _FASTEST = 30.0
-"""[rad/s] A joint would cross its whole range in 30 ms."""
+"""[rad/s] At this velocity a joint would cross its whole range in 30 ms."""
 _NOISE = 8.0
-"""Standard deviations of a reading that count as no jump."""
+"""Standard deviations of a reading within which a change is no jump."""
 _SPAN = 0.05
-"""[s] Over which a way is measured."""
+"""[s] Span over which a displacement is measured."""
 _LOST = 0.1
-"""[s] Further apart, readings are not compared."""
-_FADING = 0.98
-"""Of the sums, from one span to the next: about 2.5 s are remembered."""
+"""[s] Readings that are further apart are not compared."""
+_FORGETTING = 0.98
+"""Forgetting factor of the sums, from one span to the next: they hold about 2.5 s."""
 _FLOW_ERROR = 0.05
 """Relative error of the modelled flows."""
 _FEWEST = 10
-"""Spans in which an encoder reads the same, before it is judged."""
+"""Spans with equal readings that are needed for a verdict."""
 _STANDSTILL = math.radians(0.2)
-"""[rad] A joint that moves less in a span may as well stand."""
-_SURE = 4.0
-"""Mean square of the ways over their variance, from which on a joint moves; 1.0 on plants that are held, 2 % off."""
+"""[rad] A smaller displacement in a span does not count as motion."""
+_MOVING = 4.0
+"""A joint moves if the displacements' mean square exceeds so many variances. Held plants that are 2 % off have 1.0."""
 _EXACT = 0.2
-"""[s] For which an encoder with declared noise cannot read the same bits."""
+"""[s] An encoder with declared noise cannot read the same bits for so long."""
 
 _pushed, _widen = push.jumped, push.widen
 _update_angle, _derivative, _pressure_behind = ukf.update_angle, dynamics.derivative, sensor.pressure_behind
 
 
 def new() -> np.ndarray:
-    """What is remembered of an encoder that has not been read yet (MEMORY,)."""
+    """Memory of an encoder that has not been read yet (MEMORY,)."""
     memory = np.zeros(MEMORY)
     memory[[_LAST, _PRESSURE_1, _PRESSURE_2]] = np.nan
     return memory
@@ -78,7 +79,7 @@ def was_read(memory: np.ndarray) -> bool:
     """Whether an encoder has been read.
 
     Args:
-        memory: what is remembered of it (MEMORY,).
+        memory: of the encoder (MEMORY,).
     """
     return not math.isnan(memory[_LAST])
 
@@ -87,7 +88,7 @@ def complaint(memory: np.ndarray) -> str:
     """Why an encoder is refused, and what to do; empty where it is not.
 
     Args:
-        memory: what is remembered of it (MEMORY,).
+        memory: of the encoder (MEMORY,).
     """
     verdict = int(memory[VERDICT])
     if verdict == JUMPED:
@@ -110,12 +111,12 @@ def complaint(memory: np.ndarray) -> str:
 
 @merged
 def _jumped(reading, noise, elapsed, encoder):
-    """Whether a reading is not to be used, since it is further from the last one than a joint moves."""
+    """Whether a reading must not be used, because it differs from the last one by more than a joint can move."""
     reach = _FASTEST * elapsed + _NOISE * math.sqrt(noise)
     if encoder[_WAITING] > 0.0:
         size = encoder[SIZE_OF_JUMP]
         if abs(reading - encoder[_BEFORE]) < 0.5 * abs(size):
-            encoder[_WAITING] = 0.0  # a spike, and back
+            encoder[_WAITING] = 0.0  # it was a spike
             return False
         encoder[_WAITING] += 1.0
         if encoder[_WAITING] > PATIENCE:
@@ -130,8 +131,8 @@ def _jumped(reading, noise, elapsed, encoder):
 
 
 @merged
-def _way(reading, elapsed, y, u, x, p, noise, encoder, work):
-    """Add what the pressures say of the motion since the last sample [rad]."""
+def _add_motion(reading, elapsed, y, u, x, p, noise, encoder, work):
+    """Add the displacement [rad] since the last sample that the pressures show, and close a span that is over."""
     state, still, moving = work.points[0], work.points[1], work.points[2]
     for i in range(x.shape[0]):
         state[i] = x[i]
@@ -141,44 +142,44 @@ def _way(reading, elapsed, y, u, x, p, noise, encoder, work):
     _derivative(state, u, p, still)
     state[VELOCITY] = 1.0
     _derivative(state, u, p, moving)
-    squares, way, flow = 0.0, 0.0, 0.0
+    squares, motion, flow = 0.0, 0.0, 0.0
     for i in range(2):
         slope = moving[PRESSURE_1 + i] - still[PRESSURE_1 + i]
         squares += slope * slope
-        way += slope * (y[i] - encoder[_PRESSURE_1 + i] - still[PRESSURE_1 + i] * elapsed)
+        motion += slope * (y[i] - encoder[_PRESSURE_1 + i] - still[PRESSURE_1 + i] * elapsed)
         flow += abs(slope * still[PRESSURE_1 + i]) * elapsed
     if squares <= 0.0:
         return
-    encoder[_WAY] += way / squares
+    encoder[_MOTION] += motion / squares
     encoder[_FLOW] += _FLOW_ERROR * flow / squares
-    encoder[_WINDOW] += elapsed
-    if encoder[_WINDOW] < _SPAN:
+    encoder[_SPAN_TIME] += elapsed
+    if encoder[_SPAN_TIME] < _SPAN:
         return
     variance = 2.0 * max(noise[0], noise[1]) / squares + encoder[_FLOW] * encoder[_FLOW]
     own = reading - encoder[_BEGAN]
-    encoder[_EE] = _FADING * encoder[_EE] + own * own
-    encoder[_EM] = _FADING * encoder[_EM] + own * encoder[_WAY]
-    encoder[_EEV] = _FADING * encoder[_EEV] + own * own * variance
-    if encoder[_SAME_FOR] >= encoder[_WINDOW]:
-        encoder[_STILL] += encoder[_WAY] * encoder[_WAY]
+    encoder[_EE] = _FORGETTING * encoder[_EE] + own * own
+    encoder[_EM] = _FORGETTING * encoder[_EM] + own * encoder[_MOTION]
+    encoder[_EEV] = _FORGETTING * encoder[_EEV] + own * own * variance
+    if encoder[_SAME_FOR] >= encoder[_SPAN_TIME]:
+        encoder[_STILL_MM] += encoder[_MOTION] * encoder[_MOTION]
         encoder[_STILL_V] += variance
-        encoder[_WINDOWS] += 1.0
+        encoder[_STILL_SPANS] += 1.0
     _begin_span(reading, encoder)
 
 
 @merged
 def _begin_span(reading, encoder):
-    encoder[_WINDOW] = encoder[_WAY] = encoder[_FLOW] = 0.0
+    encoder[_SPAN_TIME] = encoder[_MOTION] = encoder[_FLOW] = 0.0
     encoder[_BEGAN] = reading
 
 
 @merged
 def _judge(noise, step, encoder):
-    """Whether what was added up so far convicts the encoder."""
-    windows = encoder[_WINDOWS]
+    """Set the verdict if the sums show a fault."""
+    spans = encoder[_STILL_SPANS]
     if step == 0.0 and noise > 0.0 and encoder[_SAME_FOR] >= _EXACT:
         encoder[VERDICT] = FROZEN
-    elif windows >= _FEWEST and encoder[_STILL] > max(_SURE * encoder[_STILL_V], windows * _STANDSTILL * _STANDSTILL):
+    elif spans >= _FEWEST and encoder[_STILL_MM] > max(_MOVING * encoder[_STILL_V], spans * _STANDSTILL * _STANDSTILL):
         encoder[VERDICT] = FROZEN
     elif encoder[_EE] > 0.0:
         slope, error = encoder[_EM] / encoder[_EE], math.sqrt(encoder[_EEV]) / encoder[_EE]
@@ -188,10 +189,10 @@ def _judge(noise, step, encoder):
 
 @in_place
 def examine(reading, elapsed, y, usable, u, x, p, noise, angle_noise, angle_step, encoder, work):
-    """Judge a reading by what came before, and by the pressures.
+    """Check a reading against earlier readings and against the pressures.
 
     Args:
-        reading: ψ as measured, offset taken away [rad], finite.
+        reading: ψ as measured, offset subtracted [rad], finite.
         elapsed: since the last sample [s].
         y: pressures (2,) [Pa].
         usable: whether both are finite.
@@ -201,7 +202,7 @@ def examine(reading, elapsed, y, usable, u, x, p, noise, angle_noise, angle_step
         noise: diagonal of R (2,) [Pa²].
         angle_noise: variance of a reading [rad²].
         angle_step: of the converter [rad]; 0: none.
-        encoder: what is remembered (MEMORY,), changed in place.
+        encoder: its memory (MEMORY,), changed in place.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
 
     Returns:
@@ -218,11 +219,11 @@ def examine(reading, elapsed, y, usable, u, x, p, noise, angle_noise, angle_step
     if reading == encoder[_LAST]:
         encoder[_SAME_FOR] += elapsed
     else:
-        encoder[_SAME_FOR] = encoder[_STILL] = encoder[_STILL_V] = encoder[_WINDOWS] = 0.0
+        encoder[_SAME_FOR] = encoder[_STILL_MM] = encoder[_STILL_V] = encoder[_STILL_SPANS] = 0.0
     if refused or not usable or elapsed > _LOST or math.isnan(encoder[_PRESSURE_1] + encoder[_PRESSURE_2]):
         _begin_span(reading, encoder)
     else:
-        _way(reading, elapsed, behind, u, x, p, noise, encoder, work)
+        _add_motion(reading, elapsed, behind, u, x, p, noise, encoder, work)
     if encoder[VERDICT] == FINE:
         _judge(angle_noise, angle_step, encoder)
     encoder[_LAST] = reading
@@ -232,10 +233,10 @@ def examine(reading, elapsed, y, usable, u, x, p, noise, angle_noise, angle_step
 
 @in_place
 def correct(reading, memory, settings, work):
-    """Update with a reading that lies within the gate.
+    """Update with a reading, unless the gate rejects it.
 
     Args:
-        reading: ψ as measured, offset taken away [rad], finite.
+        reading: ψ as measured, offset subtracted [rad], finite.
         memory: :class:`pam_antagonist.estimation.memory.Memory`, changed in place.
         settings: :class:`pam_antagonist.estimation.memory.Settings`.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.

@@ -1,4 +1,4 @@
-"""Errors of an estimate or a model against what was measured, with the keys of every ``report.json``."""
+"""Errors of an estimate or a model against the measured values, with the keys of every ``report.json``."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class ChannelErrors:
         rmse: root mean square.
         largest: largest absolute value.
         ratio: `largest` over the range of the measured signal.
-        coverage95: share of the measured values in the filter's 95 % interval; None of a model without one.
+        coverage95: share of the measured values in the filter's 95 % interval; None for a model without one.
         width: half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
-        delay_s: by how much the estimate of a torque from outside is behind [s]; None of other channels.
+        delay_s: delay of the estimated external torque [s]; None for other channels.
     """
 
     unit: Literal["deg", "nm"]
@@ -94,7 +94,7 @@ def channel_errors(
         measured: (N,), NaN where there is no value.
         value: of the estimate or the model (N,).
         unit: in which the errors are given.
-        variance: of the estimate (N,), where its 95 % interval is to be judged.
+        variance: of the estimate (N,), to check its 95 % interval.
         reading: noise and step of the sensor that measured.
     """
     if measured is None or not np.isfinite(measured).any():

@@ -19,30 +19,31 @@ from pam_antagonist.model.effects import ADDED_STATES, parameter_path
 from pam_antagonist.model.effects.external_torque import UNBOUNDED
 from pam_antagonist.rig import NO_ENCODER, Rig, Tuning, fingerprint
 
-_FASTEST = 100.0  # a joint that could be set to [rad/s]
-_PRESSURES = (50e3, 2e6)  # absolute, likewise [Pa]; gauge pressures near the atmosphere's are below
+# Limits of set_state: velocity [rad/s] and absolute pressures [Pa]. The gauge pressure of a vented muscle is below.
+_FASTEST = 100.0
+_PRESSURES = (50e3, 2e6)
 
 
 ANGLE_SENSORS = ("none", "encoder")
-"""What may measure the angle for a filter."""
+"""Choices of the sensor that measures the angle for a filter."""
 
 
 @dataclass(frozen=True)
 class Counts:
-    """What became of the samples that an estimator was given.
+    """Counts of the samples that an estimator was given, by outcome.
 
     Attributes:
         processed: samples with an estimate.
-        predicted_only: of these, without a usable pressure.
+        predicted_only: of the processed ones, those without a usable pressure.
         missing: samples with a missing value.
         outliers: samples with a pressure beyond the gate.
-        late: older than the last one, dropped.
-        duplicates: of the same stamp as the last one, dropped.
+        late: samples older than the last one, dropped.
+        duplicates: samples with the same stamp as the last one, dropped.
         gaps: samples that came after missing ones.
         repaired: samples at which the covariance was repaired.
         restarts: how often the filter began again.
         angles_used: samples whose measured angle was used.
-        angles_refused: samples whose measured angle was not: outliers, and all of an encoder that is refused.
+        angles_refused: samples whose measured angle was not used: outliers, and all readings of a refused encoder.
     """
 
     processed: int
@@ -65,10 +66,10 @@ class EstimateRun:
     Attributes:
         rows: estimates (M,) of ``ESTIMATE_DTYPE``.
         added: states that effects add (M,), by name, in their own units.
-        stamp_ns: their stamps (M,) [ns].
-        index: the sample of the recording that each belongs to (M,).
-        started_ns: stamp at which the filter behind each was started (M,) [ns].
-        counts: what became of the samples.
+        stamp_ns: stamps of the estimates (M,) [ns].
+        index: index of each estimate's sample in the recording (M,).
+        started_ns: stamp at which the filter of each estimate was started (M,) [ns].
+        counts: of the samples, by outcome.
     """
 
     rows: np.ndarray
@@ -80,11 +81,11 @@ class EstimateRun:
 
 
 def parameter_sets(rig: Rig, tuning: Tuning, joint: str = "free", lock_angle: float = 0.0) -> np.ndarray:
-    """Parameter vectors of the sigma points: the nominal one, then a pair for each parameter that is considered.
+    """Parameter vectors of the sigma points: the nominal one, then a pair for each consider parameter.
 
     Args:
         rig: values and uncertainties.
-        tuning: whose κ decides how far the pairs lie apart, and whether there are any.
+        tuning: its κ sets the distance of the pairs, its ``consider`` whether there are any.
         joint: ``free`` or ``locked``.
         lock_angle: angle [rad] of a locked joint.
 
@@ -105,19 +106,19 @@ def parameter_sets(rig: Rig, tuning: Tuning, joint: str = "free", lock_angle: fl
 
 
 def considered(rig: Rig) -> list[dict[str, float]]:
-    """What the estimate's covariance takes for uncertain: independent steps of one standard deviation each.
+    """Consider parameters of a rig, each as independent changes of one standard deviation.
 
     Args:
-        rig: its ``uncertainty`` names parameters one by one, its ``directions`` several that move together.
+        rig: its ``uncertainty`` names single parameters, its ``directions`` several that change together.
 
     Returns:
-        For each, the changes by parameter.
+        For each consider parameter, the changes by parameter name.
     """
     return [{name: std} for name, std in rig.uncertainty.items()] + list(rig.directions.values())
 
 
 def _of_states(p: np.ndarray, tuning: Tuning, period: float, locked: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Initial and process variances of all states, those that effects add from the catalogue or the tuning."""
+    """Initial and process variances of all states; for added states they come from the catalogue or the tuning."""
     initial, process = list(tuning.initial), list(tuning.process)
     if locked:
         # A locked joint's angle and velocity are known.
@@ -133,7 +134,7 @@ def _of_states(p: np.ndarray, tuning: Tuning, period: float, locked: bool) -> tu
         noise = number(state.noise) if isinstance(state.noise, str) else state.noise
         prior = number(state.prior) if state.prior else math.inf
         if prior < UNBOUNDED:
-            # What a step adds to a state that forgets exp(−period/T) of itself and keeps the variance s², T = 2 s²/σ².
+            # Gauss–Markov process: the factor of a step is exp(−period/T), T = 2 s²/σ², and the variance stays s².
             own = (prior**2, -(prior**2) * math.expm1(-((noise / prior) ** 2) * period))
         else:
             own = (state.initial_std**2, noise**2 * period)
@@ -144,7 +145,7 @@ def _of_states(p: np.ndarray, tuning: Tuning, period: float, locked: bool) -> tu
 
 
 def _angle_sensor(rig: Rig, name: str) -> dict[str, float]:
-    """What a filter is set to for its angle sensor."""
+    """Settings of a filter for its angle sensor."""
     if name not in ANGLE_SENSORS:
         raise BadInput(f"angle_sensor {name!r}: expected one of {', '.join(ANGLE_SENSORS)}")
     if name == "none":
@@ -159,7 +160,7 @@ def _angle_sensor(rig: Rig, name: str) -> dict[str, float]:
 
 
 def _results(samples: int, states: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What :func:`filter.process_all` writes into: estimates, states, indices of the samples, stamps of the starts."""
+    """Results of :func:`filter.process_all`: estimates, states, indices of the samples, stamps of the starts."""
     indices = np.zeros((2, samples), dtype=np.int64)
     return np.zeros(samples, ESTIMATE_DTYPE), np.zeros((samples, states)), indices[0], indices[1]
 
@@ -167,7 +168,7 @@ def _results(samples: int, states: int) -> tuple[np.ndarray, np.ndarray, np.ndar
 class Estimator:
     """The unscented Kalman filter of a rig, on pressures and valve voltages.
 
-    Of a rig with pressure regulators, the pressures [Pa] that these are asked for take the place of the voltages.
+    For a rig with pressure regulators, commanded pressures [Pa] take the place of the voltages.
 
     Args:
         rig: the rig.
@@ -177,8 +178,8 @@ class Estimator:
         angle_sensor: ``none``, or ``encoder`` where each sample may have a measured angle beside the pressures.
 
     Raises:
-        BadInput: a tuning, joint condition or angle sensor that does not exist, or an encoder that the rig file says
-            nothing of.
+        BadInput: a tuning, joint condition or angle sensor that does not exist, or an encoder that the rig file does
+            not declare.
     """
 
     def __init__(
@@ -213,7 +214,7 @@ class Estimator:
             rig.name, fingerprint(rig), tuning, joint, lock_angle, tuple(self._added),
             checkpoints.settings_hash(self._settings),
         )  # fmt: skip
-        # What the kernel takes: plain tuples, see filter.process_all.
+        # Plain tuples for the kernel, see filter.process_all.
         self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, sets))
         self._stamp, self._pressure, self._voltage = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 2))
         self._angle = np.full(1, np.nan)
@@ -229,7 +230,7 @@ class Estimator:
         self._compile(4e5 if rig.drive == "regulator" else 5.0)
 
     def _compile(self, command: float) -> None:
-        """Compile, or load from the cache, everything that a sample needs: nothing is compiled in the loop."""
+        """Compile, or load from the cache, everything that a sample needs, so that the loop compiles nothing."""
         for stamp in (1, 1_000_001):
             self.step(stamp, 4e5, 4e5, command, command)
         self.reset()
@@ -246,7 +247,7 @@ class Estimator:
 
     @property
     def estimates_external_torque(self) -> bool:
-        """Whether the rig has the torque from outside as a state."""
+        """Whether the rig has the external torque as a state."""
         return push.EXTERNAL_TORQUE in self._added
 
     @property
@@ -257,13 +258,13 @@ class Estimator:
     def set_state(
         self, stamp_ns: int, angle: float, velocity: float, pressure: tuple[float, float], voltage: tuple[float, float]
     ) -> None:
-        """Put the filter into a state, with the covariance of a start; it goes on from there with the next sample.
+        """Put the filter into a state, with the covariance of a start. The next sample is predicted from there.
 
-        States that effects add are as at a start. The filter counts as started at the stamp, but a replay cannot know
-        the state: it starts by itself there.
+        States that effects add are as at a start. The filter counts as started at the stamp. A replay does not know
+        the state, and starts from the measured pressures there.
 
         Args:
-            stamp_ns: at which the joint is in that state [ns]; later samples are predicted from it.
+            stamp_ns: time of that state [ns]; later samples are predicted from it.
             angle: [rad].
             velocity: [rad/s].
             pressure: of the muscles (2,), absolute [Pa].
@@ -300,23 +301,23 @@ class Estimator:
         stamps.start(memory.clock, stamp_ns)
 
     def checkpoint(self) -> Checkpoint | None:
-        """All that the filter remembers after the last sample, None where it is not started."""
+        """The filter's whole memory after the last sample; None if it is not started."""
         return checkpoints.take(self._memory, self._identity) if self.started_ns is not None else None
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint: later samples give the same bits as in the filter that it was taken of.
+        """Go on from a checkpoint: later samples give the same bits as in the filter of the checkpoint.
 
         Args:
             checkpoint: of a filter with the same rig, tuning and joint condition.
 
         Raises:
-            BadInput: it is of another filter, or damaged; the filter is left as it was.
+            BadInput: it is of another filter, or damaged; the filter stays unchanged.
         """
         checkpoints.put(checkpoint, self._memory, self._identity)
 
     @property
     def counts(self) -> Counts:
-        """What became of the samples so far."""
+        """Counts of the samples so far, by outcome."""
         return Counts(*(int(value) for value in self._memory.counts))
 
     @property
@@ -327,7 +328,7 @@ class Estimator:
     def step(
         self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan
     ) -> np.void | None:
-        """Take one sample in.
+        """Process one sample.
 
         Args:
             stamp_ns: its stamp [ns].
@@ -335,11 +336,11 @@ class Estimator:
             p2: pressure of muscle 2, absolute [Pa], NaN where missing.
             u1: voltage on valve 1 over the step that ends at the stamp [V], NaN where missing.
             u2: voltage on valve 2, likewise.
-            angle: as the encoder reads it [rad], NaN where missing.
+            angle: reading of the encoder [rad], NaN where missing.
 
         Returns:
-            The estimate (an ``ESTIMATE_DTYPE``), or None where there is none: the sample was not newer than the last
-            one, or the filter is not started yet.
+            The estimate (an ``ESTIMATE_DTYPE``), or None: the sample was not newer than the last one, or the filter is
+            not started yet.
 
         Example:
             >>> from pam_antagonist import Estimator, load_rig
@@ -355,7 +356,7 @@ class Estimator:
     def step_in_place(
         self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan
     ) -> np.void | None:
-        """:meth:`step` without a copy, for a loop that has a millisecond: the next call overwrites the row.
+        """:meth:`step` without a copy, for fast loops: the next call overwrites the row.
 
         Args:
             stamp_ns: as for :meth:`step`.
@@ -376,17 +377,17 @@ class Estimator:
     def run(
         self, stamp_ns: np.ndarray, pressure: np.ndarray, voltage: np.ndarray, angle: np.ndarray | None = None
     ) -> EstimateRun:
-        """Take a recording in, sample by sample; the same as calling :meth:`step` for each.
+        """Process a recording, sample by sample, with the same results as :meth:`step`.
 
         Args:
             stamp_ns: stamps (N,) [ns].
             pressure: pressures (N, 2) [Pa], NaN where missing.
             voltage: voltages (N, 2) [V], NaN where missing.
-            angle: what the encoder reads (N,) [rad], NaN where missing; None: nothing.
+            angle: readings of the encoder (N,) [rad], NaN where missing; None: no readings.
         """
         angles = np.full(len(stamp_ns), np.nan) if angle is None else np.array(angle, dtype=np.float64)
         rows, states, index, started = _results(len(stamp_ns), len(self._memory.x))
-        # A copy: for stamps that are read-only, numba would compile the filter once more.
+        # A copy, because numba would compile the filter once more for a read-only array.
         stamps = np.array(stamp_ns, dtype=np.int64)
         count = kernels.process_all(
             stamps,

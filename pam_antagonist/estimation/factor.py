@@ -1,4 +1,4 @@
-"""A Cholesky factorisation that always has an answer."""
+"""A Cholesky factorisation that repairs a matrix which is not positive definite."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from pam_antagonist._jit import in_place
 
 _TOLERANCE = 1e-12
-"""A pivot below this share of its diagonal entry is rounding, not information."""
+"""A pivot below this share of its diagonal entry is a rounding error."""
 
 
 @in_place
@@ -51,6 +51,6 @@ def factorise(matrix, lower):
             total = matrix[i, j]
             for k in range(j):
                 total -= lower[i, k] * lower[j, k]
-            # Without information in the pivot there is none in the column either.
+            # A repaired pivot holds no information, so neither does its column.
             lower[i, j] = 0.0 if lost else total / root
     return repaired

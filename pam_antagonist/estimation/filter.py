@@ -1,27 +1,27 @@
-"""One sample after another through the filter: time, missing values and outliers, as one compiled kernel.
+"""Processing of samples by the filter: time, missing values and outliers, as one compiled kernel.
 
 The live node calls :func:`process_all` with one sample, a replay with all of them: both give the same bits.
 
 A sample is two pressures at a stamp and the voltages that were on the valves over the step that ends
-there. What can be wrong with it is decided here, by stamps (:mod:`~pam_antagonist.estimation.stamps`) alone and never
-by the time of arrival:
+there. All decisions here depend on stamps (:mod:`~pam_antagonist.estimation.stamps`) and values, never on the time of
+arrival:
 
-* not newer than the last one: dropped and counted (``duplicates``, ``late``);
-* older by more than ``RESTART_AFTER_NS``: the clock was set back, the filter starts again;
-* further from the last one than the stream's own period: samples are missing. They are predicted over with the last
-  known voltages, up to ``LONGEST_GAP_NS``; beyond that the filter starts again;
-* a pressure that is not finite: the other one alone is used, or none (prediction only);
-* voltages that are not finite: the last known ones are taken to hold;
-* of a joint with pressure regulators, the voltages are the pressures that these are asked for. A start without a
-  measured pressure takes what the regulator is asked for in its place;
-* a measured angle, where the filter uses one: :mod:`~pam_antagonist.estimation.encoder`;
-* an innovation beyond what a declared ``onset`` of pushes allows: :mod:`~pam_antagonist.estimation.push`;
-* an innovation beyond the gate (Mahalanobis distance): the pressure that is further off is left out,
-  then the other one if that is beyond the gate as well. After ``PATIENCE`` such samples in a row it is
-  the filter that is wrong, not the sensor, and the pressures are used again.
+* a stamp not newer than the last one: the sample is dropped and counted (``duplicates``, ``late``);
+* a stamp older by more than ``RESTART_AFTER_NS``: the clock was set back, and the filter starts again;
+* an interval longer than the stream's own period: samples are missing. The filter predicts over the gap with the last
+  known voltages, up to ``LONGEST_GAP_NS``; after a longer gap it starts again;
+* a pressure that is not finite: only the other one is used, or none (prediction only);
+* voltages that are not finite: the last known ones are held;
+* a joint with pressure regulators: commanded pressures take the place of the voltages. At a start, a commanded pressure
+  also replaces a missing measured one;
+* a measured angle, where the filter uses one: see :mod:`~pam_antagonist.estimation.encoder`;
+* an innovation beyond the declared ``onset`` of pushes: see :mod:`~pam_antagonist.estimation.push`;
+* an innovation beyond the gate (Mahalanobis distance): the pressure with the larger normalised innovation is left out,
+  then the other one if it is beyond the gate as well. After ``PATIENCE`` such samples in a row the filter is
+  taken to be wrong, not the sensor, and the pressures are used again.
 
-The model takes steps as near to 1 ms as whole ones allow, and the process noise, which a
-tuning gives a nominal period, grows with the time that passes.
+The gap between two samples is divided into equal steps of the model near 1 ms. The process noise of the tuning is
+per nominal period, and is scaled to the step.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 from pam_antagonist.model.parameters import SLOT_OF
 
 PATIENCE = 20
-"""Samples, at any rate: so many readings in a row tell a wrong filter from a wrong sensor."""
+"""Largest number of rejected samples in a row, at any sample rate; with more, the filter is taken to be wrong."""
 
 _NO_FLAGS, _ANGLE_MISSING, _ANGLE_REFUSED = np.int64(0), np.int64(NO_ANGLE), np.int64(OUTLIER)
 _VERDICT, _WITHOUT = encoder.VERDICT, encoder.WITHOUT
@@ -72,7 +72,7 @@ _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps
 
 @in_place
 def _start(y, effects, memory, settings, work):
-    """Set the state to what a first sample tells."""
+    """Set state and covariance from a first sample."""
     _start_state(
         y,
         memory.held,
@@ -100,7 +100,7 @@ def _distance(innovation, s):
 
 @in_place
 def _select(innovation, s, usable_1, usable_2, gate):
-    """Which pressures lie within the gate: the joint Mahalanobis distance first, then the better one alone."""
+    """Which pressures lie within the gate: both by their joint Mahalanobis distance, else the better one alone."""
     v1 = innovation[0]
     v2 = innovation[1]
     limit = gate * gate
@@ -162,7 +162,7 @@ def _write(row, effects, memory, settings, nis, flags, work):
 
 @in_place
 def _dropped(elapsed, x, covariance, clock, counts):
-    """Whether a running filter has no use for a sample at that distance [ns]; stops one that has to begin again."""
+    """Whether a running filter drops a sample after this interval [ns]. Stops a filter that has to start again."""
     if clock[RUNNING] == 0:
         return False
     if elapsed == 0:
@@ -179,13 +179,13 @@ def _dropped(elapsed, x, covariance, clock, counts):
 
 @in_place
 def _begin(stamp, y, u, angles, k, effects, memory, settings, work, row):
-    """Start with a sample that has pressures and voltages; whether there is an estimate."""
+    """Start the filter with a sample that has pressures and voltages. Returns whether there is an estimate."""
     memory.held[0], memory.held[1] = u
     _start(y, effects, memory, settings, work)
     _start_clock(memory.clock, stamp)
     flags = _NO_FLAGS
     if angles is not None:
-        # Both are finite here. numba would compile all of this once more for a True that stands in the code.
+        # Both pressures are finite here. numba would compile _angle once more for the literal True.
         flags = _angle(angles[k], 0.0, y, math.isfinite(y[0]), effects, memory, settings, work)
     memory.counts[_PROCESSED] += 1
     return _write(row, effects, memory, settings, np.nan, flags, work)
@@ -193,20 +193,20 @@ def _begin(stamp, y, u, angles, k, effects, memory, settings, work, row):
 
 @in_place
 def _angle(angle, elapsed, y, usable, effects, memory, settings, work):
-    """Update with a measured angle [rad], where there is one that may be used; flags of the estimate."""
+    """Update with a measured angle [rad], if there is one that may be used. Returns flags of the estimate."""
     counts = memory.counts
     if not math.isfinite(angle):
         memory.encoder[_WITHOUT] += elapsed
         return _ANGLE_MISSING
     reading, before = angle - settings.angle_offset, memory.encoder[_VERDICT]
-    may = _examine(
+    usable_angle = _examine(
         reading, elapsed, y, usable, memory.held, memory.x, settings.parameter_sets[0], settings.measurement_noise,
         settings.angle_noise, settings.angle_step, memory.encoder, work,
     )  # fmt: skip
     if memory.encoder[_VERDICT] != before and usable:
-        # What a bad encoder has told the filter is of no use: begin again by the pressures.
+        # A faulty encoder has spoilt the estimate: start again from the pressures.
         _start(y, effects, memory, settings, work)
-    if may and _correct_angle(reading, memory, settings, work):
+    if usable_angle and _correct_angle(reading, memory, settings, work):
         counts[_ANGLES_USED] += 1
         return _NO_FLAGS
     counts[_ANGLES_REFUSED] += 1
@@ -249,7 +249,7 @@ def _advance(elapsed, period, u, known_u, effects, memory, settings, work):
 
 @merged
 def _gate(y, finite_1, finite_2, memory, settings):
-    """Innovation of the pressures, which of them to use, and whether one was left out as an outlier."""
+    """Innovation of the pressures. Returns which pressures to use, and whether one was left out as an outlier."""
     innovation, covariance = memory.innovation, memory.innovation_covariance
     p = settings.parameter_sets[0]
     for i in range(2):
@@ -270,7 +270,7 @@ def _gate(y, finite_1, finite_2, memory, settings):
 
 @merged
 def _correct(use_1, use_2, memory, settings, work):
-    """Update with the pressures that are used, forget the innovation of the others; the squared innovation."""
+    """Update with the pressures in use, and clear the innovation of the others. Returns the NIS."""
     innovation = memory.innovation
     nis = np.nan
     if use_1 or use_2:
@@ -296,7 +296,7 @@ def _correct(use_1, use_2, memory, settings, work):
 
 @in_place
 def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
-    """Flags of an estimate; its sample is counted as what it was."""
+    """Flags of an estimate; also counts its sample by outcome."""
     flags = 0
     if not finite_1:
         flags |= MISSING_PRESSURE_1
@@ -319,14 +319,14 @@ def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
 
 @merged
 def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
-    """Take one sample in.
+    """Process one sample.
 
     Args:
         stamp: [ns].
         y: both pressures [Pa], NaN where missing.
         u: both voltages [V] over the step that ends at the stamp, NaN where missing.
         angles: measured angles (N,) [rad], NaN where missing; None where none is used.
-        k: which of them is the sample's.
+        k: index of the sample's angle in ``angles``.
         effects: None where the rig is known to be plain.
         memory: :class:`Memory` of the filter, changed in place.
         settings: its :class:`Settings`.
@@ -334,8 +334,7 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         row: result, a record of ``ESTIMATE_DTYPE``.
 
     Returns:
-        True where ``row`` holds an estimate; False where the sample was dropped, or no filter could be
-        started from it.
+        True if ``row`` holds an estimate; False if the sample was dropped, or could not start the filter.
     """
     clock, counts = memory.clock, memory.counts
     finite_1 = math.isfinite(y[0])
@@ -344,7 +343,7 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
     p = settings.parameter_sets[0]
     regulated = p[_REGULATED] > 0.0 and p[_REGULATED + 1] > 0.0
     complete = known_u and (regulated or (finite_1 and finite_2))
-    # A regulator that has stood holds what it is asked for, measured or not.
+    # At rest a regulator holds its commanded pressure, which can replace a missing measured one.
     at_rest = (y[0] if finite_1 else u[0], y[1] if finite_2 else u[1])
     memory.innovation[:] = np.nan
     memory.innovation_covariance[:] = np.nan
@@ -363,7 +362,7 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         counts[_GAPS] += 1
     clock[LAST] = stamp
     if not _finite(memory.x, memory.covariance):
-        # Nothing of the old estimate is of use: begin again with this sample, or with the next good one.
+        # The estimate is lost: start again with this sample, or with the next complete one.
         clock[RUNNING] = 0
         counts[_RESTARTS] += 1
         return complete and _begin(stamp, at_rest, u, angles, k, effects, memory, settings, work, row)
@@ -388,18 +387,18 @@ def process_all(
         stamps: (N,) [ns].
         pressures: (N, 2) [Pa].
         voltages: (N, 2) [V].
-        angles: (N,) [rad]; None for a filter that uses none, by which numba leaves out what looks at them.
+        angles: (N,) [rad]; None for a filter without an encoder, for which numba compiles a smaller version.
         effects: None where the rig is known to be plain, likewise.
-        memory_fields: fields of :class:`Memory` as a plain tuple, which numba takes from Python in a third of the time.
+        memory_fields: fields of :class:`Memory` as a plain tuple: numba unpacks it in a third of a NamedTuple's time.
         settings_fields: fields of :class:`Settings`, likewise.
         work_fields: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise.
         rows: results (N,) of ``ESTIMATE_DTYPE``.
-        states: result (N, n), the whole state behind each estimate.
-        index: for each result the sample it belongs to (N,).
-        started: for each result the stamp [ns] at which its filter was started (N,).
+        states: result (N, n), the whole state of each estimate.
+        index: result (N,), the index of each estimate's sample.
+        started: result (N,), the stamp [ns] at which the filter of each estimate was started.
 
     Returns:
-        How many results there are.
+        Number of estimates.
     """
     memory, settings, work = Memory(*memory_fields), Settings(*settings_fields), Work(*work_fields)
     count = 0

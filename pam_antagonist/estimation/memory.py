@@ -1,4 +1,4 @@
-"""What a filter is set to, what it remembers from sample to sample, and what it gives for each."""
+"""Settings of a filter, its memory from sample to sample, and the type of its estimates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, L
 
 COUNTERS = ("processed", "predicted_only", "missing", "outliers", "late", "duplicates", "gaps", "repaired", "restarts",
             "angles_used", "angles_refused")  # fmt: skip
-"""What becomes of samples, in the order in which it is counted."""
+"""Outcomes of samples, in the order of the counters."""
 
 ESTIMATE_DTYPE = np.dtype(
     [
@@ -36,27 +36,27 @@ ESTIMATE_DTYPE = np.dtype(
         ("external_torque_covariance", "f8", (4,)),
     ]
 )
-"""One estimate: rad, rad/s, N m, their covariance, Pa, N, N m/rad, Pa, Pa², and what helps to judge it; then the torque
-from outside [N m] and its covariance with angle, velocity, torque and itself, NaN where the rig has no such state."""
+"""One estimate: rad, rad/s, N m, their covariance, Pa, N, N m/rad, Pa, Pa², then NIS, subsystem and flags. The external
+torque [N m] and its covariance with angle, velocity, torque and itself are NaN if the rig has no such state."""
 
 
 class Settings(NamedTuple):
-    """What a filter is set to; n states, m consider parameters.
+    """Settings of a filter; n states, m consider parameters.
 
     Attributes:
         parameter_sets: parameter vectors of the sigma points (1 + 2 m, parameters.SIZE), the nominal one first.
         initial: diagonal of P(0) (n,).
-        process_noise: diagonal of Q a sample period (n,).
+        process_noise: diagonal of Q for a nominal sample period (n,).
         measurement_noise: diagonal of R (2,) [Pa²].
-        gain_noise: what stands for R in the gain (2,) [Pa²], see :func:`pam_antagonist.estimation.ukf.update`.
+        gain_noise: value of R in the gain (2,) [Pa²], see :func:`pam_antagonist.estimation.ukf.update`.
         period: nominal sample period [s].
-        step: time that a step of the model takes, about [s].
+        step: approximate step of the model [s].
         kappa: κ, the scaling of the sigma points [-].
         gate: largest Mahalanobis distance of a pressure that is used [-].
         lock_angle: angle of a locked joint [rad].
-        angle_noise: variance of a measured angle [rad²]; 0: none is used.
-        angle_offset: so much too high it reads [rad].
-        angle_step: of its converter [rad]; 0: none.
+        angle_noise: variance of a measured angle [rad²]; 0: no angle is used.
+        angle_offset: of the measured angle [rad], positive if it reads too high.
+        angle_step: of the angle's converter [rad]; 0: none.
     """
 
     parameter_sets: np.ndarray
@@ -75,20 +75,20 @@ class Settings(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What a filter remembers from sample to sample, changed in place.
+    """Memory of a filter from sample to sample, changed in place.
 
     Attributes:
         x: estimate of the state (n,) [rad, rad/s, Pa, Pa, added states].
         covariance: P (n, n).
         cross: covariance with the consider parameters C (n, m).
         held: last known voltages (2,) [V].
-        clock: what is known of the stream's stamps (stamps.CLOCK_SIZE,).
-        counts: what became of the samples (len(COUNTERS),).
+        clock: memory of the stream's stamps (stamps.CLOCK_SIZE,).
+        counts: counters of the samples by outcome (len(COUNTERS),).
         innovation: of the last sample (2,) [Pa], NaN where a pressure was not used.
         innovation_covariance: (2, 2) [Pa²].
         torque_moments: mean of the torque [N m], its variance, its covariance with each state (2 + n,).
-        noise: diagonal of Q for the step at hand (n,).
-        encoder: what is remembered of a measured angle (encoder.MEMORY,).
+        noise: diagonal of Q for the present step (n,).
+        encoder: memory of the encoder (encoder.MEMORY,).
     """
 
     x: np.ndarray
@@ -105,7 +105,7 @@ class Memory(NamedTuple):
 
 
 def make_memory(states: int, considered: int) -> Memory:
-    """The memory of a filter that has not begun.
+    """The memory of a filter that has not started.
 
     Args:
         states: n.

@@ -1,4 +1,4 @@
-"""Figures of merit of an estimate: how wrong it is, and whether it knows how wrong it is.
+"""Figures of merit of an estimate: its errors, and whether its covariance fits them.
 
 The three figures of Shin, Ibayashi and Kogiso (2022), section "Model Validation", are
 
@@ -10,8 +10,8 @@ The paper sums N + 1 samples and divides by N; here the sum is divided by the nu
 The rest judges the filter's own covariance: the coverage of its intervals, the normalised innovation
 squared (NIS) against its chi-square law, and the whiteness of the innovations.
 
-Samples that are not finite (nothing was measured, or nothing was used) are left out throughout. Where nothing
-is left, the answer is NaN, never a number that looks like one.
+Samples that are not finite (nothing was measured, or nothing was used) are left out throughout. If none is left, the
+result is NaN.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from pam_antagonist.rig import Reading
 FloatArray = NDArray[np.float64]
 
 EXACT = Reading()
-"""A reference that does not err."""
+"""A reference without error."""
 _EVEN = 200.0
-"""Half steps of a converter, in standard deviations of the normal error, from which on only the step counts."""
+"""If half a step of a converter exceeds so many standard deviations of the normal error, only the step counts."""
 
 
 def _finite(values: ArrayLike) -> FloatArray:
@@ -87,7 +87,7 @@ def estimation_ratio(error: ArrayLike, signal: ArrayLike) -> float:
 
 @functools.lru_cache(maxsize=8)
 def _quantiles(level: float) -> tuple[FloatArray, FloatArray]:
-    """Two-sided quantile of a standard normal plus an error that is even between -r and r, over r; both (K,)."""
+    """Two-sided quantile of a standard normal error plus a uniform one from -r to r, as a table over r; both (K,)."""
     ratio = np.concatenate(([0.0], np.geomspace(0.01, _EVEN, 600)))
 
     def integral(x: FloatArray) -> FloatArray:  # of the normal distribution function
@@ -105,15 +105,15 @@ def _quantiles(level: float) -> tuple[FloatArray, FloatArray]:
 
 
 LONGEST_DELAY = 0.2
-"""[s] Over which a delay is looked for."""
+"""[s] Largest delay of the search."""
 
 
 def delay(signal: ArrayLike, estimate: ArrayLike, period: float) -> float:
-    """By how much an estimate is behind: the shift by which it fits a signal best, in the mean square.
+    """Delay of an estimate: the shift with the least mean square error against the signal.
 
     Args:
-        signal: as it was (N,), in any unit.
-        estimate: of it (N,), in the same unit.
+        signal: true values (N,), in any unit.
+        estimate: of the signal (N,), in the same unit.
         period: between two values [s].
 
     Returns:
@@ -131,17 +131,17 @@ def delay(signal: ArrayLike, estimate: ArrayLike, period: float) -> float:
 def interval_half_width(variance: ArrayLike, reference: Reading = EXACT, level: float = 0.95) -> FloatArray:
     """Half width of the interval in which a *measured* value is expected around the estimate.
 
-    The reference sensor errs too: its noise adds to the variance of the estimate, and its converter puts what it reads
-    half a step off at most, or an exact estimate with an exact covariance would seem to miss.
+    The interval includes the errors of the reference sensor. Its noise adds to the variance of the estimate, and its
+    converter rounds by half a step at most.
 
     Args:
         variance: variance of the estimate, (N,).
-        reference: how the reference sensor errs, in the unit of the estimate.
+        reference: errors of the reference sensor, in the unit of the estimate.
         level: probability of the two-sided interval, between 0 and 1.
 
     Returns:
-        The quantile of a normal error plus one that is even within a step of the converter, (N,):
-        z sqrt(variance + std^2) with z = 1.96 for 95 % where there is no step, 0.475 step where there is nothing else.
+        The quantile of a normal error plus a uniform one of a converter's step, (N,): for 95 %, this is
+        1.96 sqrt(variance + std^2) without a step, and 0.475 step with nothing but a step.
     """
     std = np.sqrt(np.asarray(variance, dtype=np.float64) + reference.std**2)
     if reference.step == 0.0:
@@ -160,11 +160,11 @@ def coverage(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT, 
     Args:
         error: estimate minus measurement, (N,).
         variance: variance of the estimate, (N,).
-        reference: how the sensor errs that measured the reference.
-        level: probability that the interval claims, between 0 and 1.
+        reference: errors of the reference sensor.
+        level: probability of the interval, between 0 and 1.
 
     Returns:
-        A share between 0 and 1 (`level` for an honest filter), NaN where nothing can be judged.
+        A share between 0 and 1 (`level` if the covariance is right), NaN if no sample is finite.
     """
     z = np.asarray(error, dtype=np.float64)
     half = interval_half_width(variance, reference, level)
@@ -175,16 +175,16 @@ def coverage(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT, 
 def nees(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT) -> float:
     """Normalised estimation error squared of one quantity, the mean over the samples.
 
-    Where the NIS tests the pressures, the NEES tests what is estimated, wherever that was measured as well (Bar-Shalom,
-    Li and Kirubarajan 2001, section 5.4). The variance of the reference sensor adds to that of the estimate.
+    The NIS tests the pressures. The NEES tests an estimated quantity that was measured as well (Bar-Shalom, Li and
+    Kirubarajan 2001, section 5.4). The variance of the reference sensor adds to that of the estimate.
 
     Args:
         error: estimate minus measurement, (N,).
         variance: variance of the estimate, (N,).
-        reference: how the sensor errs that measured the reference.
+        reference: errors of the reference sensor.
 
     Returns:
-        1 where the covariance is right, more where it is too small; NaN where nothing can be judged.
+        1 where the covariance is right, more where it is too small; NaN if no sample is finite.
     """
     z = np.asarray(error, dtype=np.float64)
     total = np.asarray(variance, dtype=np.float64) + reference.error**2
@@ -224,8 +224,8 @@ class NisConsistency:
 def nis_consistency(nis: ArrayLike, innovation: ArrayLike) -> NisConsistency:
     """Compare the normalised innovations squared with the chi-square law that a consistent filter obeys.
 
-    Values below the lower bound count as outside: a filter that calls itself far worse than it is
-    is inconsistent as well (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
+    Values below the lower bound count as outside: a filter whose covariance is far too large is inconsistent as well
+    (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
 
     Args:
         nis: normalised innovation squared, (N,), NaN where nothing was used.
@@ -275,16 +275,16 @@ def normalised_innovation(innovation: ArrayLike, covariance: ArrayLike) -> Float
 
 
 def autocorrelation(series: ArrayLike, lags: int) -> FloatArray:
-    """Autocorrelation matrices of a series about zero, over the pairs of samples that are both there.
+    """Autocorrelation matrices of a series about zero, over the pairs of samples that are both present.
 
-    The mean is not removed: innovations of a right model have none, and an offset is a correlation at every lag.
+    The mean is not removed: innovations of a right model have mean 0, and an offset is a correlation at every lag.
 
     Args:
         series: (N, m), one row a sample at a constant step; rows with NaN are left out.
         lags: the largest lag, in samples.
 
     Returns:
-        (lags + 1, m, m): mean of e(t) e(t - k)^T for k = 0..lags, NaN where no pair is there.
+        (lags + 1, m, m): mean of e(t) e(t - k)^T for k = 0..lags, NaN without a pair.
     """
     e = np.asarray(series, dtype=np.float64)
     present = _complete(e)
@@ -300,7 +300,7 @@ def autocorrelation(series: ArrayLike, lags: int) -> FloatArray:
 def largest_autocorrelation(series: ArrayLike, lags: int = 20) -> float:
     """Largest autocorrelation of any column over the lags, with its sign.
 
-    It says how much memory there is, where :func:`whiteness_p` says how certain it is.
+    It measures the size of the correlation, while :func:`whiteness_p` tests whether there is one.
 
     Args:
         series: (N, m), one row a sample at a constant step; rows with NaN are left out.
@@ -329,7 +329,7 @@ def whiteness_p(series: ArrayLike, lags: int = 20) -> float:
         lags: number of lags tested, in samples.
 
     Returns:
-        p-value between 0 and 1, NaN where fewer than 5 x `lags` samples are there or the series does not vary.
+        p-value between 0 and 1, NaN for fewer than 5 x `lags` samples or a series that does not vary.
     """
     e = np.asarray(series, dtype=np.float64)
     present = _complete(e)

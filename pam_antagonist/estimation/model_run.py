@@ -1,4 +1,4 @@
-"""The model alone, driven by what was recorded, without a filter."""
+"""The model alone, driven by recorded inputs, without a filter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ModelRun:
     Attributes:
         angle: (N,) [rad].
         velocity: (N,) [rad/s].
-        pressure: what the sensors would show (N, 2) [Pa].
+        pressure: simulated readings of the sensors (N, 2) [Pa].
         torque: (N,) [N m].
         subsystem: number σ of the active subsystem (N,).
     """
@@ -42,7 +42,7 @@ def simulate_model(
     external_torque: np.ndarray | None = None,
     period: float | None = None,
 ) -> ModelRun:
-    """The model alone from the first pressures on, without any measurement after them.
+    """The model alone: it starts at the first pressures and uses no later measurement.
 
     Args:
         rig: the rig.
@@ -51,8 +51,8 @@ def simulate_model(
         pressure0: pressures (2,) [Pa] at the first sample.
         joint: ``free`` or ``locked``.
         lock_angle: angle [rad] of a locked joint.
-        angle0: angle [rad] of a free joint at the first sample; default: that of a filter's start.
-        substeps: Runge-Kutta steps a sample; default: as many as keep each within 1 ms.
+        angle0: angle [rad] of a free joint at the first sample; default: the angle at which a filter would start.
+        substeps: Runge-Kutta steps a sample; default: as many as keep each step within 1 ms.
         external_torque: torque from outside (N,) [N m] where it is known.
         period: time from row to row [s]; default: the rig's sample period.
 

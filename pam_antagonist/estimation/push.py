@@ -1,17 +1,17 @@
-r"""Pushes that set in at once, or are let go at once.
+r"""Pushes that begin or end suddenly.
 
-A random walk is a poor model of a push: to follow a jump, it has to be so quick that it shakes a joint at rest out of
-its friction, and what the joint then does without a cause is taken for a push. Here the torque from outside d hardly
-changes for as long as a push lasts, and now and then it jumps. A jump shows within milliseconds: the innovations are
-then more improbable than the declared ``onset``, in standard deviations.
+A random walk is a poor model of a push. To follow a jump, its noise must be so large that the filter's joint at rest
+leaves its friction, and the filter then takes this motion for a push. Here the external torque d hardly changes during
+a push, and jumps now and then. A jump shows within milliseconds: the normalised innovation then exceeds the declared
+``onset``, in standard deviations.
 
-From then on d may be anything: what it has changed by has the variance s² of its prior. The change has been there for a
-time t, somewhere within the last ``_NOTICED``, and has moved the joint meanwhile by (8), stiffness and friction aside:
+The change Δd then has the variance s² of the prior. It began at a time t ago, between 0 and ``_NOTICED``, and has moved
+the joint since then by (8), without stiffness and friction:
 
     Δψ̇ = Δd t/J,   Δψ = Δd t²/(2 J).
 
-So the covariance gains s² E[g gᵀ], g = (t²/(2 J), t/J, 1) of angle, velocity and d, over t between 0 and ``_NOTICED``.
-The updates that follow find the push within some 10 ms.
+So the covariance gains s² E[g gᵀ] with g = (t²/(2 J), t/J, 1) for angle, velocity and d, and t even over this interval.
+The next updates find the push within some 10 ms.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.parameters import INDEX, INERTIA, LOCKED, SLOT_OF
 
 EXTERNAL_TORQUE = CATALOGUE[DISTURBANCE].states[0].name
-"""Name of the state that is the torque from outside."""
+"""Name of the state that is the external torque."""
 _AT = SLOT_OF[EXTERNAL_TORQUE]
 _ONSET, _PRIOR = INDEX["effects.external_torque.onset"], INDEX["effects.external_torque.prior"]
 _NOTICED = 0.005
 """[s] A push of 0.3 N m moves the pressures of the paper's joint by five times their noise in 6 ms, 1 N m in 3 ms."""
 _COUNTED = 0.5
-"""Part of the velocity's new variance from which on a jump has been counted: it is not counted twice."""
+"""Part of the velocity's new variance above which this jump has been added already: it is not added twice."""
 
 
 @in_place
 def jumped(distance, p):
-    """Whether an innovation is so improbable that a push must have set in or been let go.
+    """Whether an innovation is so improbable that a push must have begun or ended.
 
     Args:
         distance: squared Mahalanobis distance of the innovation.
@@ -44,7 +44,7 @@ def jumped(distance, p):
 
 @in_place
 def widen(covariance, p):
-    """Add what a push that has just set in may be, in place.
+    """Add the variance of a push that has just begun or ended, in place.
 
     Args:
         covariance: P (n, n).

@@ -1,7 +1,7 @@
-"""Sigma points over a step of the model: eight at once, where the processor works on eight numbers at once.
+"""Propagation of sigma points over a step of the model: eight at once on processors with wide instructions.
 
-Each point gets the bits that it gets alone (:mod:`pam_antagonist.model.lanes`): which way is taken depends on the
-machine, the estimate does not.
+Each point has the same bits either way (:mod:`pam_antagonist.model.lanes`), so the estimate does not depend on the
+machine.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ def beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
     """Parameters of the sigma points, eight side by side.
 
     Args:
-        parameter_sets: those of the first points (1 + 2 m, SIZE); the others have the first set.
-        points: how many there are.
+        parameter_sets: sets of the first points (1 + 2 m, SIZE); the others have the first set.
+        points: number of points.
 
     Returns:
-        (G, SIZE, 8), G groups of eight; the points that the last one lacks have the first set.
+        (G, SIZE, 8), G groups of eight; unused places of the last group have the first set.
     """
     steps = range(0, points, LANES)
     each = [parameter_sets[k if k < len(parameter_sets) else 0] for k in range(len(steps) * LANES)]
@@ -33,12 +33,12 @@ def beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
 
 
 def advance(points, u, parameter_sets, dt, effects, work):
-    """Take each sigma point over a step, in place; in compiled code only.
+    """Propagate each sigma point over a step, in place; in compiled code only.
 
     Args:
         points: (K, n).
         u: input (2,) held over the step.
-        parameter_sets: those of the first points (1 + 2 m, SIZE); the others have the first set.
+        parameter_sets: sets of the first points (1 + 2 m, SIZE); the others have the first set.
         dt: step [s].
         effects: None where the rig is known to be plain.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.

@@ -1,8 +1,8 @@
-"""What stamps tell of a stream: how old a sample is, the stream's own period, and whether samples are missing.
+"""Clock of a stream of samples: its own period, and whether samples are missing.
 
-All of it follows from the stamps since the filter's start alone, never from the time of arrival, so that a replay finds
-the same. A stream may have any rate. Its own period is the median of the last distances between stamps. It is the rig's
-nominal period where it is near that.
+Both follow from the stamps since the filter's start alone, never from the time of arrival, so that a replay gets the
+same result. A stream may have any rate. Its own period is the median of the last intervals between stamps, or the
+rig's nominal period if the median is near it.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from typing import Any
 from pam_antagonist._jit import in_place, merged
 
 RESTART_AFTER_NS = 500_000_000
-"""[ns] Set back by more, a clock was set anew, and no sample is late."""
+"""[ns] If a stamp is older than the last one by more, the clock was set back; otherwise the sample is late."""
 LONGEST_GAP_NS = 1_000_000_000
-"""[ns] Over more without samples nothing is predicted."""
+"""[ns] The filter does not predict over a longer gap."""
 _FAR = 1.75
-"""Own periods of an estimated size from one sample to the next, from which on samples are missing between them."""
+"""Samples are missing in an interval of so many own periods, if the own period is not the nominal one."""
 _NEAR = 0.25
-"""Relative difference of a stream's period from the nominal one that jitter may make."""
+"""Relative difference within which a stream's period counts as the nominal one: jitter can cause so much."""
 
 RUNNING, LAST, STARTED, REJECTED, _SEEN, _FIRST_DISTANCE = range(6)
 _DISTANCES = 9
-"""Distances between stamps that are remembered, in a ring from ``_FIRST_DISTANCE`` of the clock on."""
+"""Number of stored intervals between stamps: a ring buffer from ``_FIRST_DISTANCE`` of the clock on."""
 CLOCK_SIZE = _FIRST_DISTANCE + _DISTANCES
-"""Whether the filter runs, last stamp [ns], stamp of the start [ns], rejected samples in a row, how many distances
-between stamps were seen, and the last of these [ns]."""
+"""Entries of the clock: whether the filter runs, last stamp [ns], stamp of the start [ns], rejected samples in a row,
+number of intervals seen, and the last intervals [ns]."""
 
 
 @in_place
@@ -39,16 +39,16 @@ def start(clock, stamp):
 
 
 def started_ns(clock: Any) -> int | None:
-    """Stamp of the sample that the running filter was started with, None before the first."""
+    """Stamp [ns] of the sample that started the running filter; None if it does not run."""
     return int(clock[STARTED]) if clock[RUNNING] else None
 
 
 @merged
 def own_period(elapsed, clock, nominal):
-    """Period of the stream [s]: the median of the last distances, the nominal one where that is near.
+    """Period of the stream [s]: the median of the last intervals, or the nominal period if that is near.
 
     Args:
-        elapsed: distance from the last stamp [ns]; it is remembered.
+        elapsed: interval since the last stamp [ns]; it is stored.
         clock: of the filter (CLOCK_SIZE,), changed in place.
         nominal: the rig's period [s].
     """
@@ -63,7 +63,7 @@ def own_period(elapsed, clock, nominal):
             other = clock[_FIRST_DISTANCE + j]
             below += other < candidate
             equal += other == candidate
-        # The lower of the two in the middle of an even number: a gap among few distances is no period.
+        # Of an even number, the lower median: a single gap among few intervals must not become the period.
         if below <= (count - 1) // 2 < below + equal:
             middle = candidate
             break
@@ -76,13 +76,14 @@ def steps_over(elapsed, period, nominal, longest):
     """Steps of the model over the time since the last sample.
 
     Args:
-        elapsed: that time [ns].
-        period: the stream's own [s].
-        nominal: the rig's [s].
-        longest: what a step takes, about [s].
+        elapsed: time since the last sample [ns].
+        period: the stream's own period [s].
+        nominal: the rig's period [s].
+        longest: approximate length of a step [s].
 
     Returns:
-        How many; what each takes [s]; whether samples are missing; and the step with which the last period begins.
+        Number of steps; length of each [s]; whether samples are missing; and the step with which the last period
+        begins.
     """
     seconds = elapsed / 1e9
     steps = max(1, int(seconds / longest + 0.5))

@@ -1,18 +1,18 @@
-"""How the filter starts: the state that a first sample tells, and its covariance.
+"""Start of the filter: state and covariance from a first sample.
 
-A joint with valves starts at rest under its first pressures, each state as uncertain as the tuning says. Where the
-torque from outside d has a declared prior, the joint may lean on it: ψ = ψ_0 + d/K, with K the stiffness of the joint,
-so that both start as correlated as they are.
+A joint with valves starts at rest under its first pressures, with the variances of the tuning. If the external torque d
+has a declared prior, d may hold the joint away from its angle of rest: ψ = ψ_0 + d/K, with the joint's stiffness K.
+This correlates ψ and d from the start.
 
-Sealed chambers whose charge is known tell the angle, also in the middle of a motion. Their pressures are
+If the charge of sealed chambers is known, their pressures show the angle, also during a motion. The pressures are
 
-    P_i = P_i,closed(ψ) + s_i + e_i,
+    P_i = P_i,closed(ψ) + s_i + e_i.
 
-with s_i what an effect has between reading and chamber (the drift of a sensor), and e_i the charge's own error. The
-tuning's variances are those of ψ, s_i and e_i *before* the sample; the sample is then taken in by the update that every
-other one gets, equations (23) and (24). So angle and drift start as correlated as they are. The joint may slide either
-way or stick: a torque from outside that the filter estimates starts in the middle of friction's band, as uncertain as
-the band is wide.
+s_i is the difference between reading and chamber that an effect may add (the drift of a sensor), and e_i the error of
+the charge. The tuning has the variances of ψ, s_i and e_i *before* the sample. The sample then gets the same update as
+every other one, equations (23) and (24), which correlates angle and drift. The joint may slide in either direction or
+stick. So an estimated external torque starts in the middle of the band of friction, with the band's width as its
+uncertainty.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pam_antagonist.model.parameters import BASE_STATES, CHARGE, INDEX, LOCKED, 
 _DISTURBANCE = SLOT_OF[CATALOGUE[DISTURBANCE].states[0].name]
 _PRIOR = INDEX["effects.external_torque.prior"]
 _NEAR = 1e-5
-"""[rad] To either side, for the slope of a closed chamber's pressure."""
+"""[rad] Step to either side for the slope of a closed chamber's pressure."""
 _start_angle, _make_steady, _closed = equilibrium.start_angle, equilibrium.make_steady, equilibrium.closed_pressure
 _pressure_behind, _chamber, _update = sensor.pressure_behind, dynamics.chamber_pressure, ukf.update
 _torque_slope, _torque_needed, _sliding_friction = (
@@ -44,7 +44,7 @@ _torque_slope, _torque_needed, _sliding_friction = (
 
 @in_place
 def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross, innovation, effects, work):
-    """Set state and covariance to what a first sample tells.
+    """Set state and covariance from a first sample.
 
     Args:
         y: pressures (2,) [Pa].
@@ -52,12 +52,12 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
         p: parameter vector.
         initial: diagonal of P(0) (n,).
         noise: diagonal of R (2,) [Pa²].
-        gain_noise: what stands for R in the gain (2,) [Pa²].
+        gain_noise: value of R in the gain (2,) [Pa²].
         lock_angle: angle of a locked joint [rad].
         x: result (n,).
         covariance: result (n, n).
         cross: result (n, m), zero.
-        innovation: (2,) [Pa], NaN afterwards, as of a sample that was not predicted.
+        innovation: (2,) [Pa], set to NaN, since the sample was not predicted.
         effects: None where the rig is known to be plain.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
     """
@@ -71,19 +71,19 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
     if p[LOCKED] == 0.0 and p[CHARGE] > 0.0 and p[CHARGE + 1] > 0.0:
         _closed_covariance(x, covariance, work.scratch, p)
         innovation[:] = 0.0
-        # Both are. numba would compile the update once more for a True that stands in the code.
+        # Both pressures are finite. numba would compile the update once more for the literal True.
         known = math.isfinite(y[0])
         _update(x, covariance, cross, innovation, noise, gain_noise, known, known, work)
         innovation[:] = np.nan
         if effects is not None:
-            _torque_from_outside(x, covariance, p)
+            _start_external_torque(x, covariance, p)
     elif effects is not None and p[LOCKED] == 0.0 and p[_PRIOR] < UNBOUNDED:
-        _leaning(x, covariance, p)
+        _correlate_torque(x, covariance, p)
 
 
 @in_place
-def _leaning(x, covariance, p):
-    """Covariance of a joint at rest that leans on a torque from outside, from its diagonal, in place."""
+def _correlate_torque(x, covariance, p):
+    """Correlate angle and external torque of a joint at rest, from the diagonal of the covariance, in place."""
     at = int(p[_DISTURBANCE])
     stiffness = p[STIFFNESS] - _torque_slope(x, p)
     if at > 0 and stiffness > 0.0:
@@ -102,7 +102,7 @@ def _closed_covariance(x, covariance, slopes, p):
         slopes[i, ANGLE] = (_closed(i, x[ANGLE] + _NEAR, p) - _closed(i, x[ANGLE] - _NEAR, p)) / (2.0 * _NEAR)
         here = _chamber(i, x, p)
         for k in range(BASE_STATES, n):
-            # The chamber's pressure is linear in what stands between it and the reading.
+            # The chamber's pressure is linear in the added states, so that a step of 1 gives the slope.
             x[k] += 1.0
             slopes[i, k] = here - _chamber(i, x, p)
             x[k] -= 1.0
@@ -118,8 +118,8 @@ def _closed_covariance(x, covariance, slopes, p):
 
 
 @in_place
-def _torque_from_outside(x, covariance, p):
-    """The torque from outside that holds the joint where it is, known to within the band of friction."""
+def _start_external_torque(x, covariance, p):
+    """Set the external torque to the one that holds the joint where it is, uncertain by the band of friction."""
     at = int(p[_DISTURBANCE])
     if at > 0:
         x[at] = _torque_needed(x, 0.0, 0.0, p)

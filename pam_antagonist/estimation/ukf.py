@@ -1,19 +1,19 @@
 """The unscented Kalman filter as compiled kernels: the paper's equations (13) to (24), and one extension.
 
-The extension is consider (Schmidt-Kalman) parameters: m parameters of the model that are uncertain, and
-stay so. They enter as normalised θ ~ N(0, I), whose covariance the filter never reduces, and their cross
-covariance C = cov(x, θ) with the state is carried along. With m = 0 every formula below is the paper's.
+The extension is consider (Schmidt-Kalman) parameters: m uncertain parameters of the model that are not
+estimated. They enter as normalised θ ~ N(0, I). The filter never reduces their covariance, and propagates
+their cross covariance C = cov(x, θ) with the state. With m = 0 every formula below is the paper's.
 
 Sigma points of the joint vector [θ, x] come from its lower Cholesky factor
 
     [ I  0 ]        c = √(m + n + κ),  L Lᵀ = P − C Cᵀ,
     [ C  L ],
 
-so that a column of θ moves parameters *and* state, and a column of x the state alone. The perturbed
+so that a column of θ changes parameters *and* state, and a column of x the state alone. The perturbed
 parameter vectors are therefore the same at every step and are made once. The gain acts on the state only.
 
-Departures from the print, each with its reason: the gain is P_xy/P_yy, since P_yy already holds R (the
-printed one is an option of a tuning); rows of the matrix square root in (14), (15) are columns of the lower factor.
+Two points differ from the printed equations. The gain is P_xy/P_yy, since P_yy already contains R (the printed
+gain is an option of a tuning). Rows of the matrix square root in (14), (15) are columns of the lower factor.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Work(NamedTuple):
         torques: torque of each sigma point (1 + 2 m + 2 n,) [N m].
         stages: of a Runge-Kutta step (STAGES + 1, n).
         lane_sets: parameters of the sigma points, eight side by side (G, SIZE, 8).
-        lane_states: their states (n, 8).
+        lane_states: states of eight sigma points (n, 8).
         lane_stages: of a Runge-Kutta step of eight (STAGES + 1, n, 8).
     """
 
@@ -107,7 +107,7 @@ def spread_points(x, cross, lower, reach, points):
 
 @in_place
 def conditional_factor(covariance, cross, scratch, lower):
-    """L with L Lᵀ = P − C Cᵀ; where a pivot was lost, P is set to C Cᵀ + L Lᵀ so that it is definite.
+    """L with L Lᵀ = P − C Cᵀ; if a pivot had to be repaired, P is set to C Cᵀ + L Lᵀ, which is definite.
 
     Args:
         covariance: P (n, n).
@@ -200,7 +200,7 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, effects, 
 def innovate(x, covariance, y, noise, innovation, innovation_covariance):
     """Innovation and its covariance, equations (19) to (21).
 
-    g picks the pressures out of the state. For such a linear g the redrawn sigma points of (19) have
+    g selects the pressures from the state. For this linear g, the redrawn sigma points of (19) have
     exactly the moments ŷ = g(x̂), P_yy = g P gᵀ + R and P_xy = P gᵀ (22), which are used directly.
 
     Args:
@@ -235,8 +235,8 @@ def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, wo
     """Update step, equations (23) and (24), for the pressures that are to be used, in place.
 
     The gain K = P_xy/P_yy of the whole P⁻ acts on the state; C ← C − K g C. The covariance is updated in
-    Joseph's form, (I − K g) P⁻ (I − K g)ᵀ + K R Kᵀ, which equals (24) for this gain and stays symmetric
-    and non-negative under rounding; for any other gain it is the covariance that this gain really leaves.
+    Joseph's form, (I − K g) P⁻ (I − K g)ᵀ + K R Kᵀ. This equals (24) for this gain, stays symmetric and
+    non-negative under rounding, and is the true covariance for any other gain as well.
 
     Args:
         x: prediction (n,), becomes the estimate.
@@ -244,7 +244,7 @@ def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, wo
         cross: C (n, m).
         innovation: (2,) [Pa].
         noise: diagonal of R (2,).
-        gain_noise: what stands for it in the gain: R, or 2 R for the gain as it is printed.
+        gain_noise: value of R in the gain: R itself, or 2 R for the gain as printed.
         use_1: whether the first pressure is used.
         use_2: whether the second one is.
         work: :class:`Work`, scratch.
