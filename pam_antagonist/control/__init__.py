@@ -1,4 +1,4 @@
-"""The paper's PI controller, the law that goes through the model, and the references that they follow."""
+"""The paper's PI controller, the control law through the model, and the references that they follow."""
 
 from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status, VoltageLimits
 from pam_antagonist.control.governor import Governor, Limits

@@ -1,4 +1,4 @@
-"""What every law of control shares: modes, voltages and their limits, safe voltages, and a start without a bump."""
+"""The common part of all control laws: modes, voltages and their limits, safe voltages, and bumpless starts."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ class Mode(IntEnum):
 
     @property
     def quantity(self) -> Mode:
-        """What the reference's value is: ``Mode.TORQUE`` [N m] or ``Mode.ANGLE`` [rad]."""
+        """Quantity of the reference's value: ``Mode.TORQUE`` [N m] or ``Mode.ANGLE`` [rad]."""
         return Mode.TORQUE if self in (Mode.TORQUE, Mode.TORQUE_STIFFNESS) else Mode.ANGLE
 
     @property
     def has_stiffness(self) -> bool:
-        """Whether the reference asks for a stiffness, which takes the law that knows the model."""
+        """Whether the reference has a stiffness, which only the law through the model can follow."""
         return self not in PI_MODES
 
 
 PI_MODES = (Mode.ANGLE, Mode.TORQUE)
-"""The modes of the paper, which the PI controller has."""
+"""The modes of the paper, and of the PI controller."""
 
 
 class Status(Enum):
-    """Why a command is what it is."""
+    """Reason for a command."""
 
     TRACKING = "tracking"
     SATURATED = "valve at its limit"
@@ -49,16 +49,16 @@ class Status(Enum):
 
     @property
     def safe(self) -> bool:
-        """Whether the valves are given the safe voltages."""
+        """Whether the command is the safe voltages."""
         return self not in (Status.TRACKING, Status.SATURATED)
 
 
 class Command(NamedTuple):
-    """What is asked of the valves.
+    """Command to the valves.
 
     Attributes:
         voltage: of muscle 1 and 2 (2,) [V].
-        status: why.
+        status: reason for the command.
     """
 
     voltage: tuple[float, float]
@@ -67,7 +67,7 @@ class Command(NamedTuple):
 
 @dataclass(frozen=True)
 class VoltageLimits:
-    """What may be put on a valve [V], or asked of a pressure regulator [Pa].
+    """Limits of the command to a valve [V], or to a pressure regulator [Pa].
 
     Attributes:
         minimum: lowest voltage [V] or pressure [Pa].
@@ -94,7 +94,7 @@ class VoltageLimits:
         return min(max(voltage, self.minimum), self.maximum)
 
     def check(self, name: str, voltage: tuple[float, float]) -> tuple[float, float]:
-        """Two voltages [V] as they are, if they are within the limits.
+        """Return two voltages [V] unchanged if they are within the limits.
 
         Raises:
             BadInput: not two finite voltages within the limits.
@@ -106,14 +106,14 @@ class VoltageLimits:
 
 
 class Law:
-    """A law of control, as far as all are alike: what it remembers of the valves, and safe voltages.
+    """Base class of the control laws: the last voltages, safe voltages, and bumpless starts.
 
     Args:
         sample_period: T_stp, the time between two estimates [s].
         limits: of both valves.
-        safe_voltage: what the valves get while there is nothing to go by (2,) [V]; also what they have at the start.
-        resume_time: longest interruption after which the integral goes on where it was [s].
-        blend_time: time constant with which the remainder of a bumpless start fades away [s].
+        safe_voltage: command without a usable reference or estimate (2,) [V]; also the voltages at the start.
+        resume_time: longest interruption after which the integral goes on with its old value [s].
+        blend_time: time constant with which the offset of a bumpless start decays [s].
 
     Raises:
         BadInput: a value that is out of range.
@@ -134,7 +134,7 @@ class Law:
         self._period = sample_period
         self._safe = self._limits.check("safe voltage", safe_voltage)
         self._resume_samples = round(resume_time / sample_period)
-        self._fading = math.exp(-sample_period / blend_time)
+        self._decay = math.exp(-sample_period / blend_time)
         self._mode: Mode | None = None
         self._offset = (0.0, 0.0)
         self._valves = self._safe
@@ -147,26 +147,26 @@ class Law:
 
     @property
     def valves(self) -> tuple[float, float]:
-        """The voltages (2,) [V] that were commanded last."""
+        """The last commanded voltages (2,) [V]."""
         return self._valves
 
     @property
     def running(self) -> bool:
-        """Whether the next command goes on from the integral, rather than starting bumplessly."""
+        """Whether the next command goes on with the present integral; otherwise it starts bumplessly."""
         return self._mode is not None
 
     def stop(self, valves: tuple[float, float] | None = None) -> None:
         """Forget the integral: the next command starts bumplessly.
 
         Args:
-            valves: the voltages (2,) [V] that the valves have now; None: those that were commanded last.
+            valves: present voltages (2,) [V] of the valves; None: the last commanded ones.
         """
         self._mode = None
         if valves is not None:
             self._valves = self._limits.check("valve voltage", valves)
 
     def safe(self, status: Status) -> Command:
-        """The safe voltages, for one sample without anything to go by."""
+        """The safe voltages, for one sample without a usable reference or estimate."""
         self._interrupted += 1
         self._valves = self._safe
         if self._interrupted > self._resume_samples or status is Status.NO_REFERENCE:
@@ -174,8 +174,8 @@ class Law:
         return Command(self._safe, status)
 
     def _fade(self) -> tuple[float, float]:
-        """What is left of the remainder of a bumpless start, one sample on."""
-        self._offset = (self._offset[0] * self._fading, self._offset[1] * self._fading)
+        """Offset of a bumpless start, decayed by one sample."""
+        self._offset = (self._offset[0] * self._decay, self._offset[1] * self._decay)
         return self._offset
 
     def _clipped(self, first: float, second: float) -> Command:

@@ -1,21 +1,20 @@
-"""A reference governor: between reference and law, so that the joint keeps to its limits.
+"""A reference governor between reference and control law, which keeps the joint within its limits.
 
-At each sample it predicts what the law would do with a reference: the model, in coarse steps over a short time, from
-the estimate on, and then the state in which it would end. All of it has to keep every limit. Where the wanted
-reference does not, the applied one moves as far along the line towards it as it may (a scalar reference governor:
-Gilbert, Kolmanovsky and Tan 1995). The reference that is applied already may always stay.
+At each sample it predicts the closed loop with a reference. It runs the model from the estimate, in coarse steps over a
+short time, and computes the final state. All of these states have to keep every limit. If the wanted reference violates
+one, the applied reference moves towards it only as far as the limits allow (a scalar reference governor: Gilbert,
+Kolmanovsky and Tan 1995). The applied reference may always stay as it is.
 
-What is predicted is not quite what happens. So a limit is kept with a distance:
+The prediction is not exact. So each limit has a margin:
 
-* **Uncertainty.** The angle counts with z of its standard deviations to either side, pressure and force with z of
-  theirs within the limit. z belongs to the declared level: a limit is kept with that probability (chance constraint),
-  as far as the estimate's covariance is right. Velocity counts with z of its standard deviations as well.
-* **Pushes.** A torque from outside of the declared size moves the joint by its size over the stiffness, before any
-  valve can do something about it. The pressures change by that as those of closed chambers do, P V^k_2 constant. A
-  push may be larger, and the velocity at its begin is not limited by this: no valve is quick enough.
+* **Uncertainty.** Angle, velocity, pressure and force have a margin of z standard deviations. z belongs to the declared
+  level: a limit is kept with that probability (chance constraint), as far as the estimate's covariance is right.
+* **Pushes.** A torque from outside of the declared size moves the joint by its size over the stiffness, before a valve
+  can react. The pressures change as in closed chambers, with P V^k_2 constant. A larger push is not covered, and
+  neither is the velocity at the begin of a push: no valve is quick enough.
 
-With a torque as the reference, the joint's angle is whatever holds it: it is predicted to stay where it is, and angle
-and velocity are not kept. The stops of ``safety/`` stand behind all this and know nothing of it.
+With a torque as the reference, something else holds the joint. The prediction keeps the angle constant then, and the
+limits of angle and velocity do not apply. The stops of ``safety/`` are independent of the governor.
 """
 
 from __future__ import annotations
@@ -42,22 +41,22 @@ _forces, _torque_slope, _rk4_step = dynamics.forces, dynamics.torque_slope, inte
 _make_steady = equilibrium.make_steady
 
 LIMITS = ("", "pressure 1", "pressure 2", "angle", "velocity", "contraction 1", "contraction 2", "force 1", "force 2")
-"""Names of the limits, by the number that the prediction gives; the first one: none."""
+"""Names of the limits, by the number that the prediction returns; 0 is none."""
 _PRESSURE, _ANGLE, _VELOCITY, _CONTRACTION, _FORCE = 1, 3, 4, 5, 7
 _PRESSURE_SCALE, _ANGLE_SCALE, _VELOCITY_SCALE, _CONTRACTION_SCALE, _FORCE_SCALE = 1e5, 0.1, 1.0, 0.05, 10.0
-"""[Pa], [rad], [rad/s], [-], [N] By which excesses of different kinds are compared."""
+"""[Pa], [rad], [rad/s], [-], [N] Scales that make excesses of different quantities comparable."""
 _STEP = 0.010
 """[s] Step of the prediction: the paper's joint swings at 20 to 25 Hz, and RK4 is stable up to 2.8 rad a step."""
 _STEPS = 14
 _LEAST_SHARE = 1.0 / 1024.0
-_WAYS = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
-"""Where the applied reference is moved to: value and stiffness together, then one of them where both cannot."""
+_DIRECTIONS = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
+"""Directions in which the applied reference moves: value and stiffness together, or only one of them."""
 _LEAST_STIFFNESS = 1e-3
-"""[N m/rad] So that a joint without stiffness does not divide by zero."""
+"""[N m/rad] Lower bound that prevents a division by zero."""
 
 
 class Limits(NamedTuple):
-    """What a joint is to keep to; infinite: no limit.
+    """Limits of a joint; infinite: no limit.
 
     Attributes:
         lowest_pressure: of either muscle, absolute [Pa].
@@ -78,10 +77,10 @@ class Limits(NamedTuple):
     force: float = 0.0
 
     def inner(self, margin: float = SUPPLY_MARGIN, force: float = LEAST_FORCE) -> Box:
-        """The box of the law whose governor keeps these limits: what the law asks for keeps a distance of them.
+        """The box of a law whose governor keeps these limits. The box keeps a margin to them.
 
-        Integral and friction's side move the pressures of a reference that was admissible. The box holds them in
-        every case.
+        The law's integral and friction torque change the pressures of an admissible reference. The box bounds them
+        in every case.
 
         Args:
             margin: of the pressures [Pa].
@@ -97,7 +96,7 @@ def _worse(excess, which, new, number):
 
 @inlined
 def _excess(x, with_motion, of_angle, push, of_pressures, of_velocity, of_force, limits, p):
-    """Largest excess over a limit of one state, and which limit; negative: within all of them."""
+    """Largest excess of a state over its limits, and the number of that limit; negative if all are kept."""
     excess, which = -math.inf, 0
     spread = of_angle + push / max(-_torque_slope(x, p), _LEAST_STIFFNESS)
     if with_motion:
@@ -115,7 +114,7 @@ def _excess(x, with_motion, of_angle, push, of_pressures, of_velocity, of_force,
         forces = _forces(x, p)
         for i in range(2):
             pulled = _length(i, sine, p)
-            # Muscle i is compressed by a push as a closed chamber is; small changes, so that no power is needed.
+            # A push compresses muscle i like a closed chamber. The change is small, so P V^k_2 is linearised.
             share = p[POLYTROPIC_VOLUME] * (volumes[i] / _volume(i, pulled, p)[0] - 1.0)
             pressure = x[PRESSURE_1 + i] * (1.0 + share)
             new = max(
@@ -134,27 +133,27 @@ def _excess(x, with_motion, of_angle, push, of_pressures, of_velocity, of_force,
 
 @in_place
 def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z, push, held, x, u, p, coarse, effects):
-    """Excess over limits at the end of a reference, and on the way to it, and which limit is violated most.
+    """Excess over the limits in the final state and on the path to it, and which limit is violated most.
 
-    The excesses of all steps on the way are added up: the largest one alone may be that of the present state, which no
+    The excesses of all steps on the path are summed. The largest one alone may belong to the present state, which no
     reference changes.
 
     Args:
         of_torque: whether the value is a torque [N m]; else it is an angle [rad].
         value: of the reference.
         stiffness: [N m/rad]; NaN: free.
-        seen: what is estimated.
+        seen: estimate.
         integral: of the law [N m].
         gains: of the law (3,).
         box: of the law.
         limits: to keep.
-        z: standard deviations that count.
-        push: torque from outside that counts [N m].
+        z: standard deviations of the margins.
+        push: torque from outside of the margins [N m].
         held: voltages (2,) on the valves [V].
-        x: state (n,), written over.
-        u: input (3,), written over.
+        x: state (n,), overwritten.
+        u: input (3,), overwritten.
         p: parameter vector.
-        coarse: the same with the prediction's step as its friction's, and locked where the value is a torque.
+        coarse: parameter vector of the prediction: with its step for the friction, and locked for a torque.
         effects: None where the rig is known to be plain.
     """
     bandwidth, _, approach = gains
@@ -162,7 +161,7 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
     first, second = x[PRESSURE_1], x[PRESSURE_2]
     of_angle = z * math.sqrt(seen.angle_variance)
     of_pressures = z * math.sqrt(seen.pressure_variance_1), z * math.sqrt(seen.pressure_variance_2)
-    # The torque's is that of both forces' difference; each is taken to have half of the variance.
+    # The torque is a difference of two forces: each is assumed to have half of its variance.
     of_velocity, of_force = z * math.sqrt(seen.velocity_variance), z * math.sqrt(0.5 * seen.torque_variance)
     x[VELOCITY] = 0.0
     excess, which = _excess(x, not of_torque, of_angle, push, of_pressures, of_velocity, of_force, limits, p)
@@ -187,15 +186,15 @@ class Governor:
         p: parameter vector (parameters.SIZE,).
         box: of the law.
         limits: to keep.
-        level: probability with which a limit is to be kept, 0.5 to 1.
-        push: torque from outside that counts [N m].
+        level: probability of keeping a limit, 0.5 to 1.
+        push: torque from outside that the margins include [N m].
 
     Raises:
-        BadInput: a level or push out of range, or limits that leave nothing.
+        BadInput: a level or push out of range, or limits that leave no range.
 
     Attributes:
-        active: name of the limit that held the reference back at the last sample; empty: none did.
-        held_back: samples at which one did.
+        active: name of the limit that held the reference back at the last sample; empty: none.
+        held_back: number of samples at which a limit held the reference back.
     """
 
     def __init__(self, p: np.ndarray, box: Box, limits: Limits, level: float = 0.999, push: float = 0.3) -> None:
@@ -215,34 +214,34 @@ class Governor:
         self._x, self._u, self._held = np.zeros(int(p[par.STATES])), np.zeros(3), np.zeros(2)
         self._quantity: Mode | None = None
         self._applied = self._wanted = (math.nan, math.nan)
-        self._way, self._shares = 0, [1.0] * len(_WAYS)
+        self._direction, self._shares = 0, [1.0] * len(_DIRECTIONS)
         self.active, self.held_back = "", 0
-        # Nothing is compiled in the loop.
+        # Compile now and not in the loop.
         self._excess(Mode.ANGLE, 0.0, math.nan, Seen(0.0, 0.0, 0.0, box.lowest, box.lowest), 0.0, (1.0, 1.0, 1.0))
 
     def reset(self) -> None:
-        """Begin at the estimate with the next reference."""
+        """Start at the estimate with the next reference."""
         self._quantity, self.active = None, ""
 
     def _excess(
         self, quantity: Mode, value: float, stiffness: float, seen: Seen, integral: float, gains: tuple[float, ...]
     ) -> tuple[float, float, int]:
-        at_end, on_the_way, which = _predict(
+        at_end, on_path, which = _predict(
             quantity is Mode.TORQUE, value, stiffness, seen, integral, gains, self._box, self._limits, self._z,
             self._push, self._held, self._x, self._u, self._p, self._coarse[quantity],
             self._effects,
         )  # fmt: skip
-        return at_end, on_the_way, which
+        return at_end, on_path, which
 
     def step(self, mode: Mode, value: float, stiffness: float, seen: Seen, law: ModelController) -> tuple[float, float]:
         """The reference to apply at one sample.
 
         Args:
-            mode: what the reference is.
+            mode: of the reference.
             value: wanted [rad] or [N m].
             stiffness: wanted [N m/rad]; NaN: free.
-            seen: what is estimated.
-            law: that will get it.
+            seen: estimate.
+            law: that gets the applied reference.
 
         Returns:
             Value and stiffness.
@@ -253,7 +252,7 @@ class Governor:
             self._quantity, self._wanted = quantity, (math.nan, math.nan)
             self._applied = (now, self._present_stiffness(seen))
         if (value, stiffness) != self._wanted:
-            self._wanted, self._way, self._shares = (value, stiffness), 0, [1.0] * len(_WAYS)
+            self._wanted, self._direction, self._shares = (value, stiffness), 0, [1.0] * len(_DIRECTIONS)
         before, before_stiffness = self._applied
         if math.isnan(stiffness) or math.isnan(before_stiffness):
             before_stiffness = stiffness
@@ -263,25 +262,25 @@ class Governor:
         if not all(map(math.isfinite, seen[7:])):  # an estimate without a pressure: stay
             return before, before_stiffness
         self._held[:] = law.valves
-        way, share = self._way, self._shares[self._way]
-        of_value, of_stiffness = _WAYS[way]
+        direction, share = self._direction, self._shares[self._direction]
+        of_value, of_stiffness = _DIRECTIONS[direction]
         new = value if of_value * share == 1.0 else before + of_value * share * (value - before)
-        softness = before_stiffness + of_stiffness * share * (stiffness - before_stiffness)
-        softness = stiffness if of_stiffness * share == 1.0 else softness
-        at_end, on_the_way, which = self._excess(quantity, new, softness, seen, law.integral, law.gains)
-        allowed = at_end == on_the_way == 0.0
+        new_stiffness = before_stiffness + of_stiffness * share * (stiffness - before_stiffness)
+        new_stiffness = stiffness if of_stiffness * share == 1.0 else new_stiffness
+        at_end, on_path, which = self._excess(quantity, new, new_stiffness, seen, law.integral, law.gains)
+        allowed = at_end == on_path == 0.0
         if not allowed:
-            # Where to stay violates a limit as well, after a push for instance, whatever is no worse is allowed.
+            # If the applied reference violates a limit as well, as after a push, any that is not worse is allowed.
             stays = self._excess(quantity, before, before_stiffness, seen, law.integral, law.gains)
-            allowed = at_end <= stays[0] and on_the_way <= stays[1]
+            allowed = at_end <= stays[0] and on_path <= stays[1]
         if allowed:
-            self._shares[way] = min(2.0 * share, 1.0)
-            self._applied = (new, softness)
+            self._shares[direction] = min(2.0 * share, 1.0)
+            self._applied = (new, new_stiffness)
         else:
-            self.active, self._shares[way] = LIMITS[which], max(0.5 * share, _LEAST_SHARE)
+            self.active, self._shares[direction] = LIMITS[which], max(0.5 * share, _LEAST_SHARE)
             self.held_back += 1
-        if way or not allowed:
-            self._way = (way + 1) % len(_WAYS) if not math.isnan(stiffness) else 0
+        if direction or not allowed:
+            self._direction = (direction + 1) % len(_DIRECTIONS) if not math.isnan(stiffness) else 0
         return self._applied
 
     def _present_stiffness(self, seen: Seen) -> float:

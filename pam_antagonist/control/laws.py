@@ -1,4 +1,4 @@
-"""The laws of control that a joint has, of which one is in force: the paper's PI, or the one through the model."""
+"""The control laws of a joint, one of which is active: the paper's PI, or the law through the model."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ LAWS = ("pi", "model")
 
 
 class Laws:
-    """Both laws behind one door. A change from one to the other makes no jump.
+    """Both laws behind one interface. A change between them is bumpless.
 
     Args:
-        pi: the paper's; None: this rig has pressure regulators, and the law through the model alone.
-        model: through the model; None: this rig has none.
-        reachable: what the model's law can reach; None as well.
-        name: the one in force, of ``LAWS``.
-        governor: between reference and the model's law; None: none is.
+        pi: the paper's law; None for a rig with pressure regulators, which has only the law through the model.
+        model: the law through the model; None if the rig has none.
+        reachable: references that the law through the model can reach; None if the rig has none.
+        name: the active law, of ``LAWS``.
+        governor: between reference and the law through the model; None: no governor.
 
     Raises:
-        BadInput: a law that there is not.
+        BadInput: a law that does not exist.
 
     Attributes:
-        name: of the law in force.
+        name: of the active law.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class Laws:
         self.choose(name, None)
 
     def choose(self, name: str, mode: Mode | None) -> None:
-        """Put a law in force; it goes on from the voltages that the valves have.
+        """Make a law the active one; it starts from the present voltages of the valves.
 
         Args:
             name: of ``LAWS``.
-            mode: of the reference that is followed now; None: none is.
+            mode: of the present reference; None: there is none.
 
         Raises:
             BadInput: this joint has no such law, or the law has no such mode.
@@ -68,59 +68,59 @@ class Laws:
         if name == "pi" and mode is not None and mode.has_stiffness:
             raise BadInput(f"law: pi has no mode {mode.name}: send a reference of mode ANGLE or TORQUE first")
         before, chosen = self._law, self.pi if name == "pi" else self.model
-        assert chosen is not None  # as looked at above
+        assert chosen is not None  # checked above
         self._law = chosen
         self._law.stop(before.valves)
         self.name = name
 
     def nearest(self, mode: Mode, value: float, stiffness: float, angle: float) -> tuple[float, float, str]:
-        """The reference that is followed in place of a wanted one (:meth:`Reachable.nearest`); the PI's as it is.
+        """The reachable reference nearest to a wanted one (:meth:`Reachable.nearest`); unchanged for the PI.
 
         Args:
-            mode: what the value is.
+            mode: of the reference.
             value: [rad] or [N m].
             stiffness: [N m/rad]; NaN: free.
             angle: estimated [rad].
 
         Raises:
-            BadInput: the law in force has no such mode.
+            BadInput: the active law has no such mode.
         """
         if self.name == "pi":
             if mode not in PI_MODES:
                 raise BadInput(f"reference has mode {mode.name}, which law: pi does not have: set law to model")
             return value, stiffness, ""
-        assert self._reachable is not None  # as there is a law through the model
+        assert self._reachable is not None  # comes with the law through the model
         return self._reachable.nearest(mode, value, stiffness, angle)
 
     @property
     def running(self) -> bool:
-        """Whether the next command goes on from the integral, rather than starting bumplessly."""
+        """Whether the next command goes on with the present integral; otherwise it starts bumplessly."""
         return self._law.running
 
     def stop(self, valves: tuple[float, float] | None = None) -> None:
-        """As :meth:`Law.stop`, of the law in force.
+        """:meth:`Law.stop` of the active law.
 
         Args:
-            valves: the voltages (2,) [V] that the valves have now; None: those that were commanded last.
+            valves: present voltages (2,) [V] of the valves; None: the last commanded ones.
         """
         self._law.stop(valves)
 
     def safe(self, status: Status) -> Command:
-        """The safe voltages, for one sample without anything to go by."""
+        """The safe voltages, for one sample without a usable reference or estimate."""
         return self._law.safe(status)
 
     def step(self, wanted: Wanted, seen: Seen, *, late: bool = False) -> Command:
         """The command for one estimate.
 
         Args:
-            wanted: what is asked for.
-            seen: what is estimated.
+            wanted: reference.
+            seen: estimate.
             late: whether the estimate is too old to act on.
         """
         if self.pi is not None and self._law is self.pi:
             value = seen.torque if wanted.mode is Mode.TORQUE else seen.angle
             return self.pi.step(wanted.mode, wanted.value, value, velocity=wanted.velocity, late=late)
-        assert self.model is not None  # it is in force
+        assert self.model is not None  # it is the active law
         mode, value, stiffness = wanted.mode, wanted.value, wanted.stiffness
         if self.governor is not None and mode is not None:
             if late or not self.model.running or not all(map(math.isfinite, (value, *seen[:5]))):

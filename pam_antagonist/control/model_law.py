@@ -2,34 +2,32 @@
 
 For each estimate:
 
-1. **Torque.** To hold an angle ψ_r the muscles have to give, by (8), τ = k_s ψ_r − load − torque from outside +
-   friction's side + I. The torque from outside counts as far as it is known: an estimate d with variance σ² counts as
-   d³/(d² + σ²), and one that is not there as nothing. Friction has to be overcome on the way: its torque T_s + T_p
-   counts on the side on which the joint is to move, and fades to nothing over the last ``approach``. To give a torque
-   τ_r at the present angle, it is τ = τ_r + I.
+1. **Torque.** To hold an angle ψ_r the muscles need, by (8), the torque τ = k_s ψ_r − load − torque from outside +
+   friction + I. The torque from outside enters as far as it is known: an estimate d with variance σ² as
+   d³/(d² + σ²), and a missing estimate as 0. Friction enters with T_s + T_p in the direction of the wanted motion, and
+   decreases to 0 over the last ``approach``. For a torque reference τ_r at the present angle, it is τ = τ_r + I.
 2. **Pressures** that have this torque and the wanted stiffness, or the nearest one
    (:func:`~pam_antagonist.control.stiffness.set_pressures`).
-3. **Rates.** Ṗ_i = ω (wanted − estimated pressure), and in mode IMPEDANCE the rate of the wanted pressure beside it.
+3. **Rates.** Ṗ_i = ω (wanted − estimated pressure), plus the rate of the wanted pressure in mode IMPEDANCE.
 4. **Open rates** by (4) and (5), solved for the flow and then for α, at the present pressure, volume and volume's rate.
 5. **Voltages** by the inverse of κ, clipped to the valves' limits.
 
-Pressure regulators take the place of steps 3 to 5: they are asked for the pressures of step 2.
+Pressure regulators replace steps 3 to 5: their commands are the pressures of step 2.
 
-I is the integral of the estimate's error, as a torque. It moves only while both pressures are near what is wanted, and
-stands still where the torque is out of reach and it would go further (anti-windup). The first voltages equal those that
-the valves have; the difference fades away with ``blend_time`` (bumpless start).
+I is the integral of the estimate's error, as a torque. It changes only while both pressures are near the wanted ones,
+and not further in a direction in which the torque is out of reach (anti-windup). The first voltages equal the present
+ones of the valves; the difference decays with ``blend_time`` (bumpless start).
 
-**Impedance.** The joint is to yield to the torque from outside d as a spring K and a damper D around ψ_0 would. The
-angle ψ_v with D dψ_v/dt + K (ψ_v − ψ_0) = d is worked out from d as far as it is known, and held with stiffness K as
-above, with I = 0: an integral would push back. The muscles are a spring of stiffness K by themselves, as long as the
-valves can hold their pressures. What the law adds is the damping, and what friction holds back. Where d is not
-estimated, that spring is all there is. The wanted pressures swing with d: without their own rate they would be followed
-1/ω late, which at 2 Hz costs a third of the yielding. What the valves can follow at all says
-:func:`~pam_antagonist.control.yielding.largest_torque`. The joint's inertia, which is left out of ψ_v, counts above
-10 Hz or so.
+**Impedance.** The joint should yield to the torque from outside d like a spring K and a damper D around ψ_0. The angle
+ψ_v with D dψ_v/dt + K (ψ_v − ψ_0) = d is computed from d as far as it is known. It is held with stiffness K as above,
+but with I = 0, since an integral would push back. The muscles alone are a spring of stiffness K, as long as the valves
+can hold their pressures. The law adds the damping and the compensation of friction. If d is not estimated, the joint
+has only this spring. The wanted pressures change with d. Without their own rate they would be followed with a lag of
+1/ω, which reduces the yielding by a third at 2 Hz. :func:`~pam_antagonist.control.yielding.largest_torque` computes
+which torque the valves can follow. ψ_v neglects the joint's inertia, which matters above about 10 Hz.
 
-The model is the rig's own, effects included, through the same functions as the estimator's. States that effects add
-are taken as steady.
+The model is that of the rig, effects included, and uses the same functions as the estimator. States that effects add
+are assumed to be steady.
 """
 
 from __future__ import annotations
@@ -56,20 +54,20 @@ _torque, _sliding_friction = dynamics.torque, dynamics.sliding_friction
 
 _REGULATED = SLOT_OF["regulator_rate_1"]
 _NEAR = 15e3
-"""[Pa] A pressure within this of what is wanted counts as arrived: the integral moves. Above the ripple of an estimated
-pressure, well below the 60 kPa or so by which friction's torque shifts the pressures of the paper's joint."""
+"""[Pa] The integral changes only while both pressures are so near the wanted ones. This is above the ripple of an
+estimated pressure, and well below the 60 kPa or so by which friction shifts the pressures of the paper's joint."""
 _RATE_TIME = 0.010
-"""[s] Over which the rate of a wanted pressure is smoothed: the estimated torque from outside is noisy."""
+"""[s] Time constant that smooths the rate of a wanted pressure: the estimated torque from outside is noisy."""
 
 
 @dataclass(frozen=True)
 class ModelGains:
-    """What the law is tuned with. Nothing of it depends on the joint's size.
+    """Gains of the law, which do not depend on the size of the joint.
 
     Attributes:
         bandwidth: ω, rate at which a pressure's error is corrected [1/s].
-        integral: rate at which the torque follows an error of angle times stiffness, or of torque [1/s].
-        approach: part of the way before the angle wanted over which friction's side fades [rad].
+        integral: rate at which I follows an error of the torque, or an error of the angle times the stiffness [1/s].
+        approach: distance from the wanted angle within which the friction term decreases to 0 [rad].
     """
 
     bandwidth: float = 25.0
@@ -85,7 +83,7 @@ class ModelGains:
 
 
 class Seen(NamedTuple):
-    """What of an estimate the law goes by.
+    """The part of an estimate that the law uses.
 
     Attributes:
         angle: ψ [rad].
@@ -94,11 +92,11 @@ class Seen(NamedTuple):
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
         external_torque: torque from outside [N m]; NaN where it is not estimated.
-        external_variance: of it [(N m)²].
+        external_variance: of the torque from outside [(N m)²].
         angle_variance: [rad²].
         velocity_variance: [rad²/s²].
         torque_variance: [(N m)²].
-        pressure_variance_1: of P_1 [Pa²], or a bound of it.
+        pressure_variance_1: of P_1 [Pa²], or an upper bound.
         pressure_variance_2: of P_2 likewise.
     """
 
@@ -117,14 +115,14 @@ class Seen(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """What the law asked for last.
+    """Wanted pressures of the law at the last sample.
 
     Attributes:
         pressure_1: wanted P_1 [Pa].
         pressure_2: wanted P_2 [Pa].
-        softest: least stiffness that the torque leaves [N m/rad].
-        stiffest: largest one [N m/rad].
-        missing: torque that is out of reach [N m]; 0 where none is.
+        softest: least stiffness possible with the torque [N m/rad].
+        stiffest: largest stiffness possible with it [N m/rad].
+        missing: part of the torque that is out of reach [N m]; 0 if none is.
     """
 
     pressure_1: float
@@ -136,7 +134,7 @@ class Reached(NamedTuple):
 
 @inlined
 def known_torque(external, variance):
-    """What of a torque from outside counts [N m]: d³/(d² + σ²).
+    """Part of a torque from outside that the law uses [N m]: d³/(d² + σ²).
 
     Args:
         external: d [N m]; NaN where it is not estimated.
@@ -150,18 +148,18 @@ def known_torque(external, variance):
 
 @in_place
 def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box, held, x, p):
-    """Steps 1 and 2: set the pressures of x to those that are wanted.
+    """Steps 1 and 2: set the pressures of x to the wanted ones.
 
     Args:
         of_torque: whether the value is a torque [N m]; else it is an angle [rad].
         value: of the reference.
         stiffness: [N m/rad]; NaN: free.
-        seen: what is estimated, a :class:`Seen`.
+        seen: estimate, a :class:`Seen`.
         integral: I [N m].
         approach: as of :class:`ModelGains` [rad].
         box: a :class:`~pam_antagonist.control.stiffness.Box`.
         held: voltages (2,) on the valves [V].
-        x: state (n,) that is written over; its angle becomes the one at which the pressures count.
+        x: state (n,), overwritten; its angle becomes the one for which the pressures are computed.
         p: parameter vector.
 
     Returns:
@@ -172,7 +170,7 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
     torque = value + integral
     if not of_torque:
         side = min(max((value - seen.angle) / approach, -1.0), 1.0)
-        # What the muscles give is no part of what they have to give: the difference is k_s ψ and the load.
+        # _pull is the torque of the muscles plus load minus k_s ψ: the difference is k_s ψ minus the load.
         torque = _torque(x, p) - _pull(x, p) + _sliding_friction(x, side, p) + integral
         torque -= known_torque(seen.external_torque, seen.external_variance)
     return set_pressures(torque, stiffness, box, x, p)
@@ -180,9 +178,9 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
 
 @inlined
 def voltage_towards(i, pressure, wanted, angle, velocity, bandwidth, p):
-    """Steps 3 to 5 for one muscle: the voltage [V] by which its pressure goes to the wanted one.
+    """Steps 3 to 5 for one muscle: the voltage [V] that moves its pressure to the wanted one.
 
-    A regulator is asked for the wanted pressure itself [Pa].
+    A regulator's command is the wanted pressure itself [Pa].
 
     Args:
         i: muscle, 0 or 1.
@@ -204,8 +202,8 @@ def voltage_towards(i, pressure, wanted, angle, velocity, bandwidth, p):
 
 
 @inlined
-def _led(i, wanted, lead, period):
-    """Rate [Pa/s] of wanted pressure i, smoothed; lead holds the last wanted pressures, NaN for none, and the rates."""
+def _smooth(i, wanted, lead, period):
+    """Smoothed rate [Pa/s] of wanted pressure i; ``lead`` holds the last wanted pressures (NaN: none) and the rates."""
     if math.isfinite(lead[i]):
         lead[2 + i] += ((wanted - lead[i]) - lead[2 + i] * period) / (_RATE_TIME + period)
     lead[i] = wanted
@@ -214,7 +212,7 @@ def _led(i, wanted, lead, period):
 
 @in_place
 def _step(of_torque, value, stiffness, seen, integral, gains, period, box, leads, lead, held, x, p):
-    """One call of the law: voltages, what was asked for, and the integral after it."""
+    """One sample of the law: voltages, the numbers of :class:`Reached`, and the new integral."""
     bandwidth, rate, approach = gains
     softest, stiffest, missing = wanted_pressures(
         of_torque, value, stiffness, seen, integral, approach, box, held, x, p
@@ -222,7 +220,7 @@ def _step(of_torque, value, stiffness, seen, integral, gains, period, box, leads
     first, second = x[PRESSURE_1], x[PRESSURE_2]
     ahead_1 = ahead_2 = 0.0
     if leads:
-        ahead_1, ahead_2 = _led(0, first, lead, period) / bandwidth, _led(1, second, lead, period) / bandwidth
+        ahead_1, ahead_2 = _smooth(0, first, lead, period) / bandwidth, _smooth(1, second, lead, period) / bandwidth
     u_1 = voltage_towards(0, seen.pressure_1, first + ahead_1, seen.angle, seen.velocity, bandwidth, p)
     u_2 = voltage_towards(1, seen.pressure_2, second + ahead_2, seen.angle, seen.velocity, bandwidth, p)
     error = value - seen.torque if of_torque else (value - seen.angle) * 0.5 * (softest + stiffest)
@@ -237,23 +235,23 @@ class ModelController(Law):
 
     Args:
         p: parameter vector (parameters.SIZE,) of the rig.
-        box: within what pressures and forces are to stay.
+        box: bounds of pressures and forces.
         gains: the tuning.
         sample_period: T_stp, the time between two estimates [s].
         limits: of both valves.
-        safe_voltage: what the valves get while there is nothing to go by (2,) [V]; also what they have at the start.
-        resume_time: longest interruption after which the integral goes on where it was [s].
-        blend_time: time constant with which the remainder of a bumpless start fades away [s].
+        safe_voltage: command without a usable reference or estimate (2,) [V]; also the voltages at the start.
+        resume_time: longest interruption after which the integral goes on with its old value [s].
+        blend_time: time constant with which the offset of a bumpless start decays [s].
 
     Raises:
         BadInput: a value that is out of range.
 
     Attributes:
-        reached: what was asked for last; None: nothing yet.
+        reached: wanted pressures of the last sample; None: nothing yet.
     """
 
     BLEND_TIME = 0.1
-    """[s] Shorter than the PI's: an offset of the voltage is an error of the pressure's rate, and is corrected."""
+    """[s] Shorter than the PI's: the law corrects an offset of the voltage as an error of the pressure's rate."""
 
     def __init__(
         self,
@@ -273,10 +271,11 @@ class ModelController(Law):
         self._held = np.array(self._safe)
         self._integral = self._yielded = 0.0
         self._lead = np.zeros(4)
-        self._leads = not (p[_REGULATED] > 0.0 or p[_REGULATED + 1] > 0.0)  # a regulator's lag is not the law's
+        # A regulator gets the wanted pressure itself, without lead.
+        self._leads = not (p[_REGULATED] > 0.0 or p[_REGULATED + 1] > 0.0)
         self.reached: Reached | None = None
         self.retune(gains or ModelGains())
-        # Nothing is compiled in the loop.
+        # Compile now and not in the loop.
         self.step(Mode.ANGLE, 0.0, math.nan, Seen(0.0, 0.0, 0.0, box.lowest, box.lowest))
         self.reached, self._mode, self._valves = None, None, self._safe
 
@@ -308,15 +307,15 @@ class ModelController(Law):
         """The command for one estimate.
 
         Args:
-            mode: what the reference is; None: there is no reference yet.
-            value: angle [rad] or torque [N m] wanted.
-            stiffness: −∂τ/∂ψ wanted [N m/rad]; NaN: free, the middle of what the torque leaves.
-            seen: what is estimated.
+            mode: of the reference; None: there is no reference yet.
+            value: wanted angle [rad] or torque [N m].
+            stiffness: wanted −∂τ/∂ψ [N m/rad]; NaN: free, the middle of the possible range.
+            seen: estimate.
             damping: of ``Mode.IMPEDANCE`` [N m s/rad].
             late: whether the estimate is too old to act on.
 
         Returns:
-            The voltages and why they are so.
+            The voltages and the reason for them.
         """
         if mode is None:
             return self.safe(Status.NO_REFERENCE)
@@ -356,7 +355,7 @@ class ModelController(Law):
         return command
 
     def _yielding(self, value: float, stiffness: float, damping: float, seen: Seen) -> float:
-        """ψ_v [rad], one sample on: an implicit step, which no ratio of damping to stiffness makes unstable."""
+        """ψ_v [rad] at the next sample, by an implicit step that is stable for any damping and stiffness."""
         before = self._yielded if self._mode is Mode.IMPEDANCE else seen.angle
         viscous = damping / self._period
         external = float(known_torque(seen.external_torque, seen.external_variance))

@@ -1,24 +1,24 @@
-"""The PI controller of the paper's section "Application to Sensor-less Control", made fit for a real valve.
+"""The PI controller of the paper's section "Application to Sensor-less Control", extended for real valves.
 
 The paper's law, with e = reference - estimate in rad or N m, k the sample::
 
     x(k+1) = x(k) + e(k),    u(k) = C x(k) + D e(k) + beta,    C = [+c, -c],  D = [+T_P, -T_P],  beta = [5.5, 5.5] V
 
 The paper prints c = T_I / T_stp. Since x adds up e once a sample, an integral gain in V per (rad s) needs
-c = T_I * T_stp; with the printed one the valves sit in saturation nearly all the time. :meth:`Gains.as_printed` keeps
-it reachable. What the paper leaves open, and what is done here:
+c = T_I * T_stp; with the printed value the valves are saturated nearly all the time. :meth:`Gains.as_printed` gives
+this value. The paper leaves the following points open:
 
-* **Limits.** Each valve's voltage is clipped on its own.
-* **Anti-windup** (conditional integration and a clamp). The integral term is kept as a voltage I = c x. It does not
-  grow while a valve is at its limit and e would push further, and it never exceeds the span, the largest difference
-  that both valves can still follow: the integral alone takes no valve beyond its limits. So the output leaves a limit
-  in the very sample in which e changes sign. ``anti_windup="none"`` gives the bare law.
-* **Bumpless start, mode switch and retuning.** The first output equals the voltages that the valves have; the integral
-  term is chosen so. What it cannot hold (the mean of both voltages, and what is beyond the span) fades away with
-  ``blend_time``.
+* **Limits.** Each valve's voltage is clipped separately.
+* **Anti-windup** (conditional integration and a clamp). The integral term is stored as a voltage I = c x. It does not
+  grow while a valve is at its limit and e drives it further. It never exceeds the span, the largest difference at which
+  no valve is beyond its limits. So the output leaves a limit in the same sample in which e changes sign.
+  ``anti_windup="none"`` gives the paper's law.
+* **Bumpless start, mode switch and retuning.** The integral term is chosen so that the first output equals the present
+  voltages of the valves. The rest (the mean of both voltages, and the part beyond the span) is an offset that decays
+  with ``blend_time``.
 * **Safe voltages** while there is no reference, while the estimate is late, or while either is not finite. The
-  integral is frozen meanwhile and goes on where it was; after more than ``resume_time`` of that, the valves have
-  moved the joint, and the controller starts anew, bumplessly.
+  integral is frozen meanwhile and goes on with its old value. After more than ``resume_time`` the valves have moved
+  the joint, and the controller starts again, bumplessly.
 """
 
 from __future__ import annotations
@@ -81,9 +81,9 @@ class PiController(Law):
         gains: the gains of each mode.
         sample_period: T_stp, the time between two estimates [s].
         limits: of both valves.
-        safe_voltage: what the valves get while there is nothing to go by (2,) [V]; also what they have at the start.
-        resume_time: longest interruption after which the integral goes on where it was [s].
-        blend_time: time constant with which the remainder of a bumpless start fades away [s].
+        safe_voltage: command without a usable reference or estimate (2,) [V]; also the voltages at the start.
+        resume_time: longest interruption after which the integral goes on with its old value [s].
+        blend_time: time constant with which the offset of a bumpless start decays [s].
         anti_windup: ``conditional`` or ``none``.
 
     Raises:
@@ -114,7 +114,7 @@ class PiController(Law):
 
     @property
     def integral(self) -> float:
-        """The integral term I [V]: half of the voltage difference between the valves that it asks for."""
+        """The integral term I [V]: half of its contribution to the voltage difference between the valves."""
         return self._integral
 
     def span(self, mode: Mode) -> float:
@@ -143,14 +143,14 @@ class PiController(Law):
         """The command for one estimate.
 
         Args:
-            mode: what the reference is; None: there is no reference yet.
-            reference: angle [rad] or torque [N m] wanted.
-            value: the estimate of it, in the same unit.
+            mode: of the reference; None: there is no reference yet.
+            reference: wanted angle [rad] or torque [N m].
+            value: estimated angle or torque, in the same unit.
             velocity: of the reference, for the feed-forward [rad/s].
             late: whether the estimate is too old to act on.
 
         Returns:
-            The voltages and why they are so.
+            The voltages and the reason for them.
         """
         if mode is None:
             return self.safe(Status.NO_REFERENCE)
@@ -177,7 +177,7 @@ class PiController(Law):
         return command
 
     def _start(self, mode: Mode, proportional: float) -> None:
-        """Choose integral and offset such that the law gives the voltages that the valves have."""
+        """Choose integral and offset so that the law gives the present voltages of the valves."""
         half = (self._valves[0] - self._valves[1]) / 2.0
         mean = (self._valves[0] + self._valves[1]) / 2.0 - self._gains[mode].bias
         span = self.span(mode)
@@ -189,7 +189,7 @@ class PiController(Law):
         integral = self._integral + gains.integral * self._period * error
         if self._anti_windup:
             span = self.span(mode)
-            # At its limit a valve follows no further, and more integral would only have to be taken back later.
+            # A valve at its limit cannot follow a larger integral.
             if (half >= span and error > 0.0) or (half <= -span and error < 0.0):
                 return
             integral = min(max(integral, -span), span)

@@ -1,8 +1,8 @@
-"""Which angles and torques a joint can have together with which stiffness, at the pressures that it may have.
+"""Angles, torques and stiffnesses that a joint can reach within its bounds of pressure.
 
-At rest and without a torque from outside, an angle takes one torque, and a torque leaves an interval of stiffness
-(:func:`~pam_antagonist.control.stiffness.set_pressures`). Friction is left aside; it lets a joint stand a little
-further. A locked joint, or one that somebody holds, is asked for its torques at its angle.
+At rest and without a torque from outside, an angle needs one torque, and this torque is possible with an interval of
+stiffness (:func:`~pam_antagonist.control.stiffness.set_pressures`). Friction, which extends the range a little, is
+neglected. For a joint that is locked or held, the torques at its angle count.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pam_antagonist.control.stiffness import Box
 from pam_antagonist.model import parameters as par
 
 _OUT_OF_REACH = 1e-5
-"""[N m] Torque that is missing where an angle is out of reach: above what the solution's tolerance leaves."""
+"""[N m] An angle with a larger missing torque is out of reach; above the tolerance of the solution."""
 _GRID = 73
 _HALVINGS = 40
 _UNIT = {Mode.ANGLE: "rad", Mode.TORQUE: "N m"}
@@ -26,12 +26,12 @@ _UNIT = {Mode.ANGLE: "rad", Mode.TORQUE: "N m"}
 
 @dataclass(frozen=True)
 class Range:
-    """Stiffness that one angle or torque leaves.
+    """Stiffness that is possible with an angle or torque.
 
     Attributes:
         softest: [N m/rad].
         stiffest: [N m/rad].
-        missing: torque [N m] by which it is out of reach; positive: more torque is needed than there is.
+        missing: torque [N m] that the muscles lack; positive: they would need more torque.
     """
 
     softest: float
@@ -45,14 +45,14 @@ class Range:
 
 
 class Reachable:
-    """The set of a joint.
+    """The reachable set of a joint.
 
     Args:
         p: parameter vector (parameters.SIZE,).
-        box: within what pressures and forces have to be.
+        box: bounds of pressures and forces.
 
     Attributes:
-        angles: lowest and highest angle (2,) [rad] at which it can rest.
+        angles: lowest and highest angle (2,) [rad] at which the joint can rest.
     """
 
     def __init__(self, p: np.ndarray, box: Box) -> None:
@@ -61,7 +61,7 @@ class Reachable:
         bound = min(float(p[par.STOP]), math.pi / 3.0)
         grid = np.linspace(-bound, bound, _GRID)
         within = [angle for angle in grid if self.at_angle(float(angle)).reached]
-        # A joint that rests nowhere without friction: the angle that takes least torque beside what there is.
+        # If the joint rests nowhere without friction, the angle with the least missing torque counts.
         nearest = min(grid, key=lambda angle: abs(self.at_angle(float(angle)).missing))
         first, last = (within[0], within[-1]) if within else (nearest, nearest)
         self.angles = (self._edge(float(first), -bound), self._edge(float(last), bound))
@@ -81,26 +81,26 @@ class Reachable:
         )
 
     def at_angle(self, angle: float) -> Range:
-        """Stiffness that an angle of rest [rad] leaves."""
+        """Stiffness that is possible at an angle of rest [rad]."""
         return self._range(False, angle, angle)
 
     def at_torque(self, torque: float, angle: float) -> Range:
-        """Stiffness that a torque [N m] leaves where the joint is held at an angle [rad]."""
+        """Stiffness that is possible with a torque [N m], at an angle [rad] at which the joint is held."""
         return self._range(True, torque, angle)
 
     def torques(self, angle: float) -> tuple[float, float]:
-        """Lowest and highest torque [N m] where the joint is held at an angle [rad]."""
+        """Lowest and highest torque [N m] at an angle [rad] at which the joint is held."""
         far = 1e6
         return -far - self.at_torque(-far, angle).missing, far - self.at_torque(far, angle).missing
 
     def pressures(self, angle: float, stiffness: float) -> tuple[float, float]:
-        """Pressures (2,) [Pa] that hold an angle [rad] with a stiffness [N m/rad], or the nearest that can be."""
+        """Pressures (2,) [Pa] that hold an angle [rad] with a stiffness [N m/rad], or the nearest possible ones."""
         seen = Seen(angle, 0.0, 0.0, self._box.lowest, self._box.lowest)
         wanted_pressures(False, angle, stiffness, seen, 0.0, 1.0, self._box, self._held, self._x, self._p)
         return float(self._x[2]), float(self._x[3])
 
     def torque_pressures(self, torque: float, stiffness: float, angle: float = 0.0) -> tuple[float, float]:
-        """Pressures (2,) [Pa] that give a torque with a stiffness, or the nearest.
+        """Pressures (2,) [Pa] that give a torque with a stiffness, or the nearest possible ones.
 
         Args:
             torque: [N m].
@@ -112,16 +112,16 @@ class Reachable:
         return float(self._x[2]), float(self._x[3])
 
     def nearest(self, mode: Mode, value: float, stiffness: float, angle: float = 0.0) -> tuple[float, float, str]:
-        """The reference that is followed in place of a wanted one: the angle or torque first, then the stiffness.
+        """The reachable reference nearest to a wanted one: nearest in angle or torque first, then in stiffness.
 
         Args:
-            mode: what the value is.
+            mode: of the reference.
             value: [rad] or [N m].
             stiffness: [N m/rad]; NaN: free.
             angle: at which a torque is produced [rad].
 
         Returns:
-            Value and stiffness within reach, and words about the difference; empty where there is none.
+            Value and stiffness within reach, and a sentence on the difference; empty if there is none.
         """
         if mode.quantity is Mode.TORQUE:
             low, high = self.torques(angle)
@@ -129,15 +129,15 @@ class Reachable:
             low, high = self.angles
         followed = min(max(value, low), high)
         found = self.at_torque(followed, angle) if mode.quantity is Mode.TORQUE else self.at_angle(followed)
-        softness = stiffness if math.isnan(stiffness) else min(max(stiffness, found.softest), found.stiffest)
-        if followed == value and (softness == stiffness or math.isnan(stiffness)):
+        possible = stiffness if math.isnan(stiffness) else min(max(stiffness, found.softest), found.stiffest)
+        if followed == value and (possible == stiffness or math.isnan(stiffness)):
             return value, stiffness, ""
         unit = _UNIT[mode.quantity]
         words = (
-            f"reference {_pair(value, unit, stiffness)} is out of reach: {_pair(followed, unit, softness)} is "
+            f"reference {_pair(value, unit, stiffness)} is out of reach: {_pair(followed, unit, possible)} is "
             f"followed; the stiffness can be {found.softest:.3g} to {found.stiffest:.3g} N m/rad there"
         )
-        return followed, softness, words
+        return followed, possible, words
 
 
 def _pair(value: float, unit: str, stiffness: float) -> str:

@@ -1,16 +1,16 @@
-"""What the joint is asked to do now: limited, slewed, and only as long as somebody asks (no ROS in here).
+"""The present reference of a joint: limits, time-out and slew (without ROS).
 
-A reference goes this way, at each sample:
+At each sample a reference passes these steps:
 
 1. **Limits.** A value beyond the largest one is limited to it, and counted.
-2. **Time-out.** A reference that nobody repeats is lost after ``timeout``. A torque that nobody repeats drives a free
-   joint to its stop, so torques have a time-out unless it is switched off. An angle that nobody repeats is a place to
-   stay, so angles have none unless it is switched on. A trajectory that is under way is not lost.
+2. **Time-out.** A reference that is not repeated is lost after ``timeout``. A torque would then drive a free joint to
+   its stop, so torques have a time-out unless it is switched off. An angle is safe to keep, so angles have no time-out
+   unless it is switched on. A trajectory that is under way is not lost.
 3. **Lost** means safe voltages, or, with ``hold``, the angle that was estimated at that moment.
-4. **Slew.** The reference moves to its target by no more than ``slew``. It begins at the estimate where the controller
-   did not track before, and where a torque follows an angle or the other way round.
+4. **Slew.** The reference moves to its target no faster than ``slew``. It starts at the estimate if the controller did
+   not track before, and when the quantity changes between torque and angle.
 
-The modes with a stiffness keep to the rules of their value's quantity, angle or torque.
+Modes with a stiffness follow the rules of their value's quantity, angle or torque.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ LOST = ("safe", "hold")
 
 _UNIT = {Mode.ANGLE: "rad", Mode.TORQUE: "N m"}
 _LONGEST_STEP_NS = 20_000_000
-"""Most time between two samples in which a reference moves on: behind a longer gap it does not jump [ns]."""
+"""[ns] A longer interval between two samples counts as this long for the slew, so that the reference does not jump."""
 
 
 class Wanted(NamedTuple):
-    """What is asked for at one sample.
+    """The reference at one sample.
 
     Attributes:
-        mode: None: nothing yet.
+        mode: of the reference; None: none yet.
         value: angle [rad] or torque [N m]; NaN where the last reference cannot be used.
         velocity: of the angle, for feed-forward [rad/s]; 0 where it is not known.
-        lost: whether it timed out and safe voltages are to follow.
-        stiffness: −∂τ/∂ψ [N m/rad]; NaN: not asked.
-        damping: [N m s/rad]; NaN: not asked.
+        lost: whether it timed out and safe voltages must follow.
+        stiffness: −∂τ/∂ψ [N m/rad]; NaN: none given.
+        damping: [N m s/rad]; NaN: none given.
     """
 
     mode: Mode | None
@@ -54,12 +54,12 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True)
 class Rules:
-    """What references have to keep to, in rad or N m.
+    """Rules for references, in rad or N m.
 
     Attributes:
-        largest: magnitude that is not exceeded, by quantity (``Mode.ANGLE`` or ``Mode.TORQUE``).
+        largest: largest magnitude, by quantity (``Mode.ANGLE`` or ``Mode.TORQUE``).
         slew: largest change in a second, by quantity; 0: any.
-        timeout: time after which a reference is lost that nobody repeats, by quantity [s]; 0: never.
+        timeout: time after which a reference that is not repeated is lost, by quantity [s]; 0: never.
         lost: ``safe`` or ``hold``.
     """
 
@@ -74,14 +74,14 @@ class Rules:
 
 
 class Trajectory:
-    """A course of the reference through points, with the times of the samples.
+    """A reference that moves through points at given times.
 
-    Between two points it is a cubic where both have a velocity, else a straight line. From where the joint was asked to
-    be to the first point it is a straight line. After the last point it stays there.
+    Between two points it is a cubic if the points have velocities, else a straight line. From the reference before the
+    trajectory to the first point it is a straight line. After the last point it stays there.
 
     Args:
-        mode: what the values are.
-        start_ns: time that the points count from [ns].
+        mode: of the reference.
+        start_ns: time from which the points count [ns].
         seconds: times of the points (N,) [s], from 0 on, increasing.
         values: at the points (N,) [rad] or [N m].
         velocities: at the points (N,) [rad/s]; empty: not known.
@@ -118,7 +118,7 @@ class Trajectory:
 
         Args:
             stamp_ns: of the sample [ns].
-            now: where the joint is asked to be, or is, when this is asked for the first time [rad] or [N m].
+            now: present reference or estimate, used at the first call only [rad] or [N m].
         """
         time = (stamp_ns - self._start_ns) * 1e-9
         seconds, values, speeds = self._seconds, self._values, self._velocities
@@ -147,26 +147,26 @@ def _line(time: float, begin: float, end: float, a: float, b: float) -> tuple[fl
 
 
 Nearest = Callable[[Mode, float, float, float], tuple[float, float, str]]
-"""From mode, value, stiffness and the estimated angle to the value and stiffness that can be followed, and words about
-the difference. It raises ``BadInput`` where the mode cannot be followed."""
+"""From mode, value, stiffness and the estimated angle to the reachable value and stiffness, and a sentence on the
+difference. It raises ``BadInput`` if the mode cannot be followed."""
 
 
 class References:
-    """Keeps the last reference, and says at each sample what it asks for.
+    """Keeps the last reference, and applies the rules to it at each sample.
 
     Args:
-        rules: that it keeps to.
-        nearest: what of a reference can be followed; None: all of it.
+        rules: for all references.
+        nearest: function that gives the reachable reference; None: every reference is reachable.
 
     Attributes:
         mode: of the last reference; None: none has come.
-        complaint: why the last one cannot be used; empty if it can.
-        limited: words about the last one's being limited; empty if it was not.
+        complaint: why the last reference cannot be used; empty if it can.
+        limited: how the last reference was limited; empty if it was not.
         lost: whether it has timed out.
         limited_count: references that were limited.
         lost_count: how often a reference was lost.
-        value: what was asked for at the last sample [rad] or [N m]; NaN where nothing was.
-        stiffness: asked for [N m/rad]; NaN: it is free.
+        value: reference at the last sample [rad] or [N m]; NaN where there was none.
+        stiffness: of the reference [N m/rad]; NaN: free.
     """
 
     def __init__(self, rules: Rules, nearest: Nearest | None = None) -> None:
@@ -176,7 +176,7 @@ class References:
         self.forget()
 
     def forget(self) -> None:
-        """As if none had come."""
+        """Forget the last reference."""
         self.mode: Mode | None = None
         self.complaint = self.limited = ""
         self.lost = False
@@ -190,7 +190,7 @@ class References:
         self._tracked: Mode | None = None
 
     def not_tracking(self) -> None:
-        """The controller does not track now: the next reference begins at the estimate."""
+        """Note that the controller does not track now: the next reference starts at the estimate."""
         self._tracked = None
 
     def set(
@@ -205,12 +205,12 @@ class References:
         """Take a reference.
 
         Args:
-            mode: what it is.
-            value: [rad] or [N m]; one that is not finite cannot be used.
+            mode: of the reference.
+            value: [rad] or [N m]; a value that is not finite cannot be used.
             now_ns: steady time [ns].
             velocity: of the angle, for feed-forward [rad/s].
-            stiffness: [N m/rad], for the modes that ask for one; it has to be above 0 there.
-            damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none beside the joint's own.
+            stiffness: [N m/rad], above 0, for the modes with a stiffness.
+            damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none added to the joint's own.
         """
         if not math.isfinite(value):
             self.refuse(f"reference {value:g} {_UNIT[mode.quantity]}, expected a finite number", mode)
@@ -247,23 +247,23 @@ class References:
         """Take a trajectory.
 
         Args:
-            trajectory: in place of whatever was before.
+            trajectory: replaces the present reference.
             now_ns: steady time [ns].
         """
         self._take(trajectory.mode, now_ns)
         self._trajectory = trajectory
 
     def cancel(self) -> None:
-        """Stay where the reference of a trajectory is now; the last point is not asked for any more."""
+        """Stop a trajectory: the reference stays where it is now."""
         if self._trajectory is not None and self.mode is not None and math.isfinite(self.value):
             self._trajectory, self._target, self._velocity = None, self.value, 0.0
 
     def refuse(self, complaint: str, mode: Mode = Mode.ANGLE) -> None:
-        """Take note of a reference that cannot be used: safe voltages until a better one comes.
+        """Note a reference that cannot be used: safe voltages follow until a usable one comes.
 
         Args:
             complaint: what is wrong with it.
-            mode: what it would have been, where none has come before.
+            mode: of this reference; used only if none has come before.
         """
         self.complaint, self.limited = complaint, ""
         self.mode = self.mode if self.mode is not None else mode
@@ -289,7 +289,7 @@ class References:
         return f"reference {value:g} {unit} is limited to ±{largest:g} {unit}"
 
     def at(self, stamp_ns: int, now_ns: int, angle: float, torque: float) -> Wanted:
-        """What is asked for at a sample.
+        """The reference at a sample.
 
         Args:
             stamp_ns: of the estimate [ns].
@@ -312,7 +312,7 @@ class References:
         timeout = self._rules.timeout[self.mode.quantity]
         if timeout > 0.0 and not self.lost and now_ns - self._heard_ns > timeout * 1e9:
             if self._rules.lost == "hold" and not math.isfinite(angle):
-                return Wanted(self.mode, math.nan, lost=True)  # there is nothing to hold yet
+                return Wanted(self.mode, math.nan, lost=True)  # there is no angle to hold yet
             self.lost = True
             self.lost_count += 1
             if self._rules.lost == "hold":

@@ -1,13 +1,12 @@
 """The two pressures at which a joint has a torque and a stiffness: equations (2) and (6) to (9) solved for them.
 
-At an angle, τ and −∂τ/∂ψ are linear in P_1 and P_2 with the paper's force map (6). Two wanted values are then two
-linear equations. The pressures also have to stay within a box: the declared bounds, and for each muscle the pressure
-below which its force is less than the least one (:class:`Box`). Within the box, all pressures of one torque lie on a
-line from its softest end to its stiffest one. So a stiffness that is out of reach becomes that of the nearer end, and
-a torque that is out of reach becomes that of the nearest corner: the torque comes first, and the stiffness gives way.
+At a given angle, τ and −∂τ/∂ψ are linear in P_1 and P_2 with the paper's force map (6). So a wanted torque and
+stiffness give two linear equations. The pressures also have to stay within a box: the declared bounds, and for each
+muscle the pressure that gives its least force (:class:`Box`). Within the box, all pressures of one torque lie on a line
+from the softest to the stiffest joint. A stiffness that is out of reach is replaced by that of the nearer end, a torque
+that is out of reach by that of the nearest corner. The torque has priority over the stiffness.
 
-Everything is found through the model's own functions. Force maps that are not linear in the pressure take some steps
-more of the same iteration.
+The solution uses the functions of the model. Force maps that are not linear in the pressure need more iterations.
 """
 
 from __future__ import annotations
@@ -30,21 +29,21 @@ _LOWEST, _HIGHEST = INDEX["effects.regulator_limits.lowest"], INDEX["effects.reg
 _FORCE_1, _FORCE_2, _TORQUE = 0, 1, 2
 _MOST_STEPS = 40
 _TORQUE_TOLERANCE, _FORCE_TOLERANCE, _STIFFNESS_TOLERANCE = 1e-6, 1e-4, 1e-5
-"""[N m], [N], [N m/rad] What counts as equal: far below what any sensor shows."""
+"""[N m], [N], [N m/rad] Tolerances of the solution, far below the resolution of sensors."""
 _PRESSURE_STEP = 1e3
-"""[Pa] Step of the difference quotients, of use with force maps only that are not linear in the pressure."""
+"""[Pa] Step of the difference quotients, which only force maps need that are not linear in the pressure."""
 
 
 LOWEST_PRESSURE = 200e3
 """[Pa] The least pressure of the paper's experiments; a muscle empties slowly below it."""
 SUPPLY_MARGIN = 20e3
-"""[Pa] Air still flows in at a fifth of the choked flow there."""
+"""[Pa] Margin below the supply's pressure, at which air still flows in at a fifth of the choked flow."""
 LEAST_FORCE = 2.0
-"""[N] A muscle that pulls by this is not slack, whatever the force map is off by."""
+"""[N] With this force a muscle is not slack, even if the force map has an error."""
 
 
 class Box(NamedTuple):
-    """Within what the chambers' pressures are chosen.
+    """Bounds of the wanted pressures and of the forces.
 
     Attributes:
         lowest: pressure [Pa].
@@ -65,14 +64,14 @@ class Box(NamedTuple):
         Args:
             p: parameter vector (parameters.SIZE,); its supply, or the range of its regulators, is the upper bound.
             lowest: pressure [Pa].
-            margin: of the supply's pressure that is left, so that air still flows [Pa].
+            margin: below the supply's pressure, so that air still flows [Pa].
             force: least contraction force of either muscle [N].
 
         Raises:
-            BadInput: nothing is left between the bounds.
+            BadInput: the lower bound is not below the upper one.
         """
         highest = float(p[SUPPLY]) - margin
-        # Regulators hold a pressure to the end of their range.
+        # Regulators hold any pressure of their range, so no margin is needed there.
         if p[_HIGHEST] > 0.0:
             highest = min(highest, float(p[_HIGHEST]))
         lowest = max(lowest, float(p[_LOWEST]))
@@ -94,7 +93,7 @@ def _quantity(kind, x, p):
 
 @in_place
 def _solve(i, kind, wanted, low, high, x, p):
-    """Set pressure i of x so that a force or the torque is as wanted; the nearer end where it is not between them."""
+    """Set pressure i of x to a wanted force or torque; to the nearer end if the solution is not between the ends."""
     at = PRESSURE_1 + i
     tolerance = _TORQUE_TOLERANCE if kind == _TORQUE else _FORCE_TOLERANCE
     x[at] = low
@@ -105,7 +104,7 @@ def _solve(i, kind, wanted, low, high, x, p):
         x[at] = low if abs(off_low) < abs(off_high) else high
         return
     for step in range(_MOST_STEPS):
-        # False position, exact at once for a linear map; bisection now and then for one that is strongly curved.
+        # False position is exact for a linear map. Every third step is a bisection, for strongly curved maps.
         share = 0.5 if step % 3 == 2 else off_low / (off_low - off_high) if off_low != off_high else 0.0
         x[at] = low + share * (high - low)
         off = _quantity(kind, x, p) - wanted
@@ -128,7 +127,7 @@ def _least_pressure(i, box, x, p):
 
 @in_place
 def _end(stiff, torque, low_1, low_2, high, x, p):
-    """Set the pressures of x to the softest or stiffest ones of a torque; returns their stiffness."""
+    """Set the pressures of x to the softest or stiffest joint with a torque. Returns the stiffness."""
     if stiff:
         x[PRESSURE_1], x[PRESSURE_2] = high, high
         lower_first = _torque(x, p) > torque
@@ -143,7 +142,7 @@ def _end(stiff, torque, low_1, low_2, high, x, p):
 
 @in_place
 def _refine(torque, stiffness, low_1, low_2, high, x, p):
-    """Newton steps on both equations; none where the force map is linear in the pressure."""
+    """Newton steps on both equations; no step is needed if the force map is linear in the pressure."""
     for _ in range(_MOST_STEPS):
         off_torque, off_stiffness = _torque(x, p) - torque, -_torque_slope(x, p) - stiffness
         if abs(off_torque) <= _TORQUE_TOLERANCE and abs(off_stiffness) <= _STIFFNESS_TOLERANCE:
@@ -165,17 +164,17 @@ def _refine(torque, stiffness, low_1, low_2, high, x, p):
 
 @in_place
 def set_pressures(torque, stiffness, box, x, p):
-    """Set the pressures of a state so that its muscles have a torque and, as far as can be, a stiffness.
+    """Set the pressures of a state so that its muscles have a torque and, as far as possible, a stiffness.
 
     Args:
-        torque: τ wanted at the state's angle [N m].
-        stiffness: −∂τ/∂ψ wanted [N m/rad]; NaN: the middle of those that the torque leaves.
-        box: within what the pressures have to be (a :class:`Box`).
+        torque: wanted τ at the state's angle [N m].
+        stiffness: wanted −∂τ/∂ψ [N m/rad]; NaN: the middle of the possible range.
+        box: bounds of the pressures (a :class:`Box`).
         x: state (n,); its pressures are set.
         p: parameter vector.
 
     Returns:
-        Softest and stiffest value that the torque leaves [N m/rad], and τ wanted minus what is reached [N m].
+        Least and largest stiffness possible with the torque [N m/rad], and wanted minus reached torque [N m].
     """
     low_1, low_2 = _least_pressure(0, box, x, p), _least_pressure(1, box, x, p)
     high = box.highest

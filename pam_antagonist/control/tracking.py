@@ -2,8 +2,8 @@
 
 The paper calls zeta = reference - measured the actual tracking error, and 1 - max|zeta| / range the steady-state
 tracking control performance, with the worst steady-state error and the range of the references (2.1° of 40°: 94.75 %).
-It leaves open when a state is steady. Here: in the last fifth of each step of the reference that lasts for two seconds
-at least.
+It does not define a steady state. Here it is the last fifth of each step of the reference that lasts at least two
+seconds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SHORTEST_STEP = 2.0
 """Steps of the reference that are shorter have no steady part [s]."""
 
 SETTLED = 0.05
-"""A step has settled from when the error stays below this part of the step's height."""
+"""A step has settled once the error stays below this part of the step's height."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Step:
         start_s: from the first sample [s].
         length_s: [s].
         reference: [rad] or [N m].
-        steady_error: largest |reference - measured| in its steady part, in the same unit; NaN where it has none.
-        settling_s: from its start until it has settled [s]; NaN where it did not, and for the first stretch.
+        steady_error: largest |reference - measured| in its steady part, in the same unit; NaN if it has none.
+        settling_s: from its start until it has settled [s]; NaN if it has not, and for the first stretch.
     """
 
     start_s: float
@@ -53,7 +53,7 @@ class Tracking:
         steps: of the reference.
         rmse: root mean square of reference - measured over all samples.
         largest: of |reference - measured|, transients included.
-        worst_steady_error: the largest of the steps'; NaN where no step was long enough.
+        worst_steady_error: largest steady error of all steps; NaN if no step was long enough.
         range: of the references, highest minus lowest.
         performance: 1 - worst_steady_error / range; NaN where either is not known.
     """
@@ -72,7 +72,7 @@ def held(stamp_ns: Stamps, reference_stamp_ns: Stamps, value: Floats) -> Floats:
     Args:
         stamp_ns: samples (N,) [ns].
         reference_stamp_ns: references (K,) [ns], not decreasing.
-        value: theirs (K,).
+        value: of the references (K,).
     """
     last = np.searchsorted(reference_stamp_ns, stamp_ns, side="right") - 1
     if len(value) == 0:
@@ -81,11 +81,11 @@ def held(stamp_ns: Stamps, reference_stamp_ns: Stamps, value: Floats) -> Floats:
 
 
 def yielded(torque: Floats, equilibrium: Floats, stiffness: Floats, damping: Floats, period: float) -> Floats:
-    """Where a spring and damper is that a torque moves from rest, D dψ/dt + K (ψ − ψ_0) = d (N,) [rad].
+    """Angle (N,) [rad] of a spring and damper under a torque, from rest on: D dψ/dt + K (ψ − ψ_0) = d.
 
     Args:
         torque: d (N,) [N m].
-        equilibrium: ψ_0 (N,) [rad]; NaN where nothing is asked for.
+        equilibrium: ψ_0 (N,) [rad]; NaN without a reference.
         stiffness: K (N,) [N m/rad].
         damping: D (N,) [N m s/rad].
         period: between two samples [s].
@@ -140,7 +140,7 @@ def _step(time: Floats, reference: float, before: float, error: Floats) -> Step:
     steady = float("nan")
     if length >= SHORTEST_STEP:
         steady = float(error[time >= time[-1] - STEADY_PART * length].max())
-    # Beyond the band at the end of a stretch means that it has not settled; no band (NaN) means the same.
+    # If the last sample is outside the band, the step has not settled. The same holds without a band (NaN).
     outside = np.flatnonzero(~(error <= SETTLED * abs(reference - before)))
     settled = outside[-1] + 1 if len(outside) else 0
     settling = float(time[settled]) - start if settled < len(time) else float("nan")

@@ -1,14 +1,13 @@
-"""How large a torque a joint can yield to as a spring and a damper would: what the valves can pass decides.
+"""The largest torque to which a joint can yield like a spring and a damper, as far as its valves allow.
 
 Under a torque d = A cos ωt from outside, the spring K and the damper D around ψ_0 would move by
 
     ψ_v = ψ_0 + Re[A e^{iωt} / (K + iωD)].
 
-To be there with the stiffness K, the joint needs two pressures at each moment
+At this angle with the stiffness K, the joint needs two pressures at each moment
 (:func:`~pam_antagonist.control.model_law.wanted_pressures`), and for these, by equation (4), two mass flows. The torque
-is within reach where all pressures lie in the box and each flow is one that a valve passes between fully closed and
-fully open, by equation (5). Friction is left aside: its side changes at once where the motion turns, and no valve
-follows that.
+is within reach if all pressures are in the box, and if a valve can pass each flow between fully closed and fully open,
+by equation (5). Friction is neglected: its sign changes at once when the motion reverses, and no valve can follow that.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, musc
 _flow_for, _valve_flow = flow.flow_for, flow.valve_flow
 
 _PHASES = 24
-"""In which a period is looked at; the largest flow of a sinusoid is met within 1 %."""
-_NEXT = 1e-3
-"""[rad] Of the phase, to either side, for the rate of a pressure."""
+"""Phases of a period that are checked; they meet the largest flow of a sinusoid within 1 %."""
+_PHASE_STEP = 1e-3
+"""[rad] Step of the phase to either side, for the rate of a pressure."""
 _MISSING, _SOFT = 1e-5, 1e-3
-"""[N m], [N m/rad] What counts as out of reach, above what the solution's tolerance leaves."""
+"""[N m], [N m/rad] Larger deviations are out of reach; above the tolerance of the solution."""
 _MOST = 20.0
-"""[N m] Where the search ends."""
+"""[N m] Upper end of the search."""
 _HALVINGS = 20
 
 
@@ -52,18 +51,18 @@ def _wanted(phase, torque, angle, stiffness, viscous, box, held, x, p):
 
 @in_place
 def _follows(torque, angle, stiffness, damping, turn, box, held, x, p):
-    """Whether the valves can follow a torque of that amplitude; turn is ω [rad/s]."""
+    """Whether the valves can follow a torque of this amplitude; ``turn`` is ω [rad/s]."""
     for k in range(_PHASES):
         phase = 2.0 * math.pi * k / _PHASES
-        before = _wanted(phase - _NEXT, torque, angle, stiffness, turn * damping, box, held, x, p)
-        after = _wanted(phase + _NEXT, torque, angle, stiffness, turn * damping, box, held, x, p)
+        before = _wanted(phase - _PHASE_STEP, torque, angle, stiffness, turn * damping, box, held, x, p)
+        after = _wanted(phase + _PHASE_STEP, torque, angle, stiffness, turn * damping, box, held, x, p)
         if not (before[3] and after[3]):
             return False
-        at, velocity = 0.5 * (before[0] + after[0]), (after[0] - before[0]) * turn / (2.0 * _NEXT)
+        at, velocity = 0.5 * (before[0] + after[0]), (after[0] - before[0]) * turn / (2.0 * _PHASE_STEP)
         sine, cosine, _ = _leverage(at, p)
         for i in range(2):
             first, second = (before[1], after[1]) if i == 0 else (before[2], after[2])
-            pressure, rate = 0.5 * (first + second), (second - first) * turn / (2.0 * _NEXT)
+            pressure, rate = 0.5 * (first + second), (second - first) * turn / (2.0 * _PHASE_STEP)
             volume, slope = _volume(i, _length(i, sine, p), p)
             needed = _flow_for(rate, pressure, volume, slope * _length_rate(i, cosine, velocity, p), p)
             most, least = _valve_flow(i, 1.0, pressure, p[SUPPLY], p)[0], _valve_flow(i, 0.0, pressure, p[SUPPLY], p)[0]
@@ -79,7 +78,7 @@ def largest_torque(
 
     Args:
         p: parameter vector (parameters.SIZE,) of a rig with valves.
-        box: within what pressures and forces are to stay.
+        box: bounds of pressures and forces.
         stiffness: K of the spring [N m/rad].
         damping: D [N m s/rad].
         frequency: of the torque [Hz].
