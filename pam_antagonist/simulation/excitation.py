@@ -1,4 +1,4 @@
-"""Voltages that make a joint show what it can do: built-in profiles for simulated recordings, and tables.
+"""Voltages that excite a joint: built-in profiles for simulated recordings, and tables.
 
 A profile is written as a drive between -1 and 1 for each valve: 0 is the voltage at rest, -1 and 1 the lowest and
 the highest one. With the default voltages and the valve curve of rig ``shin2022`` these are steady pressures of
@@ -104,7 +104,7 @@ def multisine(time: FloatArray, seed: int) -> FloatArray:
     """
     rng = np.random.default_rng(seed)
     frequency = np.geomspace(0.05, 5.0, 16)
-    # Falling amplitudes keep the fast lines from being all that the valves do.
+    # With falling amplitudes, the fast lines do not dominate the voltages.
     amplitude = frequency**-0.4
     wave = amplitude[:, None] * np.sin(2.0 * np.pi * frequency[:, None] * time + rng.uniform(0.0, 2.0 * np.pi, (16, 1)))
     difference, common = wave[::2].sum(axis=0), wave[1::2].sum(axis=0)
@@ -123,7 +123,7 @@ def profile(name: str, duration: float, period: float, seed: int = 0, span: Span
         name: one of ``PROFILES``.
         duration: [s].
         period: sample period [s].
-        seed: of what is random in it.
+        seed: of its random part.
         span: voltages; default: 4.15, 5.5, 7.5 V.
 
     Returns:
@@ -139,13 +139,13 @@ def profile(name: str, duration: float, period: float, seed: int = 0, span: Span
 
 
 def for_rig(rig: Rig, name: str, duration: float, seed: int = 0) -> FloatArray:
-    """Commands of a built-in profile that a rig's valves or regulators may be given.
+    """Commands of a built-in profile within the limits of a rig's valves or regulators.
 
     Args:
-        rig: whose limits and sample period count.
+        rig: gives the limits and the sample period.
         name: one of ``PROFILES``.
         duration: [s].
-        seed: of what is random in it.
+        seed: of its random part.
 
     Returns:
         (N, 2) [V] of valves, or [Pa] of pressure regulators: from a sixth of their range to its end.
@@ -168,7 +168,7 @@ def read_table(path: Path) -> tuple[FloatArray, FloatArray]:
         Times (K,) [s] and voltages (K, 2) [V].
 
     Raises:
-        BadInput: not such a file, or times that do not increase.
+        BadInput: another file format, or times that do not increase.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
@@ -205,6 +205,6 @@ def held(time: FloatArray, voltage: FloatArray, duration: float, period: float) 
     Returns:
         (N, 2) [V].
     """
-    # Half a period of grace: a row at 0.003 belongs to sample 3, whatever 3 * 0.001 is in binary.
+    # Half a period of tolerance: a row at 0.003 s belongs to sample 3, although 3 * 0.001 is not exactly 0.003.
     at = time[0] + (np.arange(round(duration / period)) + 0.5) * period
     return np.asarray(voltage[np.searchsorted(time, at, side="right") - 1])

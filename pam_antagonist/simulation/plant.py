@@ -1,4 +1,4 @@
-"""A joint to practise on: the physics at a finer step, off its declared values, behind real sensors."""
+"""A simulated joint: the physics at a finer step, with parameters off their declared values and noisy sensors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pam_antagonist.model import dynamics, equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
-# What scatters together: a muscle that is a percent weaker is so in its whole force map, for instance.
+# A muscle that is a percent weaker is so in its whole force map, for instance.
 SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
     *(
         tuple(f"muscle_{i}.{quantity}.{name}" for name in names)
@@ -32,23 +32,23 @@ SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
     ("friction.shaft",),
     ("friction.muscle",),
 )
-"""Parameters that are off together: each group by a factor of its own."""
+"""Groups of parameters that scatter together: each group by a factor of its own."""
 REGULATORS: tuple[tuple[str, ...], ...] = tuple(
     (f"effects.regulator_lag.{name}",) for name in ("frequency_1", "frequency_2", "damping")
 )
-"""Those of a rig with pressure regulators beside them."""
+"""Further groups of a rig with pressure regulators."""
 
 
 class PlantSample(NamedTuple):
-    """What the sensors of a joint tell at the end of a step.
+    """Readings of a joint's sensors at the end of a step.
 
     Attributes:
         pressure: measured pressures (2,) [Pa].
         voltage: voltages (2,) that were on the valves over the step [V].
-        angle: encoder [rad].
-        torque: torque meter [N m].
-        encoder: angle as an input of a filter [rad], by the rig's ``encoder``; NaN where the rig has none.
-        truth: the state itself (n,), which no sensor shows.
+        angle: reading of the validation encoder [rad].
+        torque: reading of the torque meter [N m].
+        encoder: reading of the rig's ``encoder``, an input of a filter [rad]; NaN where the rig has none.
+        truth: the true state (n,).
     """
 
     pressure: np.ndarray
@@ -60,7 +60,7 @@ class PlantSample(NamedTuple):
 
 
 def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndarray:
-    """Parameters of a joint that is not quite the declared one.
+    """Parameters of a joint that differs a little from the declared one.
 
     Args:
         p: parameter vector (parameters.SIZE,).
@@ -68,8 +68,7 @@ def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndar
         rng: source of the scatter.
 
     Returns:
-        New vector; volume and force map of a muscle are scaled as a whole, since their coefficients
-        nearly cancel.
+        New vector. Volume and force map of a muscle are each scaled as a whole, since their terms nearly cancel.
     """
     groups = SCATTER_GROUPS
     if p[par.INDEX[REGULATORS[0][0]]] > 0.0:
@@ -84,10 +83,9 @@ def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndar
 class Plant:
     """Ground truth for trials without hardware.
 
-    It runs the model's physics at ``substeps`` a sample, friction and the rig's effects included, with
-    parameters scattered by ``mismatch`` and measured through noisy, quantised sensors, so that an estimator
-    never meets its own model. It is a simulator of this project: agreement with it says nothing about a real
-    joint.
+    It runs the model's physics with ``substeps`` a sample, friction and the rig's effects included. Its parameters are
+    scattered by ``mismatch``, and its sensors are noisy and quantised, so that it differs from an estimator's model.
+    It is a simulator of this project: agreement with it says nothing about a real joint.
 
     Args:
         rig: the rig as declared.
@@ -157,7 +155,7 @@ class Plant:
         return {name: float(self._p[par.INDEX[name]]) for name in names}
 
     def change(self, values: Mapping[str, float]) -> None:
-        """Change true parameters from now on; none that brings a state.
+        """Change true parameters from now on; not those that add a state.
 
         Args:
             values: by dotted path.
@@ -171,7 +169,7 @@ class Plant:
         return round(value / step) * step if step > 0.0 else value
 
     def _encoded(self) -> float:
-        """The angle as the rig's encoder reads it; its noise has a source of its own."""
+        """Reading of the rig's encoder; its noise has a random generator of its own."""
         if self._encoder is None:
             return math.nan
         std, step, offset = self._encoder.std, self._encoder.step, self._encoder.offset
@@ -185,11 +183,11 @@ class Plant:
         """Advance one sample period.
 
         Args:
-            voltage: on the valves over the period (2,) [V], or what regulators are asked for [Pa].
+            voltage: on the valves over the period (2,) [V], or commanded to the regulators [Pa].
             external_torque: torque from outside over the period [N m].
 
         Returns:
-            What the sensors show at its end.
+            Readings of the sensors at the end of the period.
 
         Raises:
             BadInput: a voltage or torque that is not finite.
@@ -199,7 +197,7 @@ class Plant:
         if not np.all(np.isfinite(self._u)):
             raise BadInput(f"plant: valve voltages and torque {tuple(self._u)}, expected finite ones")
         if not self._begun:
-            # Its valves have had their first voltage for long.
+            # The plant starts as if its valves had had the first voltage for a long time.
             self._x = equilibrium.initial_state(self._x[0], self._x[2], self._x[3], self._u, self._p)
             self._begun = True
         for _ in range(self._substeps):
