@@ -1,4 +1,4 @@
-"""Rigs: one validated YAML file each, and what the physics and the estimator read from it."""
+"""Rigs: one validated YAML file each, with the numbers of the physics and of the estimator."""
 
 from pam_antagonist.rig.fingerprint import RigIdentity, differences, fingerprint
 from pam_antagonist.rig.load import load_rig, rig_names

@@ -1,9 +1,9 @@
-"""Which joint a rig file is about: a fingerprint of its physics, and what has to agree between the nodes of one joint.
+"""Identity of a rig: a fingerprint of its physics, and the facts that the nodes of one joint must agree on.
 
-Every node reads a rig file of its own. That all of them have *the same file* would be too much to ask: an estimator may
-run a rig that ``identify`` or ``close_loop`` has refined, or one with effects that a simulated plant lacks. What has to
-agree is what no refinement changes, or changes by little only (:data:`FACTS`): what the joint is built of, and within
-what limits it is kept. The fingerprint tells the rest: equal ones stand for equal physics.
+Every node reads a rig file of its own. The files need not be *the same*: an estimator may use a rig that ``identify``
+or ``close_loop`` has refined, or one with effects that a simulated plant lacks. The nodes must agree on the facts that
+a refinement does not change, or changes only a little (:data:`FACTS`): the parts of the joint, and its limits. Equal
+fingerprints mean equal physics.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pam_antagonist.model import muscle
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig.schema import Rig
 
-_WORDS = (
+_NOT_PHYSICS = (
     "name",
     "source",
     "identified",
@@ -36,7 +36,7 @@ _WORDS = (
     "bounds",
     "tunings",
 )
-"""What a rig file says about recordings, the filter, fits, or to people: no part of the joint."""
+"""Fields of a rig file about recordings, the filter, fits, or for people: not physics of the joint."""
 _DIGITS = 16
 _LONGEST = 20_000  # of a text that is read [characters]
 _LARGEST_NAME = 200
@@ -47,13 +47,13 @@ Value = float | str | bool | None
 
 @dataclass(frozen=True)
 class Fact:
-    """Something that the rigs of one joint agree about.
+    """A value on which the rigs of one joint agree.
 
     Attributes:
-        name: a dotted path of the rig file, or what is computed of it.
+        name: a dotted path of the rig file, or words for a computed value.
         unit: of the value; empty where it is no number.
         tolerance: largest difference relative to the larger of both magnitudes; 0: none.
-        value: what a rig says.
+        value: function that gives the value of a rig.
         absolute: whether the tolerance is in the value's unit instead.
     """
 
@@ -75,7 +75,7 @@ def _path(name: str, unit: str = "", tolerance: float = 0.0) -> Fact:
 
 
 def _strength(index: int) -> Fact:
-    """What a muscle of the joint in its middle position pulls with at the supply's pressure."""
+    """Force of a muscle at angle 0 and the supply's pressure."""
 
     def value(rig: Rig) -> Value:
         return float(muscle.force(index, rig.geometry.length, rig.supply.pressure, rig.parameters()))
@@ -84,7 +84,7 @@ def _strength(index: int) -> Fact:
 
 
 def _opening(number: int) -> Fact:
-    """How far a valve is open to the supply at the middle of its voltages."""
+    """Open rate of a valve at the middle of its voltages."""
 
     def value(rig: Rig) -> Value:
         curve = (rig.valve_1, rig.valve_2)[number - 1].curve
@@ -94,13 +94,13 @@ def _opening(number: int) -> Fact:
     return Fact(f"open rate of valve {number} at its middle voltage", "-", _OPEN, value, absolute=True)
 
 
-# What is measured with a ruler or a gauge is known to a per cent; a fit that moves it by five has found another joint.
+# A value measured with a ruler or a gauge is known to a per cent; if it differs by five, it is another joint's.
 _MEASURED = 0.05
-# A force map is identified to some per cent; that of other muscles, or one with a sign turned, is further off.
+# A force map is identified to some per cent; that of other muscles, or one with a wrong sign, differs by more.
 _MAP = 0.25
-# Areas trade off with polytropic indices and the curves in a fit, which may move them by a third.
+# In a fit, areas trade off with polytropic indices and the curves, and may change by a third.
 _AREA = 0.4
-# A valve with a dead zone is all but closed in the middle, so that no share of that says anything.
+# Absolute, since a valve with a dead zone is nearly closed in the middle: a relative difference says nothing there.
 _OPEN = 0.15
 
 FACTS: tuple[Fact, ...] = (
@@ -120,16 +120,16 @@ FACTS: tuple[Fact, ...] = (
     _opening(1),
     _opening(2),
 )
-"""What has to agree, and how closely."""
+"""The facts that must agree, with their tolerances."""
 
 
 def fingerprint(rig: Rig) -> str:
-    """Sixteen hex digits that stand for the physics of a rig: model, parameters, valve curves, sensors, effects.
+    """Hash of a rig's physics, sixteen hex digits: model, parameters, valve curves, sensors, effects.
 
-    Name, comments, order, tunings, and what is said about uncertainties and for fits have no part in it. Values at
-    their default are left out, so that a rig keeps its fingerprint when later versions know more parameters.
+    It does not depend on name, comments, order, tunings, uncertainties and settings of fits. Default values are left
+    out, so that a rig keeps its fingerprint when later versions have more parameters.
     """
-    content = {name: value for name, value in _content(rig).items() if name not in _WORDS}
+    content = {name: value for name, value in _content(rig).items() if name not in _NOT_PHYSICS}
     content["effects"] = _effects(rig.effects)
     text = json.dumps({name: value for name, value in content.items() if value != {}}, sort_keys=True, default=float)
     return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
@@ -149,7 +149,7 @@ def _content(model: BaseModel) -> dict[str, Any]:
 
 
 def _effects(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Those that are there: an effect without a size is none."""
+    """Effects that are present: an effect whose sizes are all 0 is absent."""
     out = {}
     for name, values in effects.items():
         items = {item.name: item for item in CATALOGUE[name].parameters}
@@ -160,13 +160,13 @@ def _effects(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
 
 @dataclass(frozen=True)
 class RigIdentity:
-    """What a node tells about the rig that it was given.
+    """Identity of the rig that a node was given.
 
     Attributes:
         name: of the rig.
         fingerprint: see :func:`fingerprint`.
-        facts: name of each of :data:`FACTS` -> value.
-        node: who tells it: ``plant``, ``bridge``, ``estimator``, ``controller``; empty: nobody.
+        facts: value of each of :data:`FACTS`, by name.
+        node: ``plant``, ``bridge``, ``estimator`` or ``controller``; empty: none.
     """
 
     name: str
@@ -180,7 +180,7 @@ class RigIdentity:
 
     @classmethod
     def of(cls, rig: Rig, node: str = "") -> RigIdentity:
-        """That of a rig."""
+        """The identity of a rig."""
         return cls(rig.name, fingerprint(rig), {fact.name: fact.value(rig) for fact in FACTS}, node)
 
     def text(self) -> str:
@@ -190,10 +190,10 @@ class RigIdentity:
 
     @classmethod
     def read(cls, text: str) -> RigIdentity:
-        """What :meth:`text` wrote, here or in another version.
+        """Read a text that :meth:`text` wrote, of this version or another.
 
         Raises:
-            BadInput: it is something else.
+            BadInput: the text is not such an identity.
         """
         try:
             content = json.loads(text) if len(text) <= _LONGEST else None
@@ -213,16 +213,16 @@ def _usable(value: object) -> bool:
 
 
 def differences(ours: RigIdentity, theirs: RigIdentity) -> list[str]:
-    """What two rigs do not agree about although they would if they were the same joint's.
+    """Facts on which two rigs disagree, so that they cannot be of the same joint.
 
-    Facts that only one of them tells (another version of this package) are passed over.
+    A fact that only one of them has (from another version of this package) is skipped.
 
     Args:
-        ours: the one that is taken for granted.
+        ours: the reference.
         theirs: the other one.
 
     Returns:
-        A sentence a fact; none where both may be the same joint's.
+        A sentence for each fact; none if both may be of the same joint.
     """
     if ours.fingerprint == theirs.fingerprint:
         return []
@@ -253,5 +253,5 @@ def _written(value: Value, unit: str) -> str:
 
 
 def _clean(text: str) -> str:
-    """A text from elsewhere, as one line that does nothing to a terminal."""
+    """A text from another node as one line of printable characters, safe for a terminal."""
     return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())

@@ -1,4 +1,4 @@
-"""The JSON schema of rig files, by which an editor completes, explains and checks them while they are written."""
+"""The JSON schema of rig files, with which an editor completes, explains and checks them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def rig_json_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a rig file; needs pydantic 2.
 
     A file that is ``based_on`` another one gives only what differs. So nothing is required below the top level, and
-    nothing at all beside ``based_on``; :func:`pam_antagonist.rig.load_rig` checks what is complete.
+    nothing at all beside ``based_on``; :func:`pam_antagonist.rig.load_rig` checks that the result is complete.
 
     Returns:
         The schema, with the parameters and bounds of every effect that is registered.

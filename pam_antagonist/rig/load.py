@@ -1,4 +1,4 @@
-"""Reading a rig file, and saying in one line what is wrong with it."""
+"""Reading a rig file, with an error message of one line."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def load_rig(name_or_path: str | Path, regulators: bool = False) -> Rig:
 
     Args:
         name_or_path: a name from ``config/rigs`` (``shin2022``), or the path of a YAML file.
-        regulators: whether a rig with pressure regulators will do. What knows of voltages only must not take such a rig
-            for one with valves.
+        regulators: whether a rig with pressure regulators is accepted. Callers that can only use voltages must not get
+            such a rig.
 
     Returns:
         The rig, immutable.
@@ -67,7 +67,7 @@ def _locate(name_or_path: str, beside: Path) -> Path:
 
 
 def _read_with_base(path: Path, depth: int = 0) -> dict[str, Any]:
-    """A rig file's content, laid over that of the rig it is ``based_on``, if it names one."""
+    """Content of a rig file, merged over the content of the rig that it is ``based_on``, if any."""
     content = read_mapping(path, "rig", "config/rigs/shin2022.yaml")
     base = content.pop("based_on", None)
     if base is None:
@@ -83,6 +83,6 @@ def _overlaid(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
         known = result.get(key)
         result[key] = _overlaid(known, value) if isinstance(known, dict) and isinstance(value, dict) else value
         if value is None and "." in key:
-            # A dotted path, as in uncertainty: null takes out what the base has.
+            # For a dotted path, as in uncertainty, null removes the entry of the base.
             del result[key]
     return result

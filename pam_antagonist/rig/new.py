@@ -1,20 +1,20 @@
-"""A rig file from what a ruler, a scale and data sheets tell: the start of an identification.
+"""A rig file from simple measurements and data sheets: the start of an identification.
 
-What nobody can measure with a ruler is filled in, with a wide prior, so that ``identify`` moves it.
+Values that cannot be measured simply are assumed, with a wide prior, so that ``identify`` can change them.
 
 **Force.** A data sheet gives the force F_n without contraction at a gauge pressure p_n, and the contraction ε_n at
 which no force is left. The linear map in between, with ε = 1 − l/L_n,
 
     F = F_n (p/p_n) (1 − k ε) − F_n (h + c ε),
 
-has two parts: of the pressure, and of the rubber, which takes force away. Shares h = 0.06 and c = 0.59 k are those of a
-measured map (Martens and Boblan 2017, DMSP-20, contractions up to 26 %; k = 2.5 there). F(ε_n, p_n) = 0 then gives
-k = (1 − h)/(1.59 ε_n). With absolute pressure P this is equation (6), (7).
+has two parts: one of the pressure, and one of the rubber, which reduces the force. The shares h = 0.06 and c = 0.59 k
+come from a measured map (Martens and Boblan 2017, DMSP-20, contractions up to 26 %; k = 2.5 there). F(ε_n, p_n) = 0
+then gives k = (1 − h)/(1.59 ε_n). With absolute pressure P this is equation (6), (7).
 
-**Volume.** Inextensible threads of length b that go round n times enclose V = l (b² − l²)/(4 π n²) (Chou and Hannaford
-1996). D_1, D_2, D_3 of equation (3) are its best fit over the joint's range.
+**Volume.** Inextensible threads of length b with n turns enclose V = l (b² − l²)/(4 π n²) (Chou and Hannaford 1996).
+D_1, D_2, D_3 of equation (3) are the best fit to this volume over the joint's range.
 
-**Valve.** The inflow area lets the data sheet's flow through, by equation (5).
+**Valve.** The inflow area gives the flow of the data sheet, by equation (5).
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ ATMOSPHERE = 101.3e3
 """Pressure of the surroundings [Pa]."""
 _RUBBER, _RUBBER_SLOPE = 0.06, 0.59
 _THREAD_ANGLE = math.radians(25.0)
-"""Between threads and axis without pressure: with it the braid's force at ε = 0 is that of the data sheets."""
+"""Angle between threads and axis without pressure, for which the braid's force at ε = 0 agrees with data sheets."""
 _MOST_STRETCH = 0.05
-"""[-] Data sheets allow no muscle to be stretched further."""
+"""[-] Largest stretch that data sheets allow."""
 _RANGE_WITHOUT_STOP = math.radians(25.0)
 _LITRES_A_MINUTE = 1.189e-3 / 60.0
-"""[kg/s] One of air at 20 °C and 1 bar, the reference of ISO 6358."""
+"""[kg/s] Mass flow of 1 l/min of air at 20 °C and 1 bar, the reference of ISO 6358."""
 _NOMINAL = 7e5, 6e5
 """Absolute pressures before and behind the valve at its nominal flow [Pa]."""
 
@@ -54,18 +54,18 @@ _PRIORS = {
 }  # fmt: skip
 """Standard deviations before identification, as shares of the value."""
 _AREA_UNCERTAINTY = 0.19
-"""[-] The estimator follows a share that leaves an area above 0 at all sigma points: less than a fifth."""
+"""[-] Uncertainty of an area, as a share of it: below a fifth, so that the area is above 0 at all sigma points."""
 _CURVE_PRIOR = 0.05
-"""Of the range of voltages: so far may a valve's curve lie elsewhere than guessed [-]."""
+"""Prior of the shift of a valve's guessed curve, as a share of the range of voltages [-]."""
 _DAMPING = 0.6
 """Damping ratio of a regulator whose step overshoots by 10 %, assumed [-]."""
 _FORCE_PRIOR = 0.15
-"""Of a muscle's force: so far may two muscles of one kind, or a muscle and its data sheet, differ [-]."""
+"""Difference between two muscles of one kind, or between a muscle and its data sheet, as a share of the force [-]."""
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What a person knows of a rig.
+    """Known values of a rig.
 
     Attributes:
         name: of the rig.
@@ -74,20 +74,20 @@ class Facts:
         length: of a muscle at angle 0 [m].
         nominal_length: of a muscle without pressure and load [m].
         muscle: of both sides.
-        muscle_name: its name.
+        muscle_name: name of the muscle.
         supply: gauge pressure of the supply [Pa].
         valve: of both sides.
-        valve_name: its name.
-        voltage: least and largest voltage that a valve may get [V].
+        valve_name: name of the valve.
+        voltage: least and largest voltage of a valve [V].
         shaft_radius: [m].
-        mass: of what the shaft carries [kg].
-        inertia: of what turns [kg m²].
+        mass: carried by the shaft [kg].
+        inertia: of the moving parts [kg m²].
         stop: magnitude of the angle at which the joint stops [rad], None for none.
         pressure_range: of a pressure sensor [Pa].
         pressure_bits: of its converter.
         period: from sample to sample [s].
         regulator: of both sides of a joint with pressure regulators; None: it has valves.
-        regulator_time: from 10 to 90 % of a small step of it [s].
+        regulator_time: rise time of the regulator from 10 to 90 % of a small step [s].
     """
 
     name: str
@@ -124,13 +124,13 @@ class Facts:
 
 
 def starting_point(facts: Facts) -> Rig:
-    """The rig that the facts describe, with wide priors where they tell nothing.
+    """A rig from the facts, with assumed values and wide priors for the rest.
 
     Args:
-        facts: what is known.
+        facts: known values of the rig.
 
     Raises:
-        BadInput: facts that do not go together, or that no rig has.
+        BadInput: facts that contradict each other, or are not physical.
     """
     least, largest = facts.contractions()
     if least < -_MOST_STRETCH:
@@ -146,7 +146,7 @@ def starting_point(facts: Facts) -> Rig:
         )
     content = _rounded(_content(facts))
     rig = validated(Rig, content, facts.name, ("consider", "sealed"))
-    # The area follows from the law that the rig's own constants give.
+    # The area follows from equation (5) with the rig's constants.
     flow = orifice.orifice_flow(*_NOMINAL, rig.parameters())
     area = facts.valve.flow * _LITRES_A_MINUTE / flow
     valve = _rounded({**content["valve_1"], "inflow_area": area, "outflow_area": area})
@@ -154,7 +154,7 @@ def starting_point(facts: Facts) -> Rig:
     priors = {**{name: share * rig.value(name) for name, share in _PRIORS.items()}, **_force_priors(facts)}
     shift = _CURVE_PRIOR * (facts.voltage[1] - facts.voltage[0])
     priors |= {f"effects.valve_offset.voltage_{i}": shift for i in (1, 2)}
-    # An estimator that takes a guessed valve for a known one sees the joint move where the valve lets more air through.
+    # With a guessed valve taken as exact, the estimator would explain an error of the flow by a motion of the joint.
     guessed = {name: _AREA_UNCERTAINTY * rig.value(name) for name in priors if name.startswith("valve_")}
     guessed |= {name: std for name, std in priors.items() if name.startswith("effects.valve_offset.")}
     rig = _with_regulators(rig.replaced(priors=priors, uncertainty={**rig.uncertainty, **_rounded(guessed)}), facts)
@@ -166,7 +166,7 @@ def starting_point(facts: Facts) -> Rig:
 
 
 def _with_regulators(rig: Rig, facts: Facts) -> Rig:
-    """The rig with pressure regulators in the place of valves, where the facts have some."""
+    """The rig with pressure regulators in place of the valves, if the facts have regulators."""
     if facts.regulator is None:
         return rig
     part = facts.regulator
@@ -194,7 +194,7 @@ def _with_regulators(rig: Rig, facts: Facts) -> Rig:
 
 
 def _rounded(value: Any) -> Any:
-    """A content whose numbers have five digits: nobody knows more of them, and a person reads the file."""
+    """The content with numbers of five digits: more are not known, and people read the file."""
     if isinstance(value, Mapping):
         return {name: _rounded(item) for name, item in value.items()}
     if isinstance(value, tuple):
@@ -236,8 +236,8 @@ def volume_map(facts: Facts) -> dict[str, float]:
 def _force_priors(facts: Facts) -> dict[str, float]:
     """Standard deviations of the force map's coefficients.
 
-    They are wide: how much steeper than the data sheet's a force falls with the length depends on the end fittings and
-    the hose, and the torques of a recording tell the map well.
+    They are wide. The slope of the force over the length depends on the end fittings and the hose and may differ from
+    the data sheet, while the torques of a recording determine the map well.
     """
     part, force = facts.muscle, force_map(facts)
     stds = {
@@ -250,7 +250,7 @@ def _force_priors(facts: Facts) -> dict[str, float]:
 
 
 def _content(facts: Facts) -> dict[str, Any]:
-    """A rig file's content, but for the valves' areas and the priors."""
+    """Content of the rig file, without the areas of the valves and the priors."""
     muscle: Mapping[str, Any] = {"volume": volume_map(facts), "force": force_map(facts)}
     valve = {
         "inflow_area": 1e-8,
@@ -289,7 +289,7 @@ def _content(facts: Facts) -> dict[str, Any]:
             "gravity": 9.81,
             "stop": facts.stop,
         },
-        # A hundredth of a muscle's force on its lever arm is lost in its own tube and mesh.
+        # Friction of tube and mesh: a hundredth of a muscle's force, on its lever arm.
         "friction": {
             "shaft": 0.2, "muscle": 0.005 * middle * facts.radius * half**2, "pressure_floor": 20e3,
         },

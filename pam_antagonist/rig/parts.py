@@ -1,6 +1,6 @@
-"""Muscles, valves and pressure regulators that can be bought, as their data sheets describe them.
+"""Commercial muscles, valves and pressure regulators, with the values of their data sheets.
 
-A new rig file starts from them.
+New rig files start from these values.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What makes a rig impossible although each of its values may stand alone."""
+"""Checks of a rig that need several of its values: combinations that are not physical."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from pam_antagonist.rig.schema import Rig
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
 _RANGE_WITHOUT_STOP = math.radians(25.0)
 _QUICKEST = 0.5 * par.LONGEST_STEP
-"""[s] Least time constant, whatever the sample period is: a Runge-Kutta step diverges beyond 2.8 time constants."""
+"""[s] Least time constant, for any sample period: a Runge-Kutta step diverges beyond 2.8 time constants."""
 _FAINT, _MORE = 1.0, 10.0
-"""[Pa] Noise that only low-passed readings have; and so many times the sensor's variance, the tuning's is another's."""
+"""Noise in [Pa] that only low-passed readings have; largest ratio of the tuning's variance to the sensor's [-]."""
 _REACH = 5.0
-"""Sigma points go so many standard deviations away from the value."""
+"""Distance of sigma points from the value, in standard deviations."""
 
 
 def is_positive(name: str) -> bool:
-    """Whether a parameter is positive in any rig: all but those of volume, force map and effects are."""
+    """Whether a parameter is positive in any rig: all are, except those of volume, force map and effects."""
     return ".force." not in name and ".volume." not in name and not name.startswith("effects.")
 
 
 def unphysical(rig: Rig) -> str:
-    """What fields alone cannot tell, in one line; empty where nothing is wrong."""
+    """What is wrong with a rig, as far as single fields cannot show it, in one line; empty if nothing is."""
     if rig.supply.pressure <= rig.atmosphere.pressure * 1.2:
         return (
             f"supply.pressure {rig.supply.pressure:g} Pa: expected an absolute pressure well above "
@@ -70,7 +70,7 @@ def unphysical(rig: Rig) -> str:
 
 
 def _bad_regulators(rig: Rig) -> str:
-    """Whether a rig says how its regulators answer, and has some."""
+    """Check that a rig has the dynamics of its regulators, and only a rig with regulators."""
     given = [name for name in rig.effects if name.startswith("regulator_")]
     if rig.drive == "valve":
         return f"effects.{given[0]}: the rig has valves; expected drive: regulator with it" if given else ""
@@ -86,7 +86,7 @@ def _bad_regulators(rig: Rig) -> str:
 
 
 def _bad_muscles(rig: Rig) -> str:
-    """Volume and force map over the joint's range, by the functions that the model runs."""
+    """Check volume and force map over the joint's range, with the functions of the model."""
     p = rig.parameters()
     bound = rig.joint.stop if rig.joint.stop is not None else _RANGE_WITHOUT_STOP
     for i, name in enumerate(("muscle_1", "muscle_2")):
@@ -140,7 +140,7 @@ def _bad_effects(rig: Rig) -> str:
 
 
 def _in_kilopascal(rig: Rig) -> str:
-    """Noise of a pressure below a pascal, which only low-passed readings have, where the tuning allows for more."""
+    """Check the unit of the pressure noise: below a pascal, but with a much larger variance in the tuning, is kPa."""
     std, tuning = rig.sensors.pressure_std, rig.tunings.get("default")
     if tuning is None or std >= _FAINT or max(tuning.measurement) <= _MORE * rig.sensors.error("pressure") ** 2:
         return ""
@@ -162,7 +162,7 @@ def _bad_bounds(rig: Rig) -> str:
 
 
 def _too_quick(name: str, values: Mapping[str, float]) -> str:
-    """A time constant of an effect that is there, the neutral one included, but that no step would follow."""
+    """Check the time constants of a present effect, neutral ones included: an integration step must follow them."""
     items = CATALOGUE[name].parameters
     if not any(item.is_size and values.get(item.name, 0.0) != 0.0 for item in items):
         return ""
@@ -177,7 +177,7 @@ def _too_quick(name: str, values: Mapping[str, float]) -> str:
 
 
 def _bad_spreads(rig: Rig) -> str:
-    """Standard deviations of parameters: whose they are, and what sigma points would make of the value."""
+    """Check standard deviations of parameters: known names, and sigma points that stay within a parameter's sign."""
     sections = [("uncertainty", rig.uncertainty, True), ("priors", rig.priors, False)]
     sections += [(f"directions.{name}", changes, True) for name, changes in rig.directions.items()]
     for section, spreads, reached in sections:

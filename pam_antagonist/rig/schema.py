@@ -139,7 +139,7 @@ class Friction(Strict):
 
 
 class Reading(NamedTuple):
-    """How a reading errs: by normal noise, and by a converter that may be off by half its step to either side.
+    """Error of a reading: normal noise, and a converter that rounds by up to half its step.
 
     Attributes:
         std: of the noise, in the unit of the reading.
@@ -151,7 +151,7 @@ class Reading(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Standard deviation of both together."""
+        """Standard deviation of noise and rounding together."""
         return math.hypot(self.std, self.step / math.sqrt(12.0))
 
     def scaled(self, factor: float) -> Reading:
@@ -170,7 +170,7 @@ class Sensors(Strict):
     torque_step: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
 
     def reading(self, quantity: str) -> Reading:
-        """How one reading errs.
+        """Error of one reading.
 
         Args:
             quantity: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m].
@@ -190,7 +190,7 @@ NO_ENCODER = (
     "rig {rig} says nothing of an encoder; "
     "write into its file, in rad: encoder: {{std: 5.0e-4, step: 0.0, offset: 0.0}}"
 )
-"""What to say where one is asked for."""
+"""Message where an encoder is needed."""
 
 
 class Encoder(Strict):
@@ -202,7 +202,7 @@ class Encoder(Strict):
 
     @property
     def variance(self) -> float:
-        """Of one reading, noise and converter together [rad²]."""
+        """Variance of one reading, noise and converter together [rad²]."""
         return Reading(self.std, self.step).error ** 2
 
 

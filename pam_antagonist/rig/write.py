@@ -1,4 +1,4 @@
-"""A rig as YAML, every number with its unit and its name in the paper beside it."""
+"""A rig as YAML, with the unit and the paper's name beside every number."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _scalar(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, float):
         text = repr(value)
-        # YAML 1.1 takes 1e-05 for a text: it wants a point and a sign.
+        # YAML 1.1 reads 1e-05 as a text: a number needs a point and a sign.
         mantissa, exponent, power = text.partition("e")
         if exponent:
             mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
