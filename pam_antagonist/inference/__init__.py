@@ -1,1 +1,1 @@
-"""What identification and diagnosis share: experiments, free parameters, likelihood, fits and profiles."""
+"""Common parts of identification and diagnosis: experiments, free parameters, likelihood, fits and profiles."""

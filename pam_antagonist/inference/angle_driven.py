@@ -1,11 +1,10 @@
 """A sealed joint that is moved from outside, as an experiment: its measured angle is the input.
 
-No voltage moves such a joint, and what the model makes of the torque alone says little: where the joint sticks, it
-cannot know when it will slip. So the model is driven by the angle that was measured. What it then says of the two
-pressures (the *air*) and of the torque that this motion needs (equation (8) solved for the torque from outside, the
-*balance*) is compared with what was recorded. Both have base parameters of their own, and no effect of the catalogue
-that can be seen here acts on both. The pressures are compared by their mean and half their difference: an error of the
-encoder moves the latter alone.
+No voltage moves such a joint. A simulation driven by the torque says little: while the joint sticks, the model cannot
+predict when it will slip. So the measured angle drives the model. Its two pressures (the *air*) and the torque from
+outside that the motion needs by equation (8) (the *balance*) are compared with the recording. Air and balance have
+different base parameters, and no effect that is observable here acts on both. The pressures are compared by their mean
+and half their difference, because an error of the encoder changes only the latter.
 """
 
 from __future__ import annotations
@@ -32,22 +31,22 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 AIR, BALANCE = "air", "balance"
-"""Parts of a driven joint; each effect of the catalogue says which of them shows it."""
+"""Parts of a driven joint. The catalogue has for each effect which part shows it."""
 
 _CORNER_HZ = 3.0
 _STEP_S = 4e-3
-"""[s] Longest step: what is left of a motion behind 3 Hz hardly changes within one."""
+"""[s] Longest step: a motion that is filtered at 3 Hz hardly changes within it."""
 _SMOOTH = 1e-6
-"""[rad] White noise below which an angle needs no smoothing: its direction of motion shows as it is."""
+"""[rad] An angle with less white noise needs no smoothing to show its direction of motion."""
 SLIDING = 0.02
-"""[rad/s] Above it a joint slides ; below, friction may be anything up to its bound."""
+"""[rad/s] At a higher velocity a joint slides; at a lower one friction may have any value up to its bound."""
 _STICKING_LEAST = 1e-9
 _CLEAR = 3.0
-"""Standard deviations of its noise that a velocity must reach before it shows a direction."""
+"""A velocity shows a direction if it exceeds so many standard deviations of its noise."""
 _FORCE = 10.0
-"""[N] By so much the forces of two muscles of one make may differ."""
+"""[N] Prior of the force difference between two muscles of one kind."""
 _VISCOUS = 0.02
-"""[N m s/rad] So much more viscous friction than configured is no surprise; ten times as much looks like Coulomb's."""
+"""[N m s/rad] Prior of a change of the viscous friction. Ten times as much looks like Coulomb friction."""
 _STAGES = integration.STAGES
 _rk4_step, _torque_needed = integration.rk4_step_within, dynamics.torque_needed
 
@@ -63,7 +62,8 @@ def _driven(x0, angle, velocity, acceleration, direction, p, dt, substeps):  # t
     scratch = np.empty((_STAGES + 1, x.shape[0]))
     for k in range(samples):
         if k > 0:
-            # Held over a step at its middle, of second order: the joint of p is locked, its air sees the velocity.
+            # Angle and velocity are held over a step at its middle (second order). p locks the joint; only the
+            # chambers use the velocity.
             x[1] = (angle[k] - angle[k - 1]) / dt
             for j in range(substeps):
                 x[0] = 0.5 * (angle[k] + angle[k - 1]) + ((j + 0.5) / substeps - 0.5) * (angle[k] - angle[k - 1])
@@ -94,7 +94,7 @@ class Motion:
 
 
 def filled_in(measured: Floats) -> Floats:
-    """A measured angle (N,) [rad] with a straight line across what is missing.
+    """A measured angle (N,) [rad] with linear interpolation over missing values.
 
     Args:
         measured: the angle (N,) [rad], NaN where missing.
@@ -114,11 +114,11 @@ def motion_of(measured: Floats, dt: float) -> Motion:
     """
     known = np.isfinite(measured)
     angle = filled_in(measured)
-    # The sixth difference of white noise has 924 times its variance, that of a smooth motion is next to nothing.
+    # The sixth difference of white noise has 924 times its variance; that of a smooth motion is negligible.
     noise = float(np.sqrt(np.mean(np.diff(measured[known], 6) ** 2) / 924.0))
     fuzzy = noise * np.sqrt(0.5) / dt
     if noise > _SMOOTH:
-        # It takes a third of a second to import, and only joints that a torque drives need it.
+        # The import takes a third of a second, and few recordings need it.
         from scipy import signal
 
         corner = signal.butter(2, _CORNER_HZ, fs=1.0 / dt, output="sos")
@@ -132,14 +132,14 @@ def motion_of(measured: Floats, dt: float) -> Motion:
 
 
 def chamber_directions(rig: Rig, number: int) -> tuple[FreeDirection, FreeDirection]:
-    """What the pressure of a closed muscle determines: the slope of its volume, and its charge.
+    """Directions that the pressure of a sealed muscle determines: the slope of its volume, and its charge.
 
     Args:
         rig: start values.
         number: of the muscle, 1 or 2.
     """
     slope, charge = getattr(rig, f"muscle_{number}").volume.d2, f"valves.charge_{number}"
-    # About the volume at angle 0, which stays as declared.
+    # The volume at angle 0 does not change.
     turned = {f"muscle_{number}.volume.d2": slope, f"muscle_{number}.volume.d3": -slope * rig.geometry.length}
     return (
         FreeDirection(f"muscle_{number}.volume, slope", turned, 0.1),
@@ -153,7 +153,7 @@ class AngleDriven(Experiment):
 
     Attributes:
         part: ``air`` or ``balance``.
-        resolved: only samples count in which the joint slides, where the encoder shows the direction of motion.
+        resolved: whether only samples count in which the joint slides, and the encoder shows the direction of motion.
     """
 
     part: str = AIR
@@ -162,7 +162,7 @@ class AngleDriven(Experiment):
     @cached_property
     @override
     def directions(self) -> tuple[FreeDirection, ...]:
-        """Free base directions: what an identification of a sealed joint finds, but for friction."""
+        """Free base directions: as in an identification of a sealed joint, without friction."""
         rig = self.rig
         if self.part == BALANCE:
             apart = {"muscle_1.force.w2": _FORCE, "muscle_2.force.w2": -_FORCE}
@@ -176,14 +176,14 @@ class AngleDriven(Experiment):
     @cached_property
     @override
     def channels(self) -> tuple[int, ...]:
-        """The torque from outside, or the pressures' mean and half their difference in the place of the pressures."""
+        """The torque from outside, or the pressure columns, which hold the mean and half the difference."""
         return (TORQUE,) if self.part == BALANCE else (PRESSURE_1, PRESSURE_2)
 
     @override
     def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
-        """What of one residual's excess over noise is gone in another one, and what was there, in mean squares.
+        """Excess over noise that another model removes from a residual, and the excess before, in mean squares.
 
-        A model that is driven by the measured angle does not stray: nothing of its error comes from an earlier one.
+        A model driven by the measured angle does not drift away, so that its errors do not depend on earlier ones.
 
         Args:
             before: residual of a model (B, C).
@@ -216,9 +216,9 @@ class AngleDriven(Experiment):
     @cached_property
     @override
     def noise(self) -> Floats:
-        """Standard deviation of a block mean by the sensors (C,), the encoder's by what its error moves included.
+        """Standard deviation of a block mean by the sensors (C,), with the effect of the encoder's error.
 
-        An encoder's error stays while the joint does, so it does not average out in a block.
+        The error of the encoder is constant while the joint stands, so it does not average out in a block.
         """
         p, angle = self.vector, self.rig.sensors.angle_std
         slopes = [
@@ -240,13 +240,13 @@ class AngleDriven(Experiment):
     @cached_property
     @override
     def vector(self) -> Floats:
-        """Parameter vector as configured: the joint is moved by its angle, not by its torques."""
+        """Parameter vector as configured, of a locked joint: the measured angle moves it, not its torques."""
         return self.rig.parameters("locked", 0.0)
 
     @property
     @override
     def runs_by_itself(self) -> bool:
-        """It does not: the angle is given at every step."""
+        """False: the angle is given at every step."""
         return False
 
     @override
@@ -257,7 +257,7 @@ class AngleDriven(Experiment):
 
     @override
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
-        """Effects that this part can show, beside those that a model has already; the simpler form of each first."""
+        """Effects that this part can show and that the model does not have yet; the simpler form of each first."""
         present = {path.split(".")[1] for path in taken}
         return tuple(
             Candidate(name, form)
@@ -271,14 +271,14 @@ class AngleDriven(Experiment):
         p, motion = self.parameters(point), self.motion
         first = motion.angle[0]
         pressures = [equilibrium.closed_pressure(i, first, p) for i in (0, 1)]
-        # A joint that moves at the start has come a long way.
+        # A joint that moves at the start is assumed to have moved for long.
         velocity = float(motion.velocity[0]) if abs(motion.velocity[0]) > SLIDING else 0.0
         x0 = equilibrium.initial_state(first, pressures[0], pressures[1], np.zeros(3), p, velocity)
         end = len(self.trial) if whole else self.fitted
         stride = self.trial.samples(_STEP_S)
         at = np.arange(0, end, stride)
         course = [part[:end][at] for part in (motion.angle, motion.velocity, motion.acceleration)]
-        # A joint that trembles while it sticks shows no direction.
+        # The mean direction of a step: it is about 0 for a sticking joint that vibrates.
         direction = np.add.reduceat(motion.direction[:end], at) / np.diff(np.append(at, end))
         period = stride * self.trial.dt
         pressure, needed = _driven(x0, *course, direction, p, period, integration.substeps_of(period, _STEP_S))
@@ -294,14 +294,14 @@ class AngleDriven(Experiment):
 
     @override
     def shown(self, point: Point, rig: Rig) -> Floats:
-        """What every sensor would show (N, 4).
+        """Simulated readings of all sensors (N, 4).
 
-        Torque and pressures are those of the measured motion. The angle is that of the model alone, run under the
-        torque from outside; NaN where that was not recorded.
+        Torque and pressures belong to the measured motion. The angle is that of the model alone under the torque from
+        outside; NaN if this torque was not recorded.
 
         Args:
-            point: of no use here: both parts of the joint are in the rig.
-            rig: with what both parts come to.
+            point: not used; the rig has the fitted parameters of both parts.
+            rig: with the fitted parameters.
         """
         whole = replace(self, rig=rig, part=BALANCE)
         pressure, needed = whole.driven(whole.origin, whole=True)
@@ -313,13 +313,13 @@ class AngleDriven(Experiment):
     @property
     @override
     def noise_memory(self) -> float:
-        """Blocks per independent value of the noise: an encoder's error stays while the joint does."""
+        """Blocks per independent value of the noise: the encoder's error is constant while the joint stands."""
         return self.blocks_per_error
 
     @property
     @override
     def judged_channels(self) -> tuple[int, ...]:
-        """All, or the pressures alone where no torque from outside was recorded."""
+        """All channels, or only the pressures if no torque from outside was recorded."""
         return (ANGLE, TORQUE, PRESSURE_1, PRESSURE_2) if self.trial.has(TORQUE) else (PRESSURE_1, PRESSURE_2)
 
     @property
@@ -330,25 +330,25 @@ class AngleDriven(Experiment):
 
     @override
     def simulated(self, point: Point, whole: bool = False) -> Floats:
-        """What the measured motion asks for (N, 4), the pressures by their mean and half their difference."""
+        """Simulated channels of the measured motion (N, 4), with mean and half difference of the pressures."""
         pressure, needed = self.driven(point, whole)
         return _parted(np.column_stack([self.motion.angle[: len(needed)], needed, pressure]))
 
 
 def sweeps(trial: Trial, first: int, last: int) -> int:
-    """How often the joint slides one way in a part of a recording: so many independent sweeps it has.
+    """Number of sweeps in one direction in a part of a recording; each is one independent value.
 
     Args:
         trial: the recording.
-        first: sample with which the part begins.
-        last: sample behind it.
+        first: first sample of the part.
+        last: sample after the part.
     """
     velocity = motion_of(trial.measured[:, ANGLE], trial.dt).velocity[first:last]
-    ways = np.sign(velocity[np.abs(velocity) > SLIDING])
-    return 0 if not len(ways) else 1 + int(np.sum(np.diff(ways) != 0.0))
+    directions = np.sign(velocity[np.abs(velocity) > SLIDING])
+    return 0 if not len(directions) else 1 + int(np.sum(np.diff(directions) != 0.0))
 
 
 def _parted(values: Floats) -> Floats:
-    """Columns of ``CHANNELS`` with the mean of the pressures and half their difference in the place of the two."""
+    """Columns of ``CHANNELS`` with the two pressures replaced by their mean and half their difference."""
     first, second = values[:, PRESSURE_1], values[:, PRESSURE_2]
     return np.column_stack([values[:, ANGLE], values[:, TORQUE], 0.5 * (first + second), 0.5 * (first - second)])

@@ -1,4 +1,4 @@
-"""Errors of many episodes with intervals: a bootstrap of blocks of neighbouring episodes."""
+"""Confidence intervals over many episodes, by a bootstrap of blocks of neighbouring episodes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 BLOCK = 10
-"""Episodes that are drawn together: neighbouring ones err alike where a rig drifts."""
+"""Episodes in a block, which are drawn together: if a rig drifts, neighbouring episodes have similar errors."""
 _LEAST_BLOCKS = 8
-"""Blocks are shorter where there would be fewer: of one block all draws are the same."""
+"""Least number of blocks; blocks of few episodes are shorter. With one block all draws would be the same."""
 DRAWS = 1000
 _STEPS = 300
 CHANCE = 0.05
-"""Chance that any of the effects that were offered is taken although it is not there."""
+"""Probability that a value lies outside its interval, or that any of the offered effects is taken although absent."""
 
 
 class Interval(NamedTuple):
@@ -40,8 +40,8 @@ class Interval(NamedTuple):
 
         Args:
             value: the value.
-            draws: what it is in each draw (D,).
-            chance: that it lies outside.
+            draws: its value in each draw (D,).
+            chance: probability that it lies outside.
         """
         low, high = np.quantile(draws, [0.5 * chance, 1.0 - 0.5 * chance])
         return cls(float(value), float(low), float(high))
@@ -51,7 +51,7 @@ def drawn(episodes: int, seed: int = 0) -> Indices:
     """Episodes of each draw of a bootstrap of blocks (DRAWS, about E).
 
     Args:
-        episodes: how many there are.
+        episodes: number of episodes.
         seed: of the draws.
     """
     blocks = max(round(episodes / BLOCK), min(episodes, _LEAST_BLOCKS))
@@ -62,12 +62,12 @@ def drawn(episodes: int, seed: int = 0) -> Indices:
 
 
 def steps(spans: Sequence[tuple[int, int]], slopes: Floats, left: Floats, seed: int = 0) -> Floats:
-    """What the numbers of a fit move by in draws of a bootstrap by episode: a Gauss-Newton step for each (D, K).
+    """Changes of fitted parameters in draws of a bootstrap by episode, each by one Gauss-Newton step (D, K).
 
     Args:
-        spans: first row of each episode, and the one behind its last (E,).
+        spans: first row of each episode, and the row after its last (E,).
         slopes: derivatives of the residual at the fit (N, K).
-        left: residual there (N,).
+        left: residual at the fit (N,).
         seed: of the draws.
     """
     squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
@@ -81,7 +81,7 @@ def rmse(sums: Floats, counts: Floats) -> Interval:
 
     Args:
         sums: squared errors of each episode (E,) [rad²].
-        counts: values in each (E,).
+        counts: number of values of each episode (E,).
     """
     draws = drawn(len(sums))
     spread = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
@@ -94,7 +94,7 @@ def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
     Args:
         first: of each episode (E,).
         second: likewise.
-        offered: ratios among which this one was chosen: the interval is wider for it.
+        offered: number of ratios from which this one was chosen; the interval is corrected for it.
     """
     draws = drawn(len(first))
     spread = first[draws].sum(axis=1) / second[draws].sum(axis=1)

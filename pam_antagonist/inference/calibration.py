@@ -1,8 +1,8 @@
-"""Calibrations of a recording: zeros and a scale of its sensors, and stamps that are early. They are no effects.
+"""Calibrations of a recording: zeros and a scale of its sensors, and stamps that are too early. They are not effects.
 
-A calibration changes what the sensors show of a joint and not the joint. The model's readings are changed by it: a zero
-is added, a scale multiplies, and a channel whose stamps are late or early is read at another time. A fit moves
-calibrations as it moves the numbers of effects, so that both are weighed by the same evidence.
+A calibration changes the readings of the sensors and not the joint. It is applied to the model's readings: a zero is
+added, a scale multiplies, and a channel with late or early stamps is read at another time. A fit moves calibrations
+like the parameters of effects, so that both are compared by the same evidence.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def path(name: str) -> str:
 
 
 def is_calibration(dotted: str) -> bool:
-    """Whether a dotted path is that of a calibration, and not that of an effect's parameter."""
+    """Whether a dotted path is a calibration, and not a parameter of an effect."""
     return dotted.startswith(_PREFIX)
 
 
@@ -77,65 +77,65 @@ def without(effects: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class CalibrationCandidate(Candidate):
-    """A calibration as an explanation, beside the effects; its name stands in the place of an effect's."""
+    """A calibration as a candidate beside the effects; ``effect`` holds its name."""
 
     @property
     @override
     def free(self) -> tuple[FreeEffectParameter, ...]:
-        """Its one number."""
+        """Its one parameter."""
         return (FreeEffectParameter((path(self.effect),), CALIBRATIONS[self.effect]),)
 
     @override
     def grid(self) -> list[dict[str, float]]:
-        """It has no shapes."""
+        """One empty entry, since a calibration has no shapes."""
         return [{}]
 
 
 def candidates(trial: Trial, channels: Iterable[int], taken: Mapping[str, float]) -> tuple[CalibrationCandidate, ...]:
-    """Calibrations that a recording can show, beside those that a model has already.
+    """Calibrations that a recording can show and that the model does not have yet.
 
     Args:
         trial: the recording.
-        channels: that are compared.
+        channels: compared channels.
         taken: values of the model's parameters, by dotted path.
     """
-    there = set(channels)
-    # One clock of all is the reference.
+    compared = set(channels)
+    # One of all clocks is the reference and has no delay.
     clocks = sum(name.startswith("delay_") for name in values_of(taken))
-    late = clocks < sum(name == "voltage" or not there.isdisjoint(_CHANNELS[name]) for name in _CLOCKS) - 1
+    late = clocks < sum(name == "voltage" or not compared.isdisjoint(_CHANNELS[name]) for name in _CLOCKS) - 1
     shown = {
-        "encoder_zero": ANGLE in there or is_lock_measured(trial),
-        "torque_zero": TORQUE in there,
-        "torque_scale": TORQUE in there,
+        "encoder_zero": ANGLE in compared or is_lock_measured(trial),
+        "torque_zero": TORQUE in compared,
+        "torque_scale": TORQUE in compared,
         "delay_voltage": late,
-        "delay_angle": late and ANGLE in there,
-        "delay_torque": late and TORQUE in there,
-        "delay_pressure": late and len(there) > 2,
+        "delay_angle": late and ANGLE in compared,
+        "delay_torque": late and TORQUE in compared,
+        "delay_pressure": late and len(compared) > 2,
     }
     return tuple(CalibrationCandidate(name) for name, can in shown.items() if can and path(name) not in taken)
 
 
 def is_lock_measured(trial: Trial) -> bool:
-    """Whether the angle at which a joint is locked is what its encoder showed."""
+    """Whether the lock angle of a joint was read from its encoder."""
     angle = trial.measured[:, ANGLE]
     known = angle[np.isfinite(angle)]
     return trial.joint == "locked" and len(known) > 0 and abs(float(np.median(known)) - trial.lock_angle) < _AS_READ
 
 
 _AS_READ = 2e-3
-"""[rad] A lock angle is rounded to 0.1°."""
+"""[rad] Tolerance for a lock angle that was read from the encoder, since it is rounded to 0.1°."""
 
 
 def readings(simulated: Floats, dt: float, values: Mapping[str, float]) -> Floats:
-    """What sensors with these calibrations show of what a model does.
+    """Simulated readings of sensors with calibrations.
 
     Args:
-        simulated: exact sensors' readings (N, 4), in the order of ``CHANNELS``.
+        simulated: readings of exact sensors (N, 4), in the order of ``CHANNELS``.
         dt: sample period [s].
         values: calibrations by name.
 
     Returns:
-        (N, 4), NaN where a late or early channel shows what was before the first sample or comes after the last.
+        (N, 4), NaN where a late or early channel would need times before the first sample or after the last.
     """
     if not values:
         return simulated
@@ -152,7 +152,7 @@ def readings(simulated: Floats, dt: float, values: Mapping[str, float]) -> Float
 
 
 def corrected(trial: Trial, values: Mapping[str, float]) -> Trial:
-    """A recording as sensors without these calibrations would have shown it.
+    """A recording with these calibrations removed from its readings.
 
     Args:
         trial: the recording.
@@ -167,7 +167,7 @@ def corrected(trial: Trial, values: Mapping[str, float]) -> Trial:
         1.0 + values.get("torque_scale", 0.0)
     )
     for name, columns in _CHANNELS.items():
-        # By whole samples: between them noise would be averaged, and look smaller than it is.
+        # By whole samples: interpolation would average the noise, which would then look too small.
         late = round(values.get(f"delay_{name}", 0.0) / trial.dt)
         source = np.clip(np.arange(len(time)) - late, 0, len(time) - 1)
         measured[:, columns] = measured[source][:, columns]

@@ -1,8 +1,8 @@
 """The pressure regulators of a joint in many short recordings: their commands are the input.
 
-The package's own model of the air runs each episode from its first row, with the commands and with the joint's measured
-motion (:mod:`pam_antagonist.model.command_driven`). What it makes of the pressures is compared with what was measured.
-Free is the lag; what else a regulator may have are candidates.
+The model of the chambers runs from the first row of each episode, with the commands and with the measured motion
+(:mod:`pam_antagonist.model.command_driven`). Its pressures are compared with the measured ones. The lag is free; other
+effects of a regulator are candidates.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ Floats = NDArray[np.float64]
 _LAG = ("frequency_1", "frequency_2", "damping")
 _QUICK = 0.99
 _LEAST = {"largest_rate": 2e3, "highest": 1e3}
-"""Values that mean *any* at 0 stay above it [Pa/s, Pa]."""
+"""Least values in a fit [Pa/s, Pa]: at 0, these parameters have no limit at all."""
 _STARTS = {
     "regulator_dead_time.time_1": 8e-3, "regulator_dead_time.time_2": 8e-3, "regulator_lag.dead_zone": 3e3,
     "regulator_lag.largest_rate": 2e6, "regulator_threshold.threshold_1": 5e3, "regulator_threshold.threshold_2": 5e3,
 }  # fmt: skip
-"""Where a fit starts where the rig has no value [s, Pa, Pa/s]."""
+"""Start values of a fit for parameters that the rig does not have [s, Pa, Pa/s]."""
 
 
 def _of_the_lag(name: str) -> Candidate:
@@ -62,7 +62,7 @@ class CommandDriven(Episodes):
 
     @override
     def candidates(self, taken: Mapping[str, float]) -> dict[str, tuple[Candidate, ...]]:
-        """What a regulator may have beside its lag; a range only where the rig has one, without which no fit starts.
+        """Effects of a regulator beside its lag; the range only if the rig has one, since a fit needs its start value.
 
         Args:
             taken: values of the model's effects' parameters, by dotted path.
@@ -73,10 +73,10 @@ class CommandDriven(Episodes):
         return {name: (candidate,) for name, candidate in offered.items()}
 
     def starts(self, model: EpisodeModel, candidate: Candidate) -> tuple[EpisodeModel, ...]:
-        """Where the fit of a candidate may start.
+        """Start models for the fit of a candidate.
 
-        A lag that was fitted alone may be so slow that a rate, a zone or a range beside it changes nothing: then the
-        lag starts as configured, and the others where the readings point.
+        A lag that was fitted alone may be so slow that a largest rate, a dead zone or a range changes nothing. So a
+        second start has the lag as configured, and the candidate's values estimated from the readings.
 
         Args:
             model: without the candidate.
@@ -84,15 +84,15 @@ class CommandDriven(Episodes):
         """
         paths = [path for item in candidate.free for path in item.paths]
         usual = {path: self.rig.value(path) or _STARTS.get(path.removeprefix("effects."), 0.0) for path in paths}
-        pointed = {path: self._pointed[path] for path in paths if path in self._pointed}
+        estimated = {path: self._from_readings[path] for path in paths if path in self._from_readings}
         free = (*model.free, *candidate.free)
-        begins = [EpisodeModel(model.theta, {**model.effects, **usual}, free)]
-        if pointed and not model.free:
-            begins.append(EpisodeModel(self.origin.theta, pointed, free))
-        return tuple(begins)
+        starts = [EpisodeModel(model.theta, {**model.effects, **usual}, free)]
+        if estimated and not model.free:
+            starts.append(EpisodeModel(self.origin.theta, estimated, free))
+        return tuple(starts)
 
     @cached_property
-    def _pointed(self) -> dict[str, float]:
+    def _from_readings(self) -> dict[str, float]:
         rate = np.abs(np.diff(self.pressure, axis=0)) / np.diff(self.time)[:, None]
         rate[self.first[1:-1] - 1] = 0.0
         low, high = np.quantile(self.pressure, [1.0 - _QUICK, _QUICK])
@@ -112,13 +112,13 @@ class CommandDriven(Episodes):
     @property
     @override
     def runaway(self) -> float:
-        """[Pa] Beyond it a model is wrong."""
+        """Bound of the residual [Pa]."""
         return 1e7
 
     @property
     @override
     def share_of_steps(self) -> float:
-        """Of the usual steps: nothing sticks here, and the ends of a range are sharp."""
+        """Steps are shorter than usual: there is no stiction here, and the ends of a range are sharp."""
         return 0.1
 
     @cached_property
@@ -129,7 +129,7 @@ class CommandDriven(Episodes):
 
     @override
     def simulated(self, point: Point) -> Floats:
-        """What the pressure sensors would show (N, 2) [Pa]."""
+        """Simulated readings of the pressure sensors (N, 2) [Pa]."""
         p = par.changed(self.rig.parameters("locked", 0.0), self.values(point))
         start = np.ascontiguousarray(self.pressure[self.first[:-1]])
         longest = min(self.longest_step, _LONGEST_STEP)
@@ -137,14 +137,14 @@ class CommandDriven(Episodes):
 
     @override
     def as_if(self, model: Point) -> CommandDriven:
-        """These episodes as if a model were right: what it does, with the noise of the readings once more."""
+        """These episodes as simulated by a model, with the noise of the readings added."""
         noise = [noise_of(column) for column in self.pressure.T]
         drawn = np.random.default_rng(0).standard_normal(self.pressure.shape)
         return replace(self, pressure=self.simulated(model) + noise * drawn)
 
     @override
     def shown(self, model: Point) -> dict[str, float]:
-        """The lag, and effects; an end of the range only where commands go beyond it."""
+        """The lag, and effects; an end of the range only if commands go beyond it."""
         values = self.values(model)
         least = values.get("effects.regulator_limits.lowest", np.inf)
         if not np.any(self.command < least):
@@ -155,4 +155,4 @@ class CommandDriven(Episodes):
 
 
 _LONGEST_STEP = 2.7e-3
-"""[s] Step of the integration, a quarter of the row of 10 ms of a measured arm."""
+"""[s] Longest step of the integration, about a quarter of the period of 10 ms of a measured arm."""

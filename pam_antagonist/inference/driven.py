@@ -1,7 +1,7 @@
-"""What every fit of a model to a joint sees, however the joint is driven and recorded.
+"""Base class of everything that a model is fitted to, however the joint is driven and recorded.
 
 Two kinds derive from it: an :class:`~pam_antagonist.inference.experiment.Experiment` is one recording, in blocks;
-:class:`~pam_antagonist.inference.episodes.Episodes` are many short ones, each from its own start.
+:class:`~pam_antagonist.inference.episodes.Episodes` are many short recordings, each simulated from its own start.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _STEP = 2e-3
-"""Relative step of the base directions' differences: far above what stiction rounds off."""
+"""Relative step of finite differences along the base directions, large enough that stiction does not hide it."""
 
 
 class Driven(ABC):
-    """A model of a joint, and what it leaves of what was recorded.
+    """A model of a joint, and its residual to a recording.
 
     Attributes:
         rig: as configured.
-        jobs: threads that work out derivatives.
+        jobs: threads that compute derivatives.
     """
 
     rig: Rig
@@ -42,7 +42,7 @@ class Driven(ABC):
 
     @abstractmethod
     def residual(self, point: Point) -> Floats:
-        """Measured minus simulated values (B, C) of what may be fitted, 0 where nothing was measured.
+        """Measured minus simulated values (B, C) of the fitted part, 0 where nothing was measured.
 
         Args:
             point: the model.
@@ -54,22 +54,22 @@ class Driven(ABC):
         return np.zeros(0)
 
     def depends_on(self, k: int) -> bool:
-        """Whether anything that is compared depends on a base coordinate."""
+        """Whether a compared channel depends on a base coordinate."""
         return True
 
     def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
-        """How the residual (B, C) changes from a point to others nearby.
+        """Changes of the residual (B, C) from a point to others nearby.
 
         Args:
-            point: where the residual is known.
-            residual: there (B, C).
-            moved: the others.
+            point: the point.
+            residual: at this point (B, C).
+            moved: the other points.
         """
         return self.side_by_side(lambda there: self.residual(there) - residual, moved)
 
     @property
     def size(self) -> int:
-        """How many base coordinates there are, the start's included (K + S)."""
+        """Number of base coordinates, start values included (K + S)."""
         return len(self.directions) + len(self.start_std)
 
     @property
@@ -96,5 +96,5 @@ class Driven(ABC):
         return result
 
     def side_by_side(self, work: Callable[[Point], Floats], points: Iterable[Point]) -> list[Floats]:
-        """Something of several points, on the threads that all fits share."""
+        """Compute something for several points, on the threads that all fits share."""
         return side_by_side(work, points, self.jobs)

@@ -1,10 +1,11 @@
-"""The search for effects in many short episodes: which of them remove what of episodes that their fit has not seen.
+"""The search for effects in many short episodes: effects must reduce the error of episodes that their fit has not seen.
 
 It is the same for the mechanics of a joint and for its regulators.
 
-One half of the episodes is fitted, the other half decides. Of few episodes each part is judged by fits to the rest. An
-effect is taken as long as more is left than the noise of the readings leaves. It has to remove a share of what is left,
-by the lower end of its interval by episode, and its size has to differ from none.
+One half of the episodes is fitted, and the other half decides. With few episodes, cross-validation is used: each part
+is judged by fits to the rest. Effects are added as long as the error exceeds the noise of the readings. A new effect
+has to remove a share of the squared error, by the lower end of its interval by episode, and its size has to differ
+from 0.
 """
 
 from __future__ import annotations
@@ -27,22 +28,22 @@ Models = tuple[EpisodeModel, ...]
 """One for each fold."""
 
 MOST = 6
-"""Effects at most; each signal that friction goes with counts as one."""
+"""Largest number of effects; each signal on which friction depends counts as one."""
 LEAST_REMOVED = 0.05
-"""Share of the squared error of unseen episodes that an effect removes at least, as of joints with valves."""
+"""Least share of the squared error of unseen episodes that an effect has to remove, as for joints with valves."""
 ABOVE_NOISE = 1.5
-"""Squared error over what the noise of the readings alone would leave, by the lower end of its interval, from which on
-an effect is named. Set on simulated joints of 24 episodes: six without an effect had 1.2 at most, six with creep that
-leaves 0.09° had 1.75 at least."""
+"""An effect is added only while the squared error exceeds so many times the error that noise alone would leave, by the
+lower end of the interval. Set on simulated joints of 24 episodes: six without an effect had at most 1.2, six with creep
+that leaves 0.09° had at least 1.75."""
 LEAST_OF_ALL = 0.01
-"""Share of the squared error without effects that an effect removes at least. What is left at the end may be due to the
-form of the others: on a simulated joint, creep that was not there removed 5 % of what was nearly nothing."""
+"""Least share of the squared error without effects that an effect has to remove. A small remaining error may come from
+the form of the other effects: on a simulated joint, absent creep removed 5 % of an error that was nearly 0."""
 _FITTED, _SCORED = 300, 400
-"""Episodes in a fit, and in its judgement: more tell hardly more and take longer."""
+"""Largest number of episodes in a fit, and in its judgement: more would take longer and add little."""
 _FEW, _FOLDS = 60, 4
-"""Of fewer episodes each quarter is judged by fits to the other three: a half would tell too little of a fit."""
+"""With fewer episodes than this, each quarter is judged by fits to the other three: a half is too little for a fit."""
 _REFITTED = 3
-"""Candidates of a round that are fitted: those with the best scores."""
+"""Number of candidates of a round that are fitted: those with the best scores."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +51,12 @@ class Tried:
     """An effect in one round of the search.
 
     Attributes:
-        name: the effect, with the signal by which it goes.
-        round: how many effects the model had before, plus one.
-        score: share of the squared error that it would remove of what was fitted, to first order; None where all that
-            is offered is fitted.
-        removed: share that it removed of episodes that its fit has not seen, with an interval that is corrected for how
-            many effects were offered; None where the score was too low for a fit.
+        name: the effect, with the signal on which it depends.
+        round: number of effects that the model had before, plus one.
+        score: share of the squared error of the fitted episodes that it would remove, to first order; None where all
+            offered effects are fitted.
+        removed: share of the squared error that it removed from unseen episodes, with an interval that is corrected
+            for the number of offered effects; None where the score was too low for a fit.
         taken: whether it is in the model.
     """
 
@@ -72,7 +73,7 @@ class Begun(NamedTuple):
     Attributes:
         name: of the effect.
         score: as of :class:`Tried`.
-        starts: where its fit may start; none: it is not fitted.
+        starts: start models of its fit; none: it is not fitted.
     """
 
     name: str
@@ -82,12 +83,12 @@ class Begun(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Folds:
-    """Episodes that are fitted, and for each part of them those that judge the fit.
+    """Folds of a cross-validation: episodes that are fitted, and episodes that judge the fit.
 
     Attributes:
         fitted: of each fold.
         judged: of each fold; every episode is judged once at most.
-        order: puts what is judged into the order of the recording.
+        order: puts the judged episodes into the order of the recording.
     """
 
     fitted: tuple[Episodes, ...]
@@ -100,8 +101,8 @@ class _Folds:
 
         Args:
             joint: the episodes.
-            pool: that may be used.
-            few: fewer than so many are few.
+            pool: episodes that may be used.
+            few: with fewer episodes than this, quarters are used.
         """
         pairs = [(thinned(pool[::2], _FITTED), thinned(pool[1::2], _SCORED))]
         if len(pool) < few:
@@ -119,7 +120,7 @@ class _Folds:
         )
 
     def best_fit(self, before: Models, starts: Sequence[EpisodeModel]) -> Models:
-        """The fits from that start from which they leave least of what was fitted."""
+        """The fits from the start with the least squared error of the fitted episodes."""
         fits = [self.fit(before, start) for start in starts]
         return fits[0] if len(fits) == 1 else min(fits, key=self._left_of_fitted)
 
@@ -128,7 +129,7 @@ class _Folds:
         return float(sum(one.squares(one.residual(model)).sums.sum() for one, model in pairs))
 
     def in_steps_that_serve(self, models: Models) -> tuple[_Folds, Models]:
-        """The folds with shorter steps where the models need these, and the models fitted in them."""
+        """The folds with shorter steps if the models need them, and the models fitted with these steps."""
         step = self.fitted[0].step_that_serves(models[0])
         if step == self.longest_step:
             return self, models
@@ -138,7 +139,7 @@ class _Folds:
 
     @property
     def longest_step(self) -> float:
-        """Of the models [s]."""
+        """Longest integration step of the models [s]."""
         return self.fitted[0].longest_step
 
     def squares(self, models: Models) -> Floats:
@@ -147,7 +148,7 @@ class _Folds:
         return np.asarray(np.concatenate(sums)[self.order])
 
     def squares_of_noise(self, models: Models) -> Floats:
-        """What the noise of the readings alone would leave there: of start, input and fit of right models (E,)."""
+        """Squared errors (E,) that right models would have from the noise of the readings, in start, input and fit."""
         sums = []
         for fitted, judged, model in zip(self.fitted, self.judged, models, strict=True):
             refitted, seen = fitted.as_if(model).fit(model), judged.as_if(model)
@@ -157,16 +158,16 @@ class _Folds:
 
 @dataclass(frozen=True, eq=False)
 class Searched:
-    """What a search for effects found.
+    """Result of a search for effects.
 
     Attributes:
-        base: the model without any.
-        model: the extended one.
-        tried: all that were tried, by rounds.
-        replaced: the extended one with an effect that may remove as much as one that was taken in its place, by both
-            their names.
-        left: squared error of the extended model over what the noise of the readings alone would leave.
-        longest_step: steps [s] that serve for the extended model.
+        base: the model without effects.
+        model: the extended model.
+        tried: all effects that were tried, by rounds.
+        replaced: variants of the extended model, in which another effect that may explain as much replaces a taken
+            one; by the names of the other and of the taken effect.
+        left: squared error of the extended model over the error that noise alone would leave.
+        longest_step: longest step [s] that is accurate enough for the extended model.
     """
 
     base: EpisodeModel
@@ -182,14 +183,14 @@ def search(
     begin: Callable[[Episodes, EpisodeModel, Mapping[str, Sequence[Candidate]]], list[Begun]] | None = None,
     few: int = _FEW,
 ) -> Searched:  # fmt: skip
-    """Add effects to the base model, one in each round, as long as something is left that is not noise.
+    """Add effects to the base model, one in each round, as long as the error exceeds the noise.
 
     Args:
         joint: the episodes.
-        pool: that may be used.
-        progress: is called with what is being done.
-        begin: which candidates are fitted beside a model, and from where; default: those with the best scores.
-        few: of fewer episodes each quarter is judged by fits to the rest.
+        pool: episodes that may be used.
+        progress: called with a text on the current work.
+        begin: chooses the candidates to fit and their start models; default: those with the best scores.
+        few: with fewer episodes than this, each quarter is judged by fits to the rest.
     """
     begin = begin or by_score
     folds = _Folds.of(joint, pool, few)
@@ -230,7 +231,7 @@ def search(
 
 
 def _exchanged(model: EpisodeModel, taken: EpisodeModel, other: EpisodeModel) -> EpisodeModel:
-    """A model with what another one has of its own in the place of what it shares with one of its round."""
+    """The model with the effect of ``taken`` replaced by that of ``other``, a rival of the same round."""
     out = model.without([path for path in taken.effects if path not in other.effects])
     free = [item for item in other.free if item not in out.free]
     return EpisodeModel(out.theta, {**other.effects, **out.effects}, (*out.free, *free))
@@ -243,12 +244,12 @@ def _best(
     left: float,
     whole: float,
 ) -> list[tuple[Tried, Models]]:
-    """Effects that may remove as much as the best one, with the fewest numbers first; none that is worth it: none.
+    """Effects that pass the thresholds and may remove as much as the best one, those with fewest parameters first.
 
     Args:
         folds: with the episodes that decide.
-        both: these and those that were fitted.
-        found: effects, those that were fitted with their models.
+        both: the episodes that decide and those that were fitted.
+        found: tried effects, with their models if they were fitted.
         left: squared error before them.
         whole: squared error without any effect.
     """
@@ -269,12 +270,13 @@ def _best(
 
 
 def _has_a_size(joint: Episodes, model: EpisodeModel) -> bool:
-    """Whether the effect that was freed last differs from none, by the interval of its size by episode.
+    """Whether the size of the last added effect differs from 0, by its interval by episode.
 
-    Sizes that stand for each other, such as both parts of a friction, tell nothing one by one: then it is not asked.
+    An effect with several sizes always passes, because single sizes that can replace each other, such as both parts of
+    a friction, are not determined.
 
     Args:
-        joint: episodes to fit it to.
+        joint: episodes of the fit.
         model: with the effect.
     """
     effect = model.free[-1].paths[0].rsplit(".", 1)[0]
@@ -294,8 +296,8 @@ def with_effect(
     """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes.
 
     Args:
-        model: without it.
-        forms: of the candidate, the simplest first; none: there is no such model.
+        model: without the candidate.
+        forms: of the candidate, the simplest first; without forms the result is None.
         shape: values of its shapes, by dotted path; others are neutral.
         sizes: values of its sizes, by dotted path.
     """
@@ -308,11 +310,11 @@ def with_effect(
 
 
 def by_score(joint: Episodes, model: EpisodeModel, offered: Mapping[str, Sequence[Candidate]]) -> list[Begun]:
-    """Candidates in the order of the share of the squared error that each would remove, to first order.
+    """Candidates by the share of the squared error that each would remove to first order, the largest first.
 
     Args:
-        joint: the episodes that are fitted.
-        model: of them.
+        joint: the fitted episodes.
+        model: of these episodes.
         offered: forms of each candidate, by its name.
     """
     here = joint.residual(model)
@@ -336,7 +338,7 @@ def by_score(joint: Episodes, model: EpisodeModel, offered: Mapping[str, Sequenc
                 step = np.linalg.lstsq(matrix, -rest, rcond=None)[0]
                 gain = float(rest @ rest - np.sum((rest + matrix @ step) ** 2)) / total
                 if gain > best * 1.05:
-                    # To first order a large size promises more than it holds.
+                    # The first order overestimates the gain of a large size.
                     sizes = {
                         size.path: size.bounded(size.item.scale * float(np.clip(part, -3.0, 3.0)))
                         for size, part in zip(candidate.sizes, step, strict=True)

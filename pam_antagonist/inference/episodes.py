@@ -1,9 +1,9 @@
 """Many short recordings of a joint that pressure regulators drive, each simulated from its own start.
 
-What drives the model is a class: measured pressures
+Each input of the model has its class: measured pressures
 (:class:`~pam_antagonist.inference.pressure_driven.PressureDriven`) or commands
 (:class:`~pam_antagonist.inference.command_driven.CommandDriven`). Fits, sums by episode and their bootstrap are here.
-An episode is one independent value, whatever its length.
+An episode counts as one independent value, whatever its length.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ Indices = NDArray[np.intp]
 E = TypeVar("E", bound="Episodes")
 
 LEAST_EPISODES = 20
-"""Episodes with which something can be fitted, judged and told from chance."""
+"""Least number of episodes for a fit and a test of its result."""
 STEPS = (4e-3, 2e-3, 1e-3)
-"""[s] Longest steps of the integration. On 2,416 episodes of a real arm, of which a model leaves 3°, steps of 1 ms
-change the error by 0.002°. Where a model leaves 0.05°, friction in steps of 4 ms makes 15 to 50 % of its square."""
-_SERVES = 0.2
-"""Steps serve that change what is compared by no more than this share of what a model leaves (RMS)."""
+"""[s] Longest steps of the integration. On 2,416 episodes of a real arm, a model has an error of 3°, and steps of 1 ms
+change it by 0.002°. With an error of 0.05°, friction in steps of 4 ms causes 15 to 50 % of its square."""
+_ACCURATE = 0.2
+"""Steps are accurate enough if they change the simulation by less than this share of a model's error (RMS)."""
 _ROUNDING = 1.0
-"""[Pa] By so much a measured pressure may differ from a command that was logged in its place."""
+"""[Pa] Largest difference of a logged "measured" pressure that is only a copy of the command."""
 _ROUNDS = 20
-_ENOUGH = 1e-4
-"""Relative change of the squared error, and of the parameters, that ends a fit."""
+_CONVERGED = 1e-4
+"""Relative change of the squared error, or of the parameters, at which a fit ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodeModel(Point):
-    """A point in the space of models, with what of its effects a fit moves.
+    """A point in the space of models, with the parameters of its effects that a fit moves.
 
     Attributes:
         free: effects' parameters that were fitted.
@@ -81,7 +81,7 @@ class Squares(NamedTuple):
 
     Attributes:
         sums: of each episode (E,), in the square of the unit.
-        counts: how many values each has (E,).
+        counts: number of values of each episode (E,).
     """
 
     sums: Floats
@@ -98,19 +98,19 @@ class Episodes(Driven):
     """Episodes of a joint whose pressures regulators hold.
 
     Attributes:
-        rig: as configured, with the further signals that may count.
+        rig: as configured, with the further signals that effects may use.
         name: of the recording.
-        first: index of the first row of each episode, and behind the last one (E + 1,).
+        first: index of the first row of each episode, then the number of rows (E + 1,).
         time: of the rows (N,) [s].
         angle: measured (N,) [rad], NaN where missing.
         pressure: measured (N, 2) [Pa].
-        signals: further ones (N, S) [SI], in the order of ``rig.signals``, less their values there.
-        command: what the regulators were asked for over the step that ends at each row (N, 2) [Pa], NaN where that is
-            not known.
+        signals: further signals (N, S) [SI], in the order of ``rig.signals``, minus their values there.
+        command: commanded pressures over the step that ends at each row (N, 2) [Pa], NaN where unknown.
         jobs: threads.
-        left_out: episodes that are too short, or lack pressures, signals or the first angle.
-        usual: pressure of each muscle [Pa] about which the directions turn; the same for all parts of a recording.
-        longest_step: a model takes no longer steps than this [s].
+        left_out: number of episodes that are too short, or lack pressures, signals or the first angle.
+        usual: mean pressure of each muscle [Pa], at which the free directions of the force map leave the force
+            unchanged; the same for all parts of a recording.
+        longest_step: longest step of the integration [s].
     """
 
     rig: Rig
@@ -128,12 +128,12 @@ class Episodes(Driven):
 
     @classmethod
     def of(cls: type[E], recording: Recording, rig: Rig, also: Sequence[str] = (), jobs: int = 1) -> E:
-        """Make a recording ready.
+        """Prepare a recording.
 
         Args:
             recording: with measured angle and episodes.
-            rig: whose pressures regulators hold.
-            also: names of further signals that are offered, beside those of the rig file.
+            rig: with pressure regulators.
+            also: names of further signals, beside those of the rig file.
             jobs: threads.
 
         Raises:
@@ -207,16 +207,16 @@ class Episodes(Driven):
         """
         return cls(**{item.name: getattr(other, item.name) for item in fields(other)})
 
-    # What each way of driving them gives.
+    # Each subclass defines these.
 
     @property
     @abstractmethod
     def measured(self) -> Floats:
-        """What is compared (N, C), NaN where there is nothing."""
+        """Compared measurements (N, C), NaN where missing."""
 
     @abstractmethod
     def simulated(self, point: Point) -> Floats:
-        """What the sensors would show (N, C).
+        """Simulated readings of the sensors (N, C).
 
         Args:
             point: the model.
@@ -232,7 +232,7 @@ class Episodes(Driven):
 
     @abstractmethod
     def as_if(self: E, model: Point) -> E:
-        """These episodes as if a model were right: what it does, with the noise of the readings once more.
+        """These episodes as simulated by a model, with the noise of the readings added.
 
         Args:
             model: the model.
@@ -240,7 +240,7 @@ class Episodes(Driven):
 
     @abstractmethod
     def shown(self, model: Point) -> dict[str, float]:
-        """What a report shows of a model, by dotted path: no coefficients that only move together.
+        """Values of a model for a report, by dotted path; without coefficients that only change together.
 
         Args:
             model: the model.
@@ -249,14 +249,14 @@ class Episodes(Driven):
     @property
     @abstractmethod
     def runaway(self) -> float:
-        """Error beyond which a model is wrong, however far it runs."""
+        """Bound of the residual, in its unit."""
 
     @property
     def share_of_steps(self) -> float:
-        """Of the usual steps of effects' parameters for derivatives."""
+        """Steps of effects' parameters for derivatives, as a share of the usual steps."""
         return 1.0
 
-    # What follows from that.
+    # The rest is common to all subclasses.
 
     @property
     def as_configured(self) -> EpisodeModel:
@@ -265,7 +265,7 @@ class Episodes(Driven):
 
     @property
     def spans(self) -> list[tuple[int, int]]:
-        """First row of each episode, and the one behind its last (E,)."""
+        """First row of each episode, and the row after its last (E,)."""
         return list(zip(self.first[:-1].tolist(), self.first[1:].tolist(), strict=True))
 
     def values(self, model: Point) -> dict[str, float]:
@@ -280,7 +280,7 @@ class Episodes(Driven):
         return np.asarray(np.clip(left, -far, far))
 
     def step_that_serves(self, model: Point) -> float:
-        """The longest step [s], no longer than now, that changes little beside what a model leaves.
+        """The longest step [s], not above the present one, that is accurate enough for a model.
 
         Args:
             model: the model.
@@ -288,12 +288,12 @@ class Episodes(Driven):
         finest = replace(self, longest_step=STEPS[-1]).residual(model)
         for step in STEPS:
             apart = replace(self, longest_step=step).residual(model) - finest
-            if step <= self.longest_step and np.sum(apart**2) <= _SERVES**2 * np.sum(finest**2):
+            if step <= self.longest_step and np.sum(apart**2) <= _ACCURATE**2 * np.sum(finest**2):
                 return step
         return STEPS[-1]
 
     def squares(self, left: Floats) -> Squares:
-        """Squared errors by episode; the first row of each, where the model starts, does not count.
+        """Squared errors by episode, without the first row of each, at which the model starts.
 
         Args:
             left: a residual (N, C).
@@ -306,12 +306,12 @@ class Episodes(Driven):
         )
 
     def coordinates(self, model: EpisodeModel) -> Floats:
-        """The numbers that a fit moves (K + F,)."""
+        """Coordinates of the fitted parameters (K + F,)."""
         own = [item.coordinate(model.effects[item.path]) for item in model.free]
         return np.concatenate([model.theta, own])
 
     def moved(self, model: EpisodeModel, coordinates: Floats) -> EpisodeModel:
-        """A model with other numbers; further shapes and effects stay.
+        """A model with other coordinates; all other values stay.
 
         Args:
             model: the model.
@@ -319,7 +319,7 @@ class Episodes(Driven):
         """
         count = len(self.directions)
         values = dict(model.effects)
-        # A step along a direction that hardly shows may lead anywhere: the bounds hold it, and exp must not overflow.
+        # A step along a poorly determined direction may be very long: bounds limit it, and exp must not overflow.
         for item, coordinate in zip(model.free, np.clip(coordinates[count:], -600.0, 600.0), strict=True):
             values.update(dict.fromkeys(item.paths, item.bounded(item.value(float(coordinate)))))
         return EpisodeModel(np.asarray(coordinates[:count]), values, model.free)
@@ -328,8 +328,8 @@ class Episodes(Driven):
         """Derivatives of the residual by the coordinates (N C, K + F).
 
         Args:
-            model: where.
-            left: residual there (N, C).
+            model: where to differentiate.
+            left: residual of this model (N, C).
         """
         effect = effect_jacobian(self, model, left, model.free, self.share_of_steps)
         return np.concatenate([self.jacobian(model, left), effect], axis=2).reshape(left.size, -1)
@@ -339,7 +339,7 @@ class Episodes(Driven):
 
         Args:
             model: where to start.
-            rounds: simulations of the whole, at most.
+            rounds: largest number of simulations of all episodes.
         """
         bounds = [self._bounds(direction) for direction in self.directions]
         bounds += [(item.coordinate(item.item.low), item.coordinate(item.item.high)) for item in model.free]
@@ -348,12 +348,12 @@ class Episodes(Driven):
             lambda z: self.residual(self.moved(model, z)).ravel(),
             np.clip(self.coordinates(model), low + 1e-9, high - 1e-9),
             jac=lambda z: self.slopes(point := self.moved(model, z), self.residual(point)),
-            bounds=(low, high), x_scale="jac", ftol=_ENOUGH, xtol=_ENOUGH, max_nfev=rounds,
+            bounds=(low, high), x_scale="jac", ftol=_CONVERGED, xtol=_CONVERGED, max_nfev=rounds,
         )  # fmt: skip
         return self.moved(model, found.x)
 
     def _bounds(self, direction: FreeDirection) -> tuple[float, float]:
-        """Least and largest amount of a direction: what is positive in any rig stays so."""
+        """Least and largest amount of a direction: parameters that are positive in any rig stay positive."""
         path = direction.name
         if path not in direction.changes or not (is_positive(path) or path in EFFECT_PARAMETERS):
             return -np.inf, np.inf
@@ -364,7 +364,7 @@ class Episodes(Driven):
         return (low - now) / change, (high - now) / change
 
     def draws(self, model: EpisodeModel, seed: int = 0) -> dict[str, Floats]:
-        """What :meth:`shown` shows, for draws of a bootstrap by episode: a Gauss-Newton step for each (D,).
+        """Values of :meth:`shown` in draws of a bootstrap by episode, each by one Gauss-Newton step (D,).
 
         Args:
             model: fitted to these episodes.
@@ -378,7 +378,7 @@ class Episodes(Driven):
         return {name: np.array([one[name] for one in found]) for name in found[0]}
 
     def intervals(self, model: EpisodeModel) -> dict[str, Interval]:
-        """What :meth:`shown` shows, with 95 % intervals by episode.
+        """Values of :meth:`shown`, with 95 % intervals by episode.
 
         Args:
             model: fitted to these episodes.
@@ -390,8 +390,8 @@ class Episodes(Driven):
 def noise_of(readings: Floats) -> float:
     """Standard deviation of the noise of a signal (N,), from its fourth differences.
 
-    What a joint or a regulator does within rows of 10 ms counts for little in these; half of them may be between two
-    episodes.
+    Motion of a joint or a regulator changes these little at rows of 10 ms. The median ignores the differences across
+    two episodes.
     """
     differences = np.diff(readings[np.isfinite(readings)], 4)
     spread = float(np.median(np.abs(differences))) / (0.6745 * math.sqrt(70.0)) if len(differences) else 0.0
@@ -399,7 +399,7 @@ def noise_of(readings: Floats) -> float:
 
 
 def _refuse_commands(recording: Recording, name: str) -> None:
-    """Refuse what was asked for in the place of what was measured."""
+    """Refuse a recording whose measured pressures are a copy of the commands or of another signal."""
     asked = {signal: values for signal, (values, _) in recording.signals.items()}
     if recording.drive == "regulator":
         asked |= {f"the command of regulator {k + 1}": recording.voltage[:, k] for k in (0, 1)}

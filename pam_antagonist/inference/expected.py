@@ -1,7 +1,7 @@
-"""What a rig file expects and does not know yet: sizes of effects that are 0 in the file and have a prior there.
+"""Expected effects of a rig file: sizes of effects that are 0 in the file and have a prior there.
 
-A guessed valve curve is the common case. The prior of ``effects.valve_offset.voltage_1`` says how far it may lie
-elsewhere. A fit finds the shift as it finds an orifice area, and no diagnosis calls it a fault of the joint.
+A guessed valve curve is the common case. The prior of ``effects.valve_offset.voltage_1`` is the expected shift of the
+curve. A fit finds the shift like an orifice area, and a diagnosis does not report it as an effect.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CURVE_SHIFT = parameter_path("valve_offset", "voltage_")
 def expected_sizes(rig: Rig) -> tuple[str, ...]:
     """Sizes of effects that are 0 in the rig file and have a prior there, by dotted path.
 
-    The file expects them: they are numbers of the rig that nobody has measured yet, and no fault.
+    The file expects them: they are values of the rig that have not been measured yet.
 
     Args:
         rig: the rig file.
@@ -41,13 +41,13 @@ def guesses_curves(rig: Rig) -> bool:
 
 
 def with_known_curves(rig: Rig, start: Rig) -> Rig:
-    """A rig whose valves' curves are shifted themselves, where its file expected an effect to do that.
+    """A rig with expected shifts moved from the effect into the curves of its valves.
 
-    A number that was expected and is known now is no effect, and a rig without effects runs quicker.
+    An expected shift that is known now is part of the curve, and a rig without effects runs faster.
 
     Args:
         rig: with the shifts that were found.
-        start: the file that expected them.
+        start: the rig file that expected them.
     """
     changes: dict[str, Any] = {}
     known = set()
@@ -56,7 +56,7 @@ def with_known_curves(rig: Rig, start: Rig) -> Rig:
         name = path.rsplit(".", 1)[1]
         if path.startswith(_CURVE_SHIFT) and (shift := offset.pop(name, 0.0)):
             valve = getattr(rig, f"valve_{name[-1]}")
-            # κ(u − δ): constant beyond its ends, before and after.
+            # κ(u − δ); both curves are constant beyond their ends.
             curve = valve.curve.replaced(voltage=tuple(voltage + shift for voltage in valve.curve.voltage))
             known.add(path)
             changes[f"valve_{name[-1]}"] = valve.replaced(curve=curve)

@@ -1,9 +1,9 @@
-"""Which parameters may move in a fit, by how much they are expected to, and within what bounds.
+"""Free parameters of a fit, with their priors and bounds.
 
-There is one concept, the :class:`Direction`: parameters that move together. A fit of several recordings moves single
-parameters (:class:`FreeParameter`), a fit of one recording moves what the data can separate (:class:`FreeDirection`),
-and a model with effects moves those effects' numbers beside them (:class:`FreeEffectParameter`). An effect that may be
-added to a model, with its free parameters, is a :class:`Candidate`.
+The common concept is the :class:`Direction`: parameters that move together. A fit of several recordings moves single
+parameters (:class:`FreeParameter`). A fit of one recording moves combinations that the data can separate
+(:class:`FreeDirection`), and the parameters of its effects (:class:`FreeEffectParameter`). An effect that may be added
+to a model, with its free parameters, is a :class:`Candidate`.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from pam_antagonist.rig.physical import is_positive
 RELATIVE_PRIOR = 0.05
 """Standard deviation before identification of a parameter for which the rig file gives none."""
 _GAUGE_PRIOR = {"supply.pressure": 0.01}
-"""What a gauge shows is known better than what is not measured; a regulator holds it to about a per cent."""
+"""Relative priors of values that a gauge shows: a regulator holds the supply pressure to about a per cent."""
 _MEASURED = (
     ("geometry.radius",), ("joint.mass",), ("joint.shaft_radius",), ("joint.stiffness",),
     ("atmosphere.pressure",), ("gas.polytropic_flow",),
     *(tuple(f"muscle_{i}.volume.{name}" for name in ("d1", "d2", "d3")) for i in (1, 2)),
 )  # fmt: skip
-"""What no fit moves; the coefficients of a volume nearly cancel, so that they are off together. The length at angle 0
-is not among them: the force map is that of the declared lengths."""
+"""Parameters that no fit moves. The terms of a volume nearly cancel, so its coefficients change together. The length
+at angle 0 is not included, because the force map belongs to the declared length."""
 _MEASURED_STD = 0.01
-"""A ruler, a scale or a gauge shows a value to a per cent."""
+"""Relative standard deviation of a value measured with a ruler, a scale or a gauge."""
 _FLOW = (
     "valve_1.inflow_area", "valve_1.outflow_area", "valve_2.inflow_area", "valve_2.outflow_area",
     "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure",
@@ -52,7 +52,7 @@ _FRICTION = {
 EFFECT_PARAMETERS = {
     parameter_path(effect.name, item.name): item for effect in CATALOGUE.values() for item in effect.parameters
 }
-"""Of all effects, by dotted path."""
+"""Parameters of all effects, by dotted path."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Direction:
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A parameter that a fit may move: a direction of its own, whose amount counts in standard deviations of its prior.
+    """A single parameter that a fit may move, in standard deviations of its prior.
 
     Attributes:
         name: its dotted path.
@@ -90,10 +90,10 @@ class FreeParameter:
 def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = ()) -> list[FreeParameter]:
     """The parameters of a fit.
 
-    By default all that cannot be measured directly (Proposition 1): the force maps, the orifice areas, the
-    polytropic indices, the friction, the sizes of the effects that the rig has or expects; and the supply pressure,
-    which a gauge shows to a per cent. The prior of each is that of the rig file (``priors``), else 5 % of the value; so
-    are its bounds (``bounds``), else a factor of five either way.
+    By default these are all parameters that cannot be measured directly (Proposition 1): the force maps, the orifice
+    areas, the polytropic indices, the friction, the sizes of the effects that the rig has or expects. The supply
+    pressure, which a gauge shows to a per cent, is free as well. Priors and bounds come from the rig file (``priors``,
+    ``bounds``). The default prior is 5 % of the value, the default bounds are a factor of five either way.
 
     Args:
         rig: start values and priors.
@@ -135,7 +135,7 @@ def _by_default(rig: Rig) -> set[str]:
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
     present = {name for name, item in EFFECT_PARAMETERS.items() if item.is_size and rig.value(name)}
     if rig.drive == "regulator":
-        # No air passes a valve of the model. Range, dead zone and largest rate have a step of their own.
+        # No air passes a valve of the model. Range, dead zone and largest rate are fitted in a separate step.
         names -= {name for name in _FLOW if name != "gas.polytropic_volume"}
         names |= {"effects.regulator_lag.damping"}
         present -= {name for name in present if name.startswith("effects.regulator_") and name[-1] not in "12"}
@@ -169,11 +169,11 @@ def _bounds(name: str, start: float, std: float) -> tuple[float, float]:
 class FreeDirection(Direction):
     """One direction in which the base model may differ from its file.
 
-    Its amount is a relative change, or the value of a number that is 0 in the file.
+    Its amount is a relative change, or the value of a parameter that is 0 in the file.
 
     Attributes:
         prior: standard deviation of the amount.
-        free_only: a locked joint does not depend on it.
+        free_only: whether only a free joint depends on it.
         unit: of the amount; empty where it is a relative change.
     """
 
@@ -189,10 +189,10 @@ class FreeDirection(Direction):
 def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
     """The directions of a rig.
 
-    What cannot be measured directly (Proposition 1 of Shin et al. 2022) is free. The linear force map
-    F = v(l) P + w(l) is moved by its values at the middle length and its slopes, since its coefficients nearly
-    cancel: one per cent of ``v2`` alone is seven of the force. Volume and polytropic index k_1 only scale the flows
-    and are represented by the orifice areas.
+    Parameters that cannot be measured directly (Proposition 1 of Shin et al. 2022) are free. The linear force map
+    F = v(l) P + w(l) is moved by its values at the middle length and its slopes, since its terms nearly
+    cancel: one per cent of ``v2`` alone is seven per cent of the force. Volume and polytropic index k_1 only scale the
+    flows and are represented by the orifice areas.
 
     Args:
         rig: start values; its ``priors`` replace the 5 % of a direction that is a single parameter.
@@ -216,7 +216,7 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
 
 
 def measured_directions(rig: Rig) -> tuple[Direction, ...]:
-    """What no fit of one recording moves, because it is measured directly: the change of one standard deviation each.
+    """Directions that are measured directly, so that no fit of one recording moves them; changes of one std each.
 
     Args:
         rig: the values; its ``priors`` and ``uncertainty`` replace the 1 % of a direction that is a single parameter.
@@ -248,7 +248,7 @@ def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
         steep = rig.value(path + slope)
         value = steep * middle + rig.value(path + intercept)
         directions.append(FreeDirection(f"{path}{slope[0]}, value at the middle length", {path + intercept: value}))
-        # About the middle length, so that the slope turns the line and does not lift it.
+        # The value at the middle length does not change with the slope.
         turned = {path + slope: steep, path + intercept: -steep * middle}
         directions.append(FreeDirection(f"{path}{slope[0]}, slope", turned, free_only=True))
     return directions
@@ -256,11 +256,11 @@ def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
 
 @dataclass(frozen=True)
 class FreeEffectParameter:
-    """A number of an effect that a fit may move.
+    """A parameter of an effect that a fit may move.
 
     Attributes:
-        paths: dotted paths of the parameters that have this value: several where only their sum shows.
-        item: entry in the catalogue of the first.
+        paths: dotted paths of the parameters with this value: several if only their sum is observable.
+        item: catalogue entry of the first path.
     """
 
     paths: tuple[str, ...]
@@ -268,12 +268,12 @@ class FreeEffectParameter:
 
     @property
     def path(self) -> str:
-        """Dotted path of the first."""
+        """Dotted path of the first parameter."""
         return self.paths[0]
 
     @property
     def muscle(self) -> int | None:
-        """The muscle whose number it is, None where it is no muscle's own."""
+        """Muscle of the parameter; None if it does not belong to a single muscle."""
         return self.item.muscle if len(self.paths) == 1 else None
 
     def value(self, coordinate: float) -> float:
@@ -291,7 +291,7 @@ class FreeEffectParameter:
         return self.item.scale if self.item.is_size else value
 
     def bounded(self, value: float) -> float:
-        """The nearest value that makes sense."""
+        """The nearest value within the bounds of the catalogue."""
         return min(max(value, self.item.low), self.item.high)
 
     def step(self, value: float) -> float:
@@ -302,7 +302,7 @@ class FreeEffectParameter:
 
 
 def start_values(rig: Rig, directions: Iterable[Direction]) -> dict[str, float]:
-    """Values of the parameters that directions move as a rig has them, by dotted path.
+    """A rig's values of the parameters that directions move, by dotted path.
 
     Args:
         rig: the rig.
@@ -317,9 +317,9 @@ def values_along(
     """Values of the parameters that directions move, by dotted path.
 
     Args:
-        start: values before, of these parameters at least.
-        directions: K of them; further amounts count for nothing.
-        amounts: how far each is gone.
+        start: start values, of these parameters at least.
+        directions: K directions; further amounts are ignored.
+        amounts: amount of each direction.
     """
     total: dict[str, float] = {}
     for direction, amount in zip(directions, amounts, strict=False):
@@ -352,16 +352,16 @@ def _put(model: Any, path: list[str], value: float) -> Any:
 
 
 _SPREAD = 4.0
-"""Shapes are tried as in a rig that does not mention them, at their scale, and at so many times more and less."""
+"""Grid of the shapes: the neutral value, the scale, and the scale times and divided by this factor."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect of the catalogue as an explanation; on which muscle is left to its sizes.
+    """An effect of the catalogue that a fit may add; its sizes show on which muscle it acts.
 
     Attributes:
-        effect: its name.
-        form: the numbers that are free; None for those of the catalogue.
+        effect: name of the effect.
+        form: its free parameters; None for the form of the catalogue.
     """
 
     effect: str
@@ -369,7 +369,7 @@ class Candidate:
 
     @property
     def catalogued(self) -> Effect:
-        """Its entry in the catalogue."""
+        """Catalogue entry of the effect."""
         return CATALOGUE[self.effect]
 
     @property
@@ -378,7 +378,7 @@ class Candidate:
 
     @property
     def free(self) -> tuple[FreeEffectParameter, ...]:
-        """Its numbers, sizes first."""
+        """Its free parameters, sizes first."""
         form = self._form
         items = [item for item in self.catalogued.parameters if item.name not in form.without]
         groups: dict[str, list[EffectParameter]] = {}
@@ -393,16 +393,16 @@ class Candidate:
 
     @property
     def sizes(self) -> tuple[FreeEffectParameter, ...]:
-        """Those with which it vanishes."""
+        """Free sizes: the effect vanishes where they are 0."""
         return tuple(parameter for parameter in self.free if parameter.item.is_size)
 
     @property
     def shapes(self) -> tuple[FreeEffectParameter, ...]:
-        """Those that say how it acts."""
+        """Free shapes, such as times and widths."""
         return tuple(parameter for parameter in self.free if not parameter.item.is_size)
 
     def grid(self) -> list[dict[str, float]]:
-        """Shapes to try."""
+        """Values of the shapes to try."""
         if self._form.shapes:
             return [
                 {parameter_path(self.effect, name): value for name, value in shapes.items()}
@@ -417,12 +417,12 @@ class Candidate:
 
 
 def _as_formed(item: EffectParameter, form: Form) -> EffectParameter:
-    """A number with the scale and the least value that it has in a form."""
+    """A parameter with the scale and the least value of a form."""
     return replace(item, scale=form.scale.get(item.family, item.scale), low=form.low.get(item.family, item.low))
 
 
 def candidates(taken: Mapping[str, float], drive: str = "valve") -> tuple[Candidate, ...]:
-    """All candidates beside the effects that a model has already.
+    """All candidates that a model does not have yet.
 
     Args:
         taken: values of the effects' parameters of the model, by dotted path.

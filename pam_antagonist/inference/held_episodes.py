@@ -1,4 +1,4 @@
-"""Which of many episodes a fit may see, and which are held out whole."""
+"""Split of many episodes into those that a fit may see, and those that are held out."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ FIFTH = 5
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Which episodes are what.
+    """Split of the episodes, as indices.
 
     Attributes:
-        pool: that may be fitted (E,).
-        interleaved: every fifth one among them, held out.
-        later: the last ones, held out.
+        pool: episodes that may be fitted (E,).
+        interleaved: every fifth episode between them, held out.
+        later: the last episodes, held out.
     """
 
     pool: Indices
@@ -31,8 +31,8 @@ def held_out(episodes: int, share: float) -> Held:
     """Hold out the last share of the episodes, and every fifth of the others.
 
     Args:
-        episodes: how many there are.
-        share: that is held out at the end.
+        episodes: number of episodes.
+        share: share that is held out at the end.
     """
     before = np.arange(round(episodes * (1.0 - share)))
     fifth = before % FIFTH == FIFTH - 1
@@ -40,7 +40,7 @@ def held_out(episodes: int, share: float) -> Held:
 
 
 def thinned(episodes: Indices, most: int) -> Indices:
-    """At most so many of them, evenly spread."""
+    """At most ``most`` of the episodes, evenly spread."""
     if len(episodes) <= most:
         return episodes
     return episodes[np.linspace(0, len(episodes) - 1, most).round().astype(int)]
@@ -50,7 +50,7 @@ def last(pool: Indices, window: float) -> Indices:
     """The last share of the episodes that may be fitted.
 
     Args:
-        pool: these (E,).
-        window: the share.
+        pool: episodes that may be fitted (E,).
+        window: share of the pool.
     """
     return pool[round(len(pool) * (1.0 - window)) :]

@@ -1,8 +1,9 @@
-"""The most probable parameters of one rig from several recordings, by Gauss-Newton, and what the answer is worth.
+"""The most probable parameters of one rig from several recordings, by Gauss-Newton, with their covariance.
 
-The recordings may deviate from each other a little. How far they do shows whether they are of one rig at all. This is
-another routine than :func:`~pam_antagonist.inference.gauss_newton.refit`: there one recording is fitted some hundred
-times, and keeps its derivatives; here all are fitted once, within bounds, and share their channels' errors and spread.
+The recordings may deviate from each other a little. The size of the deviations shows whether they are of one rig. The
+routine differs from :func:`~pam_antagonist.inference.gauss_newton.refit`, which fits one recording some hundred times
+and keeps its derivatives. Here all recordings are fitted once, within bounds, with common errors of the channels and a
+common spread.
 """
 
 from __future__ import annotations
@@ -26,31 +27,31 @@ Floats = NDArray[np.float64]
 
 _ROUNDS = 4
 _DETERMINED = 0.5
-"""A posterior that is narrower than this share of the prior was learnt from the data."""
+"""The data determine a parameter if its posterior is narrower than this share of the prior."""
 _NEAR = 0.15
-"""Distance in standard deviations of the prior within which slopes are used again."""
+"""Derivatives are used again within this distance, in standard deviations of the prior."""
 _LEAST_NOISE = {ANGLE: 1e-5, TORQUE: 1e-4, PRESSURE_1: 10.0, PRESSURE_2: 10.0}
-"""A sensor without noise still has some: nothing is known to a part in a million."""
+"""Lower bounds of the noise, for rigs that declare none."""
 _IMPLAUSIBLE = 3.0
-"""Standard deviations of the prior by which one and the same rig does not differ between two recordings."""
+"""Two recordings that differ by more than so many standard deviations of the prior are not of the same rig."""
 _CERTAIN = 2.0
-"""Standard errors from which on a difference is called one."""
+"""A difference is significant from so many standard errors on."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The answer of a fit.
+    """Result of a fit.
 
     Attributes:
-        problem: what was asked, with the deviations of the trials as they were estimated.
+        problem: the problem, with the estimated spread of the trials.
         theta: fitted vector.
         full: covariance of the fitted vector (size, size).
         weights: for each trial, standard deviation of the block residuals of each compared channel.
-        memory: for each trial and channel, blocks per independent one.
+        memory: for each trial and channel, number of blocks per independent one.
         cost: half the sum of the squared weighted residuals and of the prior's.
-        spread: how much the trials deviate from their common values in each direction, relative (G,); None where they
-            share everything.
-        evidence_gain: logarithm of how much more likely the data are with that spread than with none.
+        spread: relative spread of the trials about their common values in each direction (G,); None if they share all
+            parameters.
+        evidence_gain: gain in log evidence of this spread over no spread.
     """
 
     problem: JointProblem
@@ -70,7 +71,7 @@ class JointFit:
 
     @property
     def predictive(self) -> Floats:
-        """Covariance of the parameters in a recording yet to be made (F, F): the common ones' and the spread."""
+        """Covariance of the parameters in a new recording (F, F): covariance of the common ones plus the spread."""
         between = self.problem.between
         return self.covariance if between is None else self.covariance + between @ between.T
 
@@ -103,7 +104,7 @@ class JointFit:
 
     @property
     def determined(self) -> dict[str, bool]:
-        """Whether the data determine a parameter; where not, it stays near its prior."""
+        """Whether the data determine each parameter; if not, it stays near its prior."""
         deviations = np.sqrt(np.diag(self.covariance))
         return {item.name: bool(s < _DETERMINED) for item, s in zip(self.problem.free, deviations, strict=True)}
 
@@ -123,17 +124,18 @@ def joint_fit(
 ) -> JointFit:
     """Fit by prediction error with the prior of the free parameters.
 
-    The standard deviation of each channel is estimated with the parameters, from all trials together: a model that is
-    right to the noise is weighted by the noise, one that is not by what it misses, and no trial can buy a better fit
-    of one channel by giving up another trial's. Where there are several trials and they may deviate from their common
-    parameters, how much they do is estimated as well, by the evidence (:mod:`pam_antagonist.inference.spread`).
+    The standard deviation of each channel is estimated with the parameters, from all trials together. A channel is
+    weighted by its noise if the model is right, and by the model's error if it is larger. The weights are common to the
+    trials, so that a better fit of one trial cannot be paid for with a channel of another one. If several trials may
+    deviate from their common parameters, their spread is estimated as well, by the evidence
+    (:mod:`pam_antagonist.inference.spread`).
 
     Args:
         problem: the trials and free parameters, without deviations.
         start: values of the free parameters (F,) to start from, in units of the prior; default: the rig's values.
         rounds: how often weights and spread are estimated anew.
-        deviations: how trials may deviate from their common parameters; None where they may not.
-        progress: called with what is being done, after every round.
+        deviations: how trials may deviate from their common parameters; None: not at all.
+        progress: called with a text after every round.
     """
     if deviations is None or deviations.shape.shape[1] == 0 or len(problem.trials) < 2:
         spread, problem = None, problem.with_between(None)
@@ -146,7 +148,7 @@ def joint_fit(
     weights = _first_weights(problem)
     cost, gain, slopes = np.inf, 0.0, _Slopes()
     for number in range(rounds):
-        # The first rounds have to come from afar: large residuals count less there.
+        # The first rounds start far from the solution: there a robust loss reduces the weight of large residuals.
         theta, cost = _minimise(problem, theta, weights, "soft_l1" if number < rounds - 1 else "linear", slopes)
         weights = _weights(problem, problem.residuals(theta))
         if spread is not None and deviations is not None:
@@ -156,7 +158,7 @@ def joint_fit(
             theta = _rescaled(problem, theta, before / spread)
         if progress:
             progress(f"round {number + 1} of {rounds}")
-    # What the answer is worth hangs on the slopes where it stands.
+    # The covariance needs exact derivatives at the solution.
     parts = _locals(problem, theta, weights, _Slopes(exact=True))
     information = np.eye(problem.size)
     for index, part in enumerate(parts):
@@ -175,9 +177,9 @@ def joint_fit(
 
 
 class _Slopes:
-    """Jacobians of the trials, computed anew only where the parameters have moved: near the last place they still hold.
+    """Jacobians of the trials, computed anew only if the parameters have moved away from the last ones.
 
-    A Gauss-Newton step with slopes that are off by a per cent is as good, and costs a fortieth.
+    A Gauss-Newton step with derivatives that are off by a per cent is as good, and takes a fortieth of the time.
     """
 
     def __init__(self, exact: bool = False) -> None:
@@ -186,13 +188,13 @@ class _Slopes:
         self._parts: list[Floats] = []
 
     def at(self, problem: JointProblem, theta: Floats, near: float = _NEAR) -> list[Floats]:
-        """Derivatives by what each trial sees, as :meth:`JointProblem.local_jacobians`."""
+        """Derivatives by the local parameters of each trial, as :meth:`JointProblem.local_jacobians`."""
         seen = [problem.map(index) @ theta for index in range(len(problem.trials))]
-        stands = self._parts and all(
+        still_valid = self._parts and all(
             np.max(np.abs(old - new)) <= near for old, new in zip(self._seen, seen, strict=True)
         )
-        if not stands:
-            # The old ones go first: they take as much memory as the new ones.
+        if not still_valid:
+            # Free the old ones first: they take as much memory as the new ones.
             self._parts = []
             self._seen, self._parts = seen, problem.local_jacobians(theta, self._exact)
         return self._parts
@@ -229,7 +231,7 @@ def _rescaled(problem: JointProblem, theta: Floats, factor: Floats) -> Floats:
 
 
 def _first_weights(problem: JointProblem) -> list[Floats]:
-    """Deviations of a model that is off by a per cent: wide enough that no channel is taken at its word yet."""
+    """Standard deviations for a model that is off by a per cent: wide, so that no channel dominates the first round."""
     wide = {ANGLE: np.radians(0.2), TORQUE: 0.03, PRESSURE_1: 2e3, PRESSURE_2: 2e3}
     return [np.array([wide[channel] for channel in problem.counted(trial)]) for trial in problem.trials]
 
@@ -237,12 +239,13 @@ def _first_weights(problem: JointProblem) -> list[Floats]:
 def noise_floor(rig: Rig, trials: Sequence[Trial]) -> dict[int, float]:
     """Standard deviations of the channels' block means by the sensors' declared errors, which average out in a block.
 
-    The step of a converter does not where its noise is smaller (:func:`~pam_antagonist.inference.trial.block_noise`).
-    Here that would take weight from an angle that a joint fit follows to a fraction of such a step.
+    The rounding of a converter does not average out if its noise is smaller than its step
+    (:func:`~pam_antagonist.inference.trial.block_noise`). This is ignored here: otherwise the angle, which a joint fit
+    follows to a fraction of such a step, would lose weight.
 
     Args:
         rig: with its sensors.
-        trials: whose blocks have the fewest samples of all.
+        trials: the trials; the shortest of their blocks counts.
     """
     sensors, size = rig.sensors, min(trial.block for trial in trials)
     pressure = np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0))
@@ -262,7 +265,7 @@ def _weights(problem: JointProblem, residuals: Sequence[Floats]) -> list[Floats]
 
 
 def _locals(problem: JointProblem, theta: Floats, weights: Sequence[Floats], slopes: _Slopes) -> list[Local]:
-    """What each trial says about the parameters that it sees, near the fit."""
+    """Information of each trial about its local parameters, near the fit."""
     out = []
     residuals, jacobians = problem.residuals(theta), slopes.at(problem, theta)
     for index, (residual, jacobian, weight) in enumerate(zip(residuals, jacobians, weights, strict=True)):
@@ -277,15 +280,15 @@ def _locals(problem: JointProblem, theta: Floats, weights: Sequence[Floats], slo
 
 @dataclass(frozen=True)
 class Difference:
-    """How far the recordings lie apart in one direction, relative.
+    """Relative difference between the recordings in one direction.
 
     Attributes:
         name: of the direction.
         deviations: of each recording from the common value.
-        largest: difference of the two that lie furthest apart.
-        std: its standard error.
-        limit: difference beyond which they are taken for different rigs.
-        pair: which recordings these are.
+        largest: difference of the two recordings that differ most.
+        std: standard error of this difference.
+        limit: difference beyond which the recordings are taken to be of different rigs.
+        pair: indices of the two recordings.
     """
 
     name: str
@@ -297,7 +300,7 @@ class Difference:
 
     @property
     def certain(self) -> bool:
-        """Whether it is more than noise."""
+        """Whether the difference is significant."""
         return abs(self.largest) > _CERTAIN * self.std
 
 
@@ -339,8 +342,8 @@ def differences(found: JointFit, ways: tuple[Variation, ...]) -> list[Difference
 def check_same_rig(found: JointFit, ways: tuple[Variation, ...]) -> None:
     """Refuse recordings that cannot be of one rig.
 
-    The spread between the recordings is known here, so that the bound is closer than a diagnosis's, which compares fits
-    of single recordings whose effects have not been found yet (:mod:`pam_antagonist.diagnosis.agreement`).
+    The spread between the recordings is known here. So the bound is tighter than that of a diagnosis, which compares
+    fits of single recordings before it has found their effects (:mod:`pam_antagonist.diagnosis.agreement`).
 
     Args:
         found: a fit in which trials may deviate.

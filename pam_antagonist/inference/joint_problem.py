@@ -1,10 +1,10 @@
-"""Several recordings of one rig as one problem: what the model says of them, and how that moves with the parameters.
+"""Several recordings of one rig as one problem: predictions of the model, and their derivatives by the parameters.
 
 The recordings share the free parameters, and each may deviate from them a little, see
-:mod:`~pam_antagonist.inference.spread`. The coefficients of a force map nearly cancel each other: moved one by one,
-each throws a joint out of stiction, and the differences of such slopes claim to know what the data do not show. So the
-map's coefficients are moved along combinations that change the force in independent ways, and each by a thousandth of
-the force.
+:mod:`~pam_antagonist.inference.spread`. The terms of a force map nearly cancel each other. A step of a single
+coefficient would move a joint out of stiction, and differences of such derivatives would contain false information. So
+the coefficients are moved along combinations that change the force in independent ways, each by a thousandth of the
+force.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ Floats = NDArray[np.float64]
 _STEP = 0.02
 """Step of the central differences in standard deviations of the prior."""
 _FORCE_STEP = 1e-3
-"""Change of the force that a step of a map's coefficients makes, relative."""
+"""Relative change of the force by a step of a map's coefficients."""
 _RANGE = 0.35
-"""[rad] Angles at which the maps are looked at, either way."""
+"""[rad] Largest angle, to either side, at which the maps are evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +51,8 @@ class JointProblem:
         free: parameters that may move.
         channels: indices of ``CHANNELS`` that are compared.
         jobs: threads for the Jacobian.
-        between: what a trial's deviations of 1 do to the free parameters (F, G), in units of their priors; without
-            columns, all trials share all parameters.
+        between: change of the free parameters (F, G) by a trial's deviations of 1, in units of their priors; None:
+            all trials share all parameters.
     """
 
     rig: Rig
@@ -69,12 +69,12 @@ class JointProblem:
 
     @property
     def _own(self) -> int:
-        """Values that each trial has for itself."""
+        """Number of own values of each trial."""
         return STARTS + (0 if self.between is None else self.between.shape[1])
 
     @cached_property
     def experiments(self) -> tuple[ValveDriven, ...]:
-        """The trials as experiments, all of each to be fitted."""
+        """The trials as experiments, each fitted as a whole."""
         return tuple(ValveDriven(self.rig, trial, len(trial)) for trial in self.trials)
 
     @cached_property
@@ -86,7 +86,7 @@ class JointProblem:
         return dataclasses.replace(self, between=between)
 
     def map(self, index: int) -> Floats:
-        """What of the fitted vector a trial sees: (F + 3, size), its own parameters and its start."""
+        """Matrix (F + 3, size) from the fitted vector to a trial's local values: its parameters and its start."""
         count = len(self.free)
         out = np.zeros((count + STARTS, self.size))
         out[:count, :count] = np.eye(count)
@@ -99,11 +99,11 @@ class JointProblem:
 
     @property
     def maps(self) -> list[Floats]:
-        """What each trial sees of the fitted vector, see :meth:`map`."""
+        """Matrices to the local values of each trial, see :meth:`map`."""
         return [self.map(index) for index in range(len(self.trials))]
 
     def values(self, theta: Floats) -> dict[str, float]:
-        """Parameter values at a fitted vector, or at what a trial sees of it."""
+        """Parameter values at a fitted vector, or at the local values of a trial."""
         return {item.name: item.start + item.prior_std * float(t) for item, t in zip(self.free, theta, strict=False)}
 
     def bounds(self) -> tuple[Floats, Floats]:
@@ -114,18 +114,18 @@ class JointProblem:
         return np.array(low + [-value for value in rest]), np.array(high + rest)
 
     def predict_local(self, local: Floats, index: int, steps: Trial | None = None) -> Floats:
-        """Prediction of one trial (N, 4) at what it sees of a fitted vector (F + 3,).
+        """Prediction of one trial (N, 4) at its local values.
 
         Args:
-            local: what the trial sees (F + 3,).
+            local: local values of the trial (F + 3,).
             index: of the trial.
-            steps: the trial as a model in longer steps sees it; default: as it is.
+            steps: the trial with longer steps of the integration; default: as it is.
         """
         experiment = self.experiments[index]
         return predict(steps or experiment.trial, self._run(local, index), experiment.first)
 
     def _run(self, local: Floats, index: int) -> Run:
-        """Model and start of one trial at what it sees of a fitted vector."""
+        """Model and start of one trial at its local values."""
         experiment = self.experiments[index]
         start = experiment.start_std * local[len(self.free) :]
         return Run(par.changed(experiment.vector, self.values(local)), np.asarray(start))
@@ -147,14 +147,14 @@ class JointProblem:
         ]
 
     def local_jacobians(self, theta: Floats, exact: bool = False) -> list[Floats]:
-        """Derivatives of :meth:`residuals` by what each trial sees, one array (B, counted channels, F + 3) a trial.
+        """Derivatives of :meth:`residuals` by the local values, one array (B, counted channels, F + 3) a trial.
 
-        A fit needs no steps of the integration as fine as the residual's: its derivatives are simulated in longer ones
-        wherever the model in longer steps goes the same way. Error bars need the exact ones.
+        For a fit, derivatives may use longer integration steps than the residual, as long as the model's course stays
+        the same. Standard errors need exact derivatives.
 
         Args:
             theta: fitted vector (size,).
-            exact: in the steps of the residual.
+            exact: whether to use the steps of the residual.
         """
         seen = [self.map(index) @ theta for index in range(len(self.trials))]
         trials = self.trials if exact else [self._in_longest_steps(part, index) for index, part in enumerate(seen)]
@@ -172,11 +172,11 @@ class JointProblem:
         return [columns(index) @ back for index in range(len(self.trials))]
 
     def _means(self, local: Floats, index: int, steps: Trial) -> Floats:
-        """Block means (B, 4) of the prediction of one trial, simulated in the steps of another form of it."""
+        """Block means (B, 4) of the prediction of one trial, simulated with the steps of ``steps``."""
         return self._means_each([local], index, steps)[0]
 
     def _means_each(self, local: Sequence[Floats], index: int, steps: Trial) -> list[Floats]:
-        """Likewise of several predictions, which run side by side."""
+        """:meth:`_means` of several predictions, which run side by side."""
         experiment, trial = self.experiments[index], self.trials[index]
         stride, count = round(steps.dt / trial.dt), len(trial) // trial.block
         runs = [self._run(part, index) for part in local]
@@ -187,10 +187,10 @@ class JointProblem:
         return predict_each(steps, runs, experiment.first, self.jobs, means)
 
     def _in_longest_steps(self, local: Floats, index: int) -> Trial:
-        """A trial in the longest steps in which the model goes its way."""
+        """A trial with the longest steps at which the model's course stays the same."""
         experiment = self.experiments[index]
         channels = list(experiment.channels)
-        # Longer steps follow no shorter lags than themselves: there, an effect's time that moves would seem to stay.
+        # Long steps cannot follow short lags, so the derivative by an effect's time constant would be 0.
         if not any(item.name.startswith("effects.") for item in self.free):
             exact = self._means(local, index, experiment.trial)[:, channels]
             for steps in experiment.in_long_steps:
@@ -204,16 +204,16 @@ def stacked(
 ) -> Floats:
     """Residuals (B, C) or Jacobians (B, C, K) of all trials, and the prior's, as one array (R,) or (R, S).
 
-    It is written in its place: of half an hour of recordings, each copy takes hundreds of megabytes.
+    It is written in place: for half an hour of recordings, each copy takes hundreds of megabytes.
 
     Args:
         parts: one array a trial, (B, C) or (B, C, K).
         weights: for each trial the standard deviation of its channels (C,), by which they are divided.
         prior: last rows (S,) or (S, S).
-        maps: what each trial sees of the fitted vector (K, S), where Jacobians are by what it sees.
+        maps: matrix of each trial from the fitted vector to its local values (K, S), for Jacobians by local values.
 
     Returns:
-        All rows, one after the other; what is missing (NaN) counts as 0.
+        All rows, one after the other; missing values (NaN) become 0.
     """
     out = np.empty((sum(part.shape[0] * part.shape[1] for part in parts) + len(prior), *prior.shape[1:]))
     begin = 0
@@ -262,5 +262,5 @@ def _force_steps(rig: Rig, free: Sequence[FreeParameter], muscle: int) -> Floats
     ) / (0.01 * np.sqrt(len(states)))
     _, strength, turned = np.linalg.svd(design, full_matrices=False)
     wanted = _FORCE_STEP * float(np.sqrt(np.mean(base**2)))
-    # A combination that hardly moves the force is moved by a standard deviation at most.
+    # A combination that hardly changes the force is moved by at most one standard deviation.
     return np.asarray(turned.T * np.minimum(wanted / np.maximum(strength, 1e-300), 1.0))

@@ -1,13 +1,12 @@
-"""A valve-driven joint along its measured motion, as an experiment: what its torques lack to be in balance.
+"""A valve-driven joint along its measured motion, as an experiment: the imbalance of its torques is compared with 0.
 
-When a joint that sticks breaks loose, and where it stops, follows from small torques. A model that is right goes
-another way than the joint within seconds. So this model is given the measured angle beside the voltages, as in
-equation-error identification. Its air runs by itself from the voltages in volumes that are known, and its torques are
-summed up along the motion: equation (8) solved for what is left of them. Nothing of an error goes on to the next
-motion.
+Small torques decide when a sticking joint breaks loose, and where it stops. So even a right model diverges from the
+joint within seconds. Therefore this model gets the measured angle beside the voltages, as in equation-error
+identification. Its chambers are simulated from the voltages with known volumes. The imbalance of its torques follows
+from equation (8) along the measured motion. An error does not affect later motions.
 
-Where the joint slides, friction has its full level against the motion, and what is left is an error of the model. Where
-it stands still or creeps, friction is anything up to that level: only what is beyond it counts.
+While the joint slides, friction has its full level against the motion, and the imbalance is an error of the model. If
+the joint stands still or creeps, friction may have any value up to that level, and only the excess over it counts.
 """
 
 from __future__ import annotations
@@ -36,36 +35,36 @@ from pam_antagonist.model import parameters as par
 Floats = NDArray[np.float64]
 
 _HALF_S = 0.02
-"""[s] To either side of a sample: from there its angle, velocity and acceleration are told by a parabola."""
+"""[s] Half width of the window in which a parabola is fitted to get angle, velocity and acceleration."""
 _CLEAR = 4.0
-"""Standard deviations of its noise from which on a velocity shows its direction, where it lasts as long as that."""
+"""A velocity shows a direction if it exceeds so many standard deviations of its noise for half a window."""
 _ROUGH = 1e-3
-"""Chance with which noise alone looks like a motion that no parabola follows: of a joint that breaks loose or stops."""
-_FEWEST = 10.0
-"""A second counts as if the joint slid for this part of it at least."""
+"""Probability that noise alone looks like a motion that no parabola fits, such as breaking loose or a stop."""
+_MOST_WEIGHT = 10.0
+"""Largest square of a weight: a second counts as if the joint slid for at least a tenth of it."""
 _RIGHT = 3.0
-"""Noises."""
+"""Torques are in balance if their imbalance is within so many standard deviations of its noise."""
 _NEAR_STOP = 0.01
-"""[rad] From the mechanical stop, whose torque nobody measures."""
+"""[rad] Distance from the mechanical stop, whose torque is unknown, within which samples do not count."""
 _STILL_S = 0.2
-"""[s] A joint that stands still for so long while its torque moves is held by friction."""
+"""[s] A joint that stands still for so long while its torque changes is held by friction."""
 _STILL, _MOVES = 4.0, 5.0
-"""Noises: the angle's range of one that stands still, and what its torque moves at least."""
+"""In standard deviations of the noise: largest range of the angle at standstill, and least change of the torque."""
 _STICKS = 0.02
-"""Share of a recording from which on a joint is taken to stick: a second of a minute. Joints of the battery with the
-paper's friction have 0.04 to 0.25."""
+"""A joint is taken to stick if it does so in this share of a recording, about a second in a minute. Simulated joints
+with the paper's friction have 0.04 to 0.25."""
 _PROBE = 1e3
-"""[Pa] Of the differences by which the pressures' noise becomes one of the torque."""
+"""[Pa] Step of the differences that convert noise of the pressures to noise of the torque."""
 _STAGES = integration.STAGES
 _step, _needed, _torque = integration.rk4_step_within, dynamics.torque_needed, dynamics.torque
 
 
 @kernel
 def _along(x0, voltage, angle, velocity, acceleration, direction, p, dt, substeps):  # type: ignore[no-untyped-def]
-    """States (N, n), torques of the muscles (N,) and what the torques lack to be in balance (N,) [N m]."""
+    """States (N, n), torques of the muscles (N,) and imbalance of all torques (N,) [N m]."""
     samples = voltage.shape[0]
     states = np.empty((samples, x0.shape[0]))
-    torques, lacking = np.empty(samples), np.empty(samples)
+    torques, imbalance = np.empty(samples), np.empty(samples)
     x = x0.copy()
     u = np.zeros(voltage.shape[1])
     scratch = np.empty((_STAGES + 1, x.shape[0]))
@@ -76,28 +75,28 @@ def _along(x0, voltage, angle, velocity, acceleration, direction, p, dt, substep
             moved = angle[k] - angle[k - 1]
             x[1] = moved / dt
             for j in range(substeps):
-                # Held over a step at its middle, of second order.
+                # The angle is held over a step at its middle (second order).
                 x[0] = angle[k - 1] + (j + 0.5) / substeps * moved
                 _step(x, u, p, dt / substeps, x, scratch)
         x[0], x[1] = angle[k], velocity[k]
         torques[k] = _torque(x, p)
         if direction[k] != 0.0:
-            lacking[k] = _needed(x, acceleration[k], direction[k], p)
+            imbalance[k] = _needed(x, acceleration[k], direction[k], p)
         else:
             without = _needed(x, acceleration[k], 0.0, p)
             level = max(_needed(x, acceleration[k], 1.0, p) - without, 0.0)
-            lacking[k] = without - min(max(without, -level), level)
+            imbalance[k] = without - min(max(without, -level), level)
         for i in range(x.shape[0]):
             states[k, i] = x[i]
-    return states, torques, lacking
+    return states, torques, imbalance
 
 
 @dataclass(frozen=True, eq=False)
 class ShownMotion(Motion):
-    """The motion that an encoder shows; its direction is −1 or 1, and 0 where it is within the noise.
+    """The motion that an encoder shows; its direction is −1 or 1, and 0 where the velocity is within its noise.
 
     Attributes:
-        clear: where a parabola follows it (N,).
+        clear: whether a parabola fits the motion (N,).
         noise: standard deviations (3,) of angle [rad], velocity [rad/s] and acceleration [rad/s²].
     """
 
@@ -115,29 +114,29 @@ def motion_of(trial: Trial) -> ShownMotion:
     basis = np.column_stack([np.ones_like(time), time, 0.5 * time**2])
     weights = np.linalg.pinv(basis)
     windows = sliding_window_view(np.pad(filled - filled.mean(), half, mode="edge"), 2 * half + 1)
-    told = windows @ weights.T
+    parabola = windows @ weights.T
     noise = trial.noise(ANGLE) * np.sqrt(trial.block)
-    left = np.einsum("nk,nk->n", windows, windows) - np.einsum("ni,ij,nj->n", told, basis.T @ basis, told)
+    left = np.einsum("nk,nk->n", windows, windows) - np.einsum("ni,ij,nj->n", parabola, basis.T @ basis, parabola)
     rough = left > noise**2 * float(chdtri(len(time) - 3, _ROUGH))
     rough[:half] = rough[len(rough) - half :] = True
     unclear = np.convolve(rough | ~known, np.ones(half + 1), mode="same") > 0.0
     std = noise * np.sqrt(np.sum(weights**2, axis=1))
-    velocity = told[:, 1]
+    velocity = parabola[:, 1]
     direction = _lasting(np.where(np.abs(velocity) > _CLEAR * std[1], np.sign(velocity), 0.0), half)
-    # Within a jump a parabola is further off than the encoder's noise.
-    angle = np.where(unclear, filled, told[:, 0] + filled.mean())
-    return ShownMotion(angle, velocity, told[:, 2], direction, ~unclear, std)
+    # At a jump, the error of a parabola exceeds the encoder's noise.
+    angle = np.where(unclear, filled, parabola[:, 0] + filled.mean())
+    return ShownMotion(angle, velocity, parabola[:, 2], direction, ~unclear, std)
 
 
 def _lasting(direction: Floats, least: int) -> Floats:
-    """Directions (N,) without those that last for less than so many samples: noise exceeds any bound now and then."""
+    """Directions (N,) with short ones, of less than ``least`` samples, set to 0: noise exceeds any bound at times."""
     lengths = np.diff(np.flatnonzero(np.diff(direction)) + 1, prepend=0, append=len(direction))
     return np.where(np.repeat(lengths >= least, lengths), direction, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMotion(ValveDriven):
-    """A recording of a free joint, the measured angle an input; the balance of torques has the angle's column."""
+    """A recording of a free joint with the angle as an input; the imbalance of torques takes the angle's column."""
 
     @cached_property
     def motion(self) -> ShownMotion:
@@ -147,23 +146,23 @@ class MeasuredMotion(ValveDriven):
     @cached_property
     @override
     def measured(self) -> Floats:
-        """Block means of the measurements (B, C); of the balance 0, NaN where the motion is not clear."""
+        """Block means of the measurements (B, C); 0 for the imbalance, NaN where the motion is not clear."""
         values = self.trial.measured[:, list(self.channels)].copy()
         values[:, self.channels.index(ANGLE)] = self.measured_samples
         return self.trial.blocks(values)
 
     @cached_property
     def measured_samples(self) -> Floats:
-        """What the torques lack (N,) [N m]: nothing; NaN where the motion is not clear."""
+        """Imbalance of a right model (N,) [N m]: 0, NaN where the motion is not clear."""
         clear = self.motion.clear & (np.abs(self.motion.angle) < self.vector[par.STOP] - _NEAR_STOP)
         return np.where(clear, 0.0, np.nan)
 
     @cached_property
     @override
     def noise(self) -> Floats:
-        """Standard deviation of a block mean by the sensors alone (C,); of the balance by the encoder's.
+        """Standard deviation of a block mean by the sensors alone (C,); for the imbalance by the encoder's noise.
 
-        The parabolas of a block's samples have most of their samples in common.
+        The noise of the imbalance does not average out in a block, because the parabolas share most of their samples.
         """
         noise = ValveDriven.noise.func(self).copy()  # type: ignore[attr-defined]
         p, x = self.vector, _middle(self.trial, self.vector)
@@ -181,22 +180,22 @@ class MeasuredMotion(ValveDriven):
     @property
     @override
     def free_run(self) -> Experiment:
-        """The recording with a model that runs by itself from the first sample on."""
+        """The recording with a model that runs from the first sample without the measured angle."""
         judged = tuple(other.free_run for other in self.judged)
         return ValveDriven(**{**_fields(self), "judged": judged})
 
     @cached_property
     def weights(self) -> Floats:
-        """What a block's imbalance is multiplied by (B,): a second counts what it lacks while the joint slides.
+        """Weights of the imbalance of each block (B,): larger where the joint slides for a small part of a second.
 
-        A joint that sticks moves in short bursts. Each of them is one independent error, as a second is elsewhere.
+        A sticking joint moves in short bursts. Each burst is one independent error, like a second of other signals.
         """
         motion, size = self.motion, self.trial.block
         slides = ((motion.direction != 0.0) & np.isfinite(self.measured_samples)).astype(float)
         shares = slides[: len(slides) // size * size].reshape(-1, size).mean(axis=1)
         second = np.ones(max(round(self.blocks_per_error), 1))
         near, there = (np.convolve(one, second, mode="same") for one in (shares, np.ones(len(shares))))
-        near = np.where(near > 0.0, np.maximum(near, there / _FEWEST), there)
+        near = np.where(near > 0.0, np.maximum(near, there / _MOST_WEIGHT), there)
         return np.asarray(np.sqrt(there / near))
 
     @override
@@ -204,14 +203,14 @@ class MeasuredMotion(ValveDriven):
         """Measured minus simulated block means (B, C), 0 where nothing was measured.
 
         Args:
-            simulated: the latter (B, C).
+            simulated: simulated block means (B, C).
         """
         residual = super().residual_of(simulated)
         residual[:, self.channels.index(ANGLE)] *= self.weights[: len(residual)]
         return residual
 
     def right(self, point: Point) -> float:
-        """Share of the held-out time with a clear motion in which a model's torques are in balance, to three noises."""
+        """Share of the held-out time with clear motion in which a model's imbalance is within three noise std."""
         column = self.channels.index(ANGLE)
         left = self.residual(point, whole=True)[: len(self.measured)] / self.weights[:, None]
         left = self.held(left)[:, column]
@@ -220,19 +219,19 @@ class MeasuredMotion(ValveDriven):
 
     @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
-        """States (N, n) and torques (N,) [N m] of the model along the motion of all of the recording."""
+        """States (N, n) and torques (N,) [N m] of the model along the motion of the whole recording."""
         states, torque, _ = self._course(self.trial, point)
         return states, torque
 
     @override
     def _shown(self, trial: Trial, point: Point) -> Floats:
-        """What the sensors would show (N, 4), in the steps of a trial; the balance in the angle's place."""
-        states, torque, lacking = self._course(trial, point)
-        return np.column_stack([lacking, torque, sensor.readings(states[:, 2:4], self.parameters(point))])
+        """Simulated readings (N, 4), in the steps of a trial, with the imbalance in the angle's place."""
+        states, torque, imbalance = self._course(trial, point)
+        return np.column_stack([imbalance, torque, sensor.readings(states[:, 2:4], self.parameters(point))])
 
     @override
     def _made_of_each(self, trial: Trial, points: Sequence[Point], made: Callable[[Floats], Floats]) -> list[Floats]:
-        """What is made of :meth:`_shown` of several models."""
+        """Apply a function to :meth:`_shown` of several models."""
         return self.side_by_side(lambda point: made(self._shown(trial, point)), points)
 
     def _course(self, trial: Trial, point: Point) -> tuple[Floats, Floats, Floats]:
@@ -247,14 +246,14 @@ class MeasuredMotion(ValveDriven):
 
 
 def along_motion(experiment: Experiment) -> Experiment:
-    """A recording along its measured motion where its joint sticks; else as it is."""
+    """A recording along its measured motion if its joint sticks; otherwise unchanged."""
     if not isinstance(experiment, ValveDriven) or sticking_share(experiment) < _STICKS:
         return experiment
     return _given_its_motion(experiment)
 
 
 def _given_its_motion(experiment: Experiment) -> Experiment:
-    """A recording of a free joint along its motion, and those that it is judged by, which may stick less."""
+    """A recording of a free joint along its motion, together with the recordings that judge its fit."""
     shown = isinstance(experiment, ValveDriven) and experiment.trial.joint == "free" and ANGLE in experiment.channels
     if not shown:
         return experiment
@@ -267,7 +266,7 @@ def _fields(experiment: Experiment) -> dict[str, Any]:
 
 
 def sticking_share(experiment: ValveDriven) -> float:
-    """Share of a recording in which the joint stands still while the torque of its pressures moves; 0 if unknown."""
+    """Share of a recording in which the joint stands still while its torque changes; 0 if unknown."""
     trial, p = experiment.trial, experiment.vector
     if ANGLE not in experiment.channels:
         return 0.0
@@ -286,7 +285,7 @@ def sticking_share(experiment: ValveDriven) -> float:
 
 
 def torque_noise(trial: Trial, p: Floats) -> float:
-    """Standard deviation [N m] that the noise of the pressures' block means gives to the torque that follows from them.
+    """Standard deviation [N m] of the computed torque due to the noise of the pressures' block means.
 
     Args:
         trial: the recording.
@@ -302,7 +301,7 @@ def torque_noise(trial: Trial, p: Floats) -> float:
 
 
 def _middle(trial: Trial, p: Floats) -> Floats:
-    """A state in the middle of what was recorded."""
+    """A state at the mean angle and pressures of a recording."""
     x = np.zeros(int(p[par.STATES]))
     x[ANGLE] = np.nanmean(trial.measured[:, ANGLE])
     x[2:4] = np.nanmean(trial.measured[:, PRESSURE_1:], axis=0)

@@ -1,4 +1,4 @@
-"""A model of a recording as a point: amounts of what is free, values of effects, and when these act."""
+"""A model of a recording as a point: amounts of the free directions, values of effects, and when effects act."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Span(NamedTuple):
 
     @property
     def edges(self) -> tuple[float, ...]:
-        """When it begins and when it ends [s], without what is beyond every recording."""
+        """Its finite limits [s]: begin and end, as far as they exist."""
         return tuple(float(time) for time in self if np.isfinite(time))
 
 
@@ -46,10 +46,10 @@ class Point:
 
 
 class Channel(NamedTuple):
-    """What is compared, as a figure shows it.
+    """A compared quantity, as a figure shows it.
 
     Attributes:
-        title: its name.
+        title: name of the quantity.
         unit: of the figure.
         factor: from SI to that unit.
     """

@@ -1,8 +1,8 @@
 """A joint that pressure regulators drive, in many short recordings: its measured pressures are the input.
 
-The pressures drive the joint's mechanics, and what the model makes of the angle is compared with what was measured,
-from the first row of each episode to its last one. Free are the directions of the base parameters that pressures and
-angle alone can tell: torque only shows by the inertia that it moves, so that torques are told per inertia.
+The pressures drive the joint's mechanics, and the simulated angle is compared with the measured one over each episode.
+The free directions are those base parameters that pressures and angle alone can determine. Torques are determined only
+relative to the inertia, which is fixed.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from pam_antagonist.model.pressure_driven import angles
 Floats = NDArray[np.float64]
 
 _FORCE = 1.0
-"""[N] By so much the forces of two muscles of one make may differ."""
+"""[N] Unit of the force difference between two muscles of one kind."""
 _CLEAR = 5.0
-"""Standard deviations of its noise from which on a velocity at an episode's start counts."""
+"""A start velocity below so many standard deviations of its noise is set to 0."""
 _NO_REGULATORS = {
     f"effects.{name}.{item.name}": 0.0
     for name, effect in CATALOGUE.items()
@@ -36,7 +36,7 @@ _NO_REGULATORS = {
     for item in effect.parameters
     if item.is_size
 }
-"""The pressures are measured: what the regulators make of their commands is in them."""
+"""Effects of the regulators are switched off, because the measured pressures already contain them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +46,14 @@ class PressureDriven(Episodes):
     @cached_property
     @override
     def directions(self) -> tuple[FreeDirection, ...]:
-        """Free base directions: what pressures and angle tell of forces, stiffness and viscous friction."""
+        """Free base directions: forces, stiffness and viscous friction, as far as the data can determine them."""
         rig, middle = self.rig, self.rig.geometry.length
         forces = []
         for i in (1, 2):
             path = f"muscle_{i}.force."
             area = abs(rig.value(path + "v1") * middle + rig.value(path + "v2"))
             usual = self.usual[i - 1]
-            # About the usual pressure, so that neither the rest angle nor the stiffness moves with them.
+            # The force at the usual pressure does not change, so that rest angle and stiffness stay as they are.
             forces.append(FreeDirection(f"{path}v, value", {path + "v2": area, path + "w2": -area * usual}))
             turned = {path + "v1": area / middle, path + "v2": -area}
             turned |= {path + "w1": -area / middle * usual, path + "w2": area * usual}
@@ -84,7 +84,7 @@ class PressureDriven(Episodes):
                     if f"effects.{name}.{item.name}" not in {**taken, **self._declared}:
                         out[f"{name}: {signal}"] = (Candidate(name, Form(without=others)),)
             elif not any(path.startswith(f"effects.{name}.") for path in {**taken, **self._declared}):
-                # Constant friction may be less than none where the rest of it grows with pressures from far below.
+                # No lower bound: constant friction may be negative beside friction that grows with the pressures.
                 forms = [replace(form, low={}) for form in effect.sealed.forms if effect.sealed.part]
                 out[name] = tuple(Candidate(name, form) for form in forms) or (Candidate(name),)
         return out
@@ -99,11 +99,11 @@ class PressureDriven(Episodes):
         begin = self.first[:-1]
         first, second, third = (self.angle[begin + k] for k in (0, 1, 2))
         over = self.time[begin + 2] - self.time[begin]
-        # Of second order, so that a joint that starts from rest has none.
+        # One-sided difference of second order, which is 0 for a joint that starts from rest.
         moved = 4.0 * second - 3.0 * first - third
-        # A velocity from noise would throw the joint before anything moves it.
-        doubt = _CLEAR * np.hypot(converter_step(self.angle), 5.0 * white_std(self.angle, float(np.median(over)) / 2.0))
-        velocity = np.where(np.abs(moved) > doubt, moved / over, 0.0)
+        # A start velocity that is only noise would move the simulated joint.
+        bound = _CLEAR * np.hypot(converter_step(self.angle), 5.0 * white_std(self.angle, float(np.median(over)) / 2.0))
+        velocity = np.where(np.abs(moved) > bound, moved / over, 0.0)
         return np.column_stack([self.angle[begin], velocity])
 
     @property
@@ -115,19 +115,19 @@ class PressureDriven(Episodes):
     @property
     @override
     def runaway(self) -> float:
-        """[rad] Beyond it a model is wrong."""
+        """Bound of the residual [rad]."""
         return 10.0
 
     @override
     def simulated(self, point: Point) -> Floats:
-        """What the encoder would show (N, 1) [rad]."""
+        """Simulated readings of the encoder (N, 1) [rad]."""
         p = par.changed(self.rig.parameters(), {**self.values(point), **_NO_REGULATORS})
         found = angles(self.first, self._start, self.time, self.pressure, self.signals, p, self.longest_step)
         return np.asarray(found)[:, None]
 
     @override
     def as_if(self, model: Point) -> PressureDriven:
-        """These episodes as if a model were right: what it does, with the noise of the readings once more."""
+        """These episodes as simulated by a model, with the noise of the readings added."""
         rng = np.random.default_rng(0)
 
         def noisier(readings: Floats, shown: Floats) -> Floats:
@@ -139,7 +139,7 @@ class PressureDriven(Episodes):
 
     @override
     def shown(self, model: Point) -> dict[str, float]:
-        """Stiffness, viscous friction, each muscle's force by its pressure at the middle length, and effects."""
+        """Stiffness, viscous friction, slope of each muscle's force over pressure at the middle length, and effects."""
         values = self.values(model)
         out = {name: values[name] for name in ("joint.stiffness", "joint.viscous_friction")}
         middle = self.rig.geometry.length

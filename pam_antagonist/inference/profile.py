@@ -1,7 +1,7 @@
-"""Profile likelihoods: how much worse the best fit gets while one parameter is held away from its value.
+"""Profile likelihoods: the loss of likelihood when one parameter is held and all others are fitted anew.
 
-A standard error is the curvature at the best fit. The profile shows whether the likelihood really is a parabola, and
-where it is flat: there the recordings say nothing.
+A standard error is the curvature at the best fit. The profile shows whether the log likelihood really is a parabola.
+Where it is flat, the recordings do not determine the parameter.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from pam_antagonist.inference.point import Point
 Floats = NDArray[np.float64]
 
 _POSITIONS = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0])
-"""Of a shared parameter, in standard errors."""
+"""Values of a shared parameter, in standard errors from the best one."""
 _STEPS = 2
 _FRACTIONS = (0.0, 0.5)
-"""Of an effect's size: what it takes to be called found."""
+"""Values of an effect's size, as shares of the best one; at these it must lose likelihood to count as determined."""
 _NEAR = (-3.0, -1.5, 1.5, 3.0)
-"""In standard errors from an effect's size: whether the likelihood is the parabola that these stand for."""
+"""Values of an effect's size in standard errors from the best one, to compare the loss with the parabola."""
 _CHI_SQUARE = 3.84
 """95 % of a chi-square with one degree of freedom: the rise of −2 log posterior at the ends of an interval."""
 
@@ -43,8 +43,8 @@ class Profile:
         best: its most probable value.
         std: its standard error.
         value: values at which it was held (K,), increasing.
-        loss: of the logarithm of likelihood and prior there (K,), 0 at the best.
-        flat: whether the recordings would as well do with half of it.
+        loss: of the log posterior at these values (K,), 0 at the best.
+        flat: whether half of the size explains the recordings as well.
     """
 
     name: str
@@ -56,26 +56,26 @@ class Profile:
 
     @property
     def parabola(self) -> Floats:
-        """Loss by the standard error alone (K,)."""
+        """Loss that the standard error predicts (K,)."""
         return np.asarray(0.5 * ((self.value - self.best) / self.std) ** 2)
 
     @property
     def low(self) -> float | None:
-        """Lower end of the 95 % interval, None where it lies beyond the values."""
+        """Lower end of the 95 % interval; None if it lies beyond the values."""
         return self._end(-1)
 
     @property
     def high(self) -> float | None:
-        """Upper end."""
+        """Upper end of the 95 % interval; None if it lies beyond the values."""
         return self._end(1)
 
-    def _end(self, way: int) -> float | None:
+    def _end(self, side: int) -> float | None:
         k = int(np.argmin(self.loss))
-        while 0 <= k + way < len(self.value):
-            if self.loss[k + way] >= 0.5 * _CHI_SQUARE:
-                share = (0.5 * _CHI_SQUARE - self.loss[k]) / (self.loss[k + way] - self.loss[k])
-                return float(self.value[k] + share * (self.value[k + way] - self.value[k]))
-            k += way
+        while 0 <= k + side < len(self.value):
+            if self.loss[k + side] >= 0.5 * _CHI_SQUARE:
+                share = (0.5 * _CHI_SQUARE - self.loss[k]) / (self.loss[k + side] - self.loss[k])
+                return float(self.value[k] + share * (self.value[k + side] - self.value[k]))
+            k += side
         return None
 
 
@@ -84,13 +84,13 @@ def shared_profiles(
 ) -> list[Profile]:
     """Profiles of parameters that several recordings share, over ±3 standard errors.
 
-    All others are fitted anew at each value by Gauss-Newton with the slopes at the best fit.
+    All other parameters are fitted anew at each value, by Gauss-Newton with the derivatives of the best fit.
 
     Args:
         found: the fit.
         names: parameters.
         jobs: threads.
-        progress: called with the parameter that is done.
+        progress: called with a text after each parameter.
     """
     problem = found.problem
     weights = [w * np.sqrt(m) for w, m in zip(found.weights, found.memory, strict=True)]
@@ -105,7 +105,7 @@ def shared_profiles(
 
     def held(k: int, position: float) -> float:
         std = float(np.sqrt(found.full[k, k]))
-        # Along the ridge: where the others go while this one is moved.
+        # Start along the ridge of the posterior: the other parameters follow by their covariance with this one.
         theta = found.theta + found.full[:, k] / found.full[k, k] * position * std
         others = np.arange(problem.size) != k
         factor = cho_factor(information[np.ix_(others, others)])
@@ -131,12 +131,12 @@ def shared_profiles(
 
 
 def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffectParameter, jobs: int = 1) -> Profile:
-    """Profile of an effect's size in one recording, at 0, at half of it and about it.
+    """Profile of an effect's size in one recording: at 0, at half of the best value, and near the best value.
 
     Args:
         experiment: the recording.
         fitted: its model.
-        parameter: one of its free ones, with a size that is not 0.
+        parameter: a free size of the model that is not 0.
         jobs: threads.
     """
     best = fitted.point.effects[parameter.path]
@@ -156,7 +156,7 @@ def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffect
 
 
 def _along(fitted: Fitted, k: int, parameter: FreeEffectParameter, value: float) -> Point:
-    """Where the others go, by the covariance, while one number is moved to a value."""
+    """The model with one parameter at another value, and the others moved by their covariance with it."""
     best = fitted.point.effects[parameter.path]
     step = parameter.coordinate(value) - parameter.coordinate(best)
     moved = fitted.covariance[:, k] / fitted.covariance[k, k] * step
@@ -171,7 +171,7 @@ def _along(fitted: Fitted, k: int, parameter: FreeEffectParameter, value: float)
 def _rise(
     experiment: Experiment, fitted: Fitted, start: Point, parameter: FreeEffectParameter, value: float
 ) -> tuple[float, float]:
-    """Least rise of −2 log posterior with one number held at a value: as errors are judged, and as evidence is."""
+    """Least rise of −2 log posterior with one parameter held: in the scale of standard errors, and of evidence."""
     effects = {**start.effects, **dict.fromkeys(parameter.paths, value)}
     others = tuple(other for other in fitted.free if other != parameter)
     scale, begin = fitted.scale, Point(start.theta, effects)

@@ -1,17 +1,17 @@
-"""How one and the same rig may differ from one recording to the next, and by how much recordings do.
+"""Differences of one rig from recording to recording: their directions, and the estimate of their size.
 
-A rig is not quite the same on two days: valves warm up, muscles settle, the air is damper. Two recordings that are
-forced to share every parameter then fight for it, and the one with more samples wins. So each recording may deviate
-from the rig's common values by a little, along the directions that are listed here. How much the recordings do deviate
-(one number, relative) is the spread under which all of them are most likely: a random-effects model.
+A rig is not exactly the same on two days: valves warm up, muscles settle, the air is damper. If two recordings had to
+share every parameter, the one with more samples would decide. So each recording may deviate a little from the rig's
+common values, along the directions that are listed here. The relative spread of the deviations is estimated as the one
+under which all recordings are most likely: a random-effects model.
 
-Near the fit each trial's likelihood is a Gaussian in the parameters that it sees. With standard normal common
+Near the fit each trial's likelihood is a Gaussian in its local values. With standard normal common
 parameters, deviations and starts the evidence of a spread is a Gaussian integral,
 
     log Z(s) = −½ log det H(s) + ½ bᵀ H(s)⁻¹ b,   H = I + Σ Mᵀ A M,   b = Σ Mᵀ a,
 
-with A and a the information of a trial and M what it sees of all that is free, in which the spread s stands (MacKay,
-*Information Theory, Inference, and Learning Algorithms*, 2003, chapter 28).
+with A and a the information of a trial, and M the matrix from the fitted vector to its local values, which contains the
+spread s (MacKay, *Information Theory, Inference, and Learning Algorithms*, 2003, chapter 28).
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 USUAL_SPREAD = 0.01
-"""A relative deviation that does not surprise."""
+"""Relative spread with which a fit starts."""
 _LEAST, _LARGEST = 1e-4, 0.5
-"""Spreads that are considered, relative."""
+"""Range of the relative spread."""
 _GROUP_STD = 1.0
 """Standard deviation of the logarithm of a group's spread about the common one."""
 _USUAL = 0.02
-"""A spread that would not surprise; larger ones have to be shown by the data (half Cauchy)."""
+"""Scale of the half-Cauchy prior of the spread."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Variation(Direction):
     """One way in which recordings of a rig may differ; its amount is a relative deviation.
 
     Attributes:
-        group: ``force``, ``flow`` or ``joint``: what tends to deviate by the same amount.
+        group: ``force``, ``flow`` or ``joint``: variations of a group tend to have the same size.
     """
 
     group: str
@@ -52,11 +52,11 @@ class Variation(Direction):
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Variations as the fit sees them.
+    """Variations in the coordinates of a fit.
 
     Attributes:
-        shape: what a relative deviation of 1 does to the free parameters (F, G), in units of their priors.
-        group: number of the group that each belongs to (G,).
+        shape: change of the free parameters (F, G) by a relative deviation of 1, in units of their priors.
+        group: number of each variation's group (G,).
     """
 
     shape: Floats
@@ -66,11 +66,11 @@ class Deviations:
 def variations(rig: Rig, free: Sequence[FreeParameter]) -> tuple[Variation, ...]:
     """The ways in which recordings may differ in the parameters that are free.
 
-    The coefficients of a force map nearly cancel each other: scattered one by one by a per cent they would change the
-    force by ten. A muscle deviates by the gain of its map and by an offset instead.
+    The terms of a force map nearly cancel each other: independent changes of the coefficients by a per cent would
+    change the force by ten. So a muscle deviates by the gain of its map and by an offset instead.
 
     Args:
-        rig: whose values the relative deviations refer to.
+        rig: reference of the relative deviations.
         free: parameters of the fit.
     """
     names = {item.name for item in free}
@@ -121,12 +121,12 @@ def deviations(ways: Sequence[Variation], free: Sequence[FreeParameter]) -> Devi
 
 @dataclass(frozen=True, eq=False)
 class Local:
-    """What one trial says about the K values that it sees: free parameters, then its start.
+    """Information of one trial about its K local values: free parameters, then its start.
 
     Attributes:
         information: JᵀJ of its weighted residuals (K, K).
-        pull: Jᵀ(J θ − r) (K,): where it wants them.
-        memory: by channel, blocks per independent one.
+        pull: Jᵀ(J θ − r) (K,), the right-hand side of its normal equations.
+        memory: by channel, number of blocks per independent one.
     """
 
     information: Floats
@@ -138,8 +138,8 @@ def log_evidence(trials: Sequence[Local], between: Floats) -> float:
     """Log Z of a spread, up to a constant.
 
     Args:
-        trials: what each says.
-        between: what deviations of one standard deviation do to the free parameters (F, G).
+        trials: information of each.
+        between: change of the free parameters (F, G) by deviations of one standard deviation.
     """
     count, ways = between.shape
     starts = len(trials[0].information) - count
@@ -160,16 +160,15 @@ def log_evidence(trials: Sequence[Local], between: Floats) -> float:
 def most_likely_spread(trials: Sequence[Local], deviations: Deviations) -> tuple[Floats, float]:
     """The spread of each group at which evidence and prior are highest.
 
-    Groups that the recordings hardly determine follow the others: the logarithm of each group's spread is normal
-    about a common one.
+    The logarithm of each group's spread has a normal prior about a common one. So groups that the recordings hardly
+    determine follow the others.
 
     Args:
-        trials: what each says, at least two.
+        trials: information of each, at least two.
         deviations: directions and groups.
 
     Returns:
-        The relative spread of each direction (G,), and by how much the logarithm of the evidence is higher with them
-        than without any.
+        The relative spread of each direction (G,), and the gain in log evidence over no spread.
     """
     groups = int(deviations.group.max()) + 1
     low, high = np.log(_LEAST), np.log(_LARGEST)
@@ -182,7 +181,7 @@ def most_likely_spread(trials: Sequence[Local], deviations: Deviations) -> tuple
         prior = float(np.log1p((common / _USUAL) ** 2) + 0.5 * np.sum(logarithms[1:] ** 2))
         return -log_evidence(trials, spread(logarithms) * deviations.shape) + prior
 
-    # Coarse over the common spread, then all together.
+    # A grid over the common spread gives the start for all spreads together.
     grid = np.linspace(low, high, 18)
     first = grid[int(np.argmin([against(np.concatenate(([x], np.zeros(groups)))) for x in grid]))]
     start = np.concatenate(([first], np.zeros(groups)))

@@ -1,9 +1,10 @@
-"""The last steps of a fit, and how well it knows its numbers.
+"""The last steps of a fit, and the standard errors of its parameters.
 
-A step of a fit takes one-sided differences in long steps. Where base parameters nearly imitate each other, the errors
-of such differences do not cancel. They look like information that the recording does not have, and lead astray along
-such directions. So here they are central and short. What no fit moves is uncertain as well, by what a ruler tells. What
-the recording does not determine is as uncertain as the rest of the rig file has turned out to be.
+A step of a fit uses one-sided differences over long steps. If base parameters have nearly the same effect, the errors
+of such differences do not cancel. They look like information that the recording does not have, and spoil the solution
+along such directions. So the differences here are central and short. Measured parameters, which no fit moves, are
+uncertain as well, by the error of their measurement. Directions that the recording does not determine are assumed to be
+as far off as the determined ones have turned out to be.
 """
 
 from __future__ import annotations
@@ -28,22 +29,22 @@ from pam_antagonist.inference.point import Point
 Floats = NDArray[np.float64]
 
 _CLOSE = 1e-4, 0.1
-"""Steps of derivatives that standard deviations rest on: of a base parameter, and of a start value."""
+"""Steps of the derivatives for standard errors: of a base parameter, and of a start value."""
 _SHARE = 0.01
-"""Likewise, of what no fit moves: a share of its standard deviation."""
+"""Step of a measured parameter, as a share of its standard deviation."""
 _ROUNDS = 6
 _SHARES = (1.0, 0.3)
 """Shares of a last step that are tried."""
-_ENOUGH = 0.1
-"""A last step that gains less is none, in −2 log posterior."""
+_LEAST_GAIN = 0.1
+"""Least gain of a last step, in −2 log posterior."""
 _DETERMINED = 4.0
-"""Information of a recording about a direction, over that of the prior, from which on it determines the direction."""
+"""A recording determines a direction if its information exceeds that of the prior by this factor."""
 _LEAST_DISTANCE = 0.2
-"""No rig file is taken to be nearer to its rig than this share of the priors, one per cent."""
+"""Least assumed error of a rig file, as a share of the priors: one per cent."""
 
 
 def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
-    """A fit whose covariance is what the recording tells, and no more.
+    """A fit with the covariance of its parameters from exact derivatives.
 
     Args:
         experiment: the recording.
@@ -65,7 +66,7 @@ def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
 
 
 def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
-    """A fit carried on to its end.
+    """A fit continued until it has converged.
 
     Args:
         experiment: the recording.
@@ -82,14 +83,14 @@ def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
 
 
 def _step(experiment: Experiment, fitted: Fitted) -> Fitted | None:
-    """A step with the derivatives that a model has, maybe of a point nearby; None where it gains next to nothing."""
+    """A step with the model's derivatives, which may be those of a nearby point; None if it gains too little."""
     base, effect, scale, theta = fitted.base, fitted.effect, fitted.scale, fitted.point.theta
     step = Equations.of(fitted.residual, base, effect).solved(scale, experiment.prior, theta, rounds=1)
     for share in _SHARES:
         point = moved_by(fitted.point, fitted.free, share * step.theta, share * step.effect)
         residual = experiment.residual(point)
         cost = cost_of(experiment, point, residual, scale)
-        if cost < fitted.cost - _ENOUGH:
+        if cost < fitted.cost - _LEAST_GAIN:
             return replace(fitted, point=point, residual=residual, cost=cost)
     return None
 
@@ -120,7 +121,7 @@ def _slopes(experiment: Experiment, fitted: Fitted) -> tuple[Floats, Floats]:
 
 
 def _slope(experiment: Experiment, point: Point, direction: Direction) -> Floats:
-    """Derivative of the residual (B, C) by what no fit moves, for one standard deviation."""
+    """Derivative of the residual (B, C) by a measured direction, for one standard deviation."""
 
     def left(share: float) -> Floats:
         values = values_along(start_values(experiment.rig, (direction,)), (direction,), (share,))
@@ -130,10 +131,10 @@ def _slope(experiment: Experiment, point: Point, direction: Direction) -> Floats
 
 
 def _distance(experiment: Experiment, fitted: Fitted) -> float:
-    """How far the rig file is off, in standard deviations of the priors (RMS).
+    """Error of the rig file, in standard deviations of the priors (RMS).
 
-    It is judged by what the recording determines: those directions of the base parameters in which the recording says
-    more than the prior. What it does not determine is taken to be as far off.
+    It is computed from those directions of the base parameters that the recording determines. The others are assumed
+    to be as far off.
     """
     count = len(experiment.directions)
     columns = np.concatenate([fitted.base, fitted.effect], axis=2)
@@ -144,6 +145,6 @@ def _distance(experiment: Experiment, fitted: Fitted) -> float:
     across = information[:count, count:]
     alone = information[:count, :count] - across @ np.linalg.pinv(rest, hermitian=True) @ across.T
     units = np.sqrt(prior[:count])
-    certain, ways = np.linalg.eigh(alone / np.outer(units, units))
-    moves = (ways.T @ (units * fitted.point.theta[:count]))[certain > _DETERMINED]
+    gains, vectors = np.linalg.eigh(alone / np.outer(units, units))
+    moves = (vectors.T @ (units * fitted.point.theta[:count]))[gains > _DETERMINED]
     return max(_LEAST_DISTANCE, float(np.sqrt(np.mean(moves**2)))) if len(moves) else 1.0

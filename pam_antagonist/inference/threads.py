@@ -1,4 +1,4 @@
-"""Work that is done side by side, on threads that all fits share."""
+"""Parallel work on threads that all fits share."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _Result = TypeVar("_Result")
 
 
 def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item], jobs: int) -> list[_Result]:
-    """Work on several items, each by itself: a single fit would leave the other cores idle.
+    """Call a function for several items in parallel.
 
     Args:
-        work: gives an array of any shape; compiled for the most part, so that threads do.
-        items: what each call gets.
+        work: function of one item; mostly compiled code, so that threads run in parallel.
+        items: arguments of the calls.
         jobs: threads.
     """
     return list(map(work, items) if jobs == 1 else _workers(jobs).map(work, items))
@@ -24,5 +24,5 @@ def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item], jobs:
 
 @lru_cache(maxsize=1)
 def _workers(jobs: int) -> ThreadPoolExecutor:
-    """Threads that all fits share, so that there are no more of them than asked for, however many fits run."""
+    """Threads that all fits share, so that their number does not grow with the number of fits."""
     return ThreadPoolExecutor(jobs, thread_name_prefix="simulation")

@@ -1,4 +1,4 @@
-"""A recording made ready for fitting: an even grid, one joint condition, its noise, and what it is good for."""
+"""A recording prepared for fitting: an even grid, one joint condition, its noise, and checks of its content."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CHANNELS = ("angle", "torque", "pressure_1", "pressure_2")
 """Columns of measurements and predictions: [rad, N m, Pa, Pa]."""
 ANGLE, TORQUE, PRESSURE_1, PRESSURE_2 = range(len(CHANNELS))
 BLOCK_S = 0.02
-"""[s] Samples of this time are averaged to one residual: what a model lacks is slower, and noise averages out."""
+"""[s] Samples of this time are averaged to one residual: errors of a model are slower, and noise averages out."""
 
 _SHORTEST = 5.0
 _LEAST_SWING = 30e3
@@ -29,21 +29,21 @@ _LEAST_VOLTAGE_SWING = 0.2
 _SATURATED_SHARE = 0.02
 _LARGEST_MISSING_SHARE = 0.2
 _NEIGHBOURS = 0.05
-"""Share of the levels of a converted signal, at least, that are one step apart."""
+"""Least share of neighbouring levels of a converted signal that are one step apart."""
 _ON_GRID, _SHARE_ON_GRID = 0.02, 0.98
 _LEAST_NOISE = 1e-12
 _SLOW_S = 3e-3
-"""[s] Signals move too much within longer periods for their first differences to be noise."""
+"""[s] With longer sample periods, first differences contain too much motion to show the noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Which blocks of a recording are fitted and which are held out, where that is not its first part and its end.
+    """Fitted and held-out blocks of a recording, if they are not simply its first part and its end.
 
     Attributes:
         fitted: blocks that may be fitted (B,).
         held: blocks that are held out (B,).
-        errors_from: sample from which on errors are shown in a report.
+        errors_from: first sample of the errors in a report.
     """
 
     fitted: Mask
@@ -56,14 +56,14 @@ class Trial:
     """One recording on an even grid.
 
     Attributes:
-        name: what it is called in reports.
+        name: in reports.
         joint: ``free`` or ``locked``.
         lock_angle: angle [rad] at which a locked joint is held.
         dt: sample period [s].
         voltage: (N, 2) [V]; row k is held over the step that ends at sample k.
         measured: (N, 4) in the order of ``CHANNELS``; NaN where there is no measurement.
         external: torque from outside (N,) [N m], None where nothing was applied.
-        longest_step: a model takes no longer steps than this [s].
+        longest_step: longest step of the integration [s].
     """
 
     name: str
@@ -101,24 +101,24 @@ class Trial:
 
     @property
     def substeps(self) -> int:
-        """Steps that a model takes a sample."""
+        """Integration steps a sample."""
         return substeps_of(self.dt, self.longest_step)
 
     @property
     def step(self) -> float:
-        """A model's step [s]."""
+        """Integration step [s]."""
         return self.dt / self.substeps
 
     def block_count(self, seconds: float) -> int:
-        """How many blocks are nearest to a time, at least one."""
+        """Number of blocks nearest to a time, at least one."""
         return max(1, round(seconds / self.block_s))
 
     def samples(self, seconds: float) -> int:
-        """How many samples are nearest to a time, at least one."""
+        """Number of samples nearest to a time, at least one."""
         return max(1, round(seconds / self.dt))
 
     def whole_blocks(self, samples: float) -> int:
-        """The samples of as many whole blocks as there are in a number of samples."""
+        """A number of samples rounded down to whole blocks."""
         return int(samples) // self.block * self.block
 
     def blocks(self, values: Floats) -> Floats:
@@ -126,13 +126,13 @@ class Trial:
         return blocks(values, self.block)
 
     def has(self, channel: int) -> bool:
-        """Whether anything was measured on a channel, and can show something (a locked joint's angle cannot)."""
+        """Whether a channel was measured and is informative; a locked joint's angle is not."""
         if channel == ANGLE and self.joint == "locked":
             return False
         return bool(np.isfinite(self.measured[:, channel]).any())
 
     def noise(self, channel: int) -> float:
-        """Standard deviation that a channel's sensor gives to a block mean."""
+        """Standard deviation of a block mean due to the channel's sensor."""
         return block_noise(self.measured[:, channel], self.block)
 
     def part(self, begin_s: float, end_s: float) -> Trial:
@@ -161,11 +161,11 @@ def blocks(values: Floats, size: int) -> Floats:
 
 
 def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, name: str) -> Trial:
-    """Put a recording on an even grid of its own period; :func:`check` checks that there is something to learn from it.
+    """Put a recording on an even grid of its own period; :func:`check` then checks its content.
 
     Args:
         recording: the recording.
-        rig: whose sample period is used where the recording's is the same.
+        rig: its sample period is used if the recording's is about the same.
         joint: ``free`` or ``locked``.
         lock_angle: [rad].
         name: for reports and messages.
@@ -192,7 +192,7 @@ def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, na
 
 
 def _held(voltage: Floats, name: str) -> Floats:
-    """Voltages without gaps: a missing one is taken to be the one before it, at the start the first that is known."""
+    """Voltages without gaps: a missing value is replaced by the one before it, at the start by the first known one."""
     known = np.isfinite(voltage).all(axis=1)
     if not known.any():
         raise BadInput(f"{name}: valve_state holds no finite voltages")
@@ -202,7 +202,7 @@ def _held(voltage: Floats, name: str) -> Floats:
 
 
 def check(trial: Trial) -> None:
-    """Refuse a trial from which nothing can be learned.
+    """Refuse a trial that is not informative enough for a fit.
 
     Args:
         trial: the part that is to be fitted.
@@ -239,7 +239,7 @@ def check(trial: Trial) -> None:
 
 
 def _stands(trial: Trial, series: Floats, name: str, scale: float, unit: str) -> None:
-    """Refuse a channel that stands at one end of its range: its sensor can show no more."""
+    """Refuse a channel whose sensor is saturated at one end of its range."""
     values = series[np.isfinite(series)]
     if np.ptp(values) == 0.0:
         return
@@ -256,11 +256,11 @@ def white_std(values: Floats, dt: float) -> float:
     """Standard deviation of the noise of a slow signal: that of its differences over √2.
 
     Args:
-        values: what the sensor showed (N,), NaN where missing.
-        dt: sample period [s]; where it is long, second differences stand for the first.
+        values: readings of the sensor (N,), NaN where missing.
+        dt: sample period [s]; if it is long, second differences replace the first.
 
     Returns:
-        In the unit of the values; NaN where no two neighbours are known.
+        In the unit of the values; NaN if no two neighbours are known.
     """
     if dt > _SLOW_S and np.isfinite(values).sum() > 2:
         return _smooth_noise(values)
@@ -270,33 +270,33 @@ def white_std(values: Floats, dt: float) -> float:
 
 
 def converter_step(values: Floats) -> float:
-    """Step of the converter behind a signal; 0 where its values lie on no grid.
+    """Step of the converter of a signal; 0 if its values are not on a grid.
 
-    A slow signal shows little of its converter in the differences of neighbours, which are mostly none, so that its
-    noise looks smaller than the error of a reading is.
+    Differences of neighbouring samples of a slow signal are mostly 0. So the noise estimated from them is smaller than
+    the error of a reading, which includes the step.
 
     Args:
-        values: what the sensor showed (N,), NaN where missing.
+        values: readings of the sensor (N,), NaN where missing.
     """
     levels, counts = np.unique(values[np.isfinite(values)], return_counts=True)
     apart = np.diff(levels[counts >= np.quantile(counts, 0.5)]) if len(levels) > 1 else np.zeros(0)
     if not len(apart):
         return 0.0
-    # Few samples leave out levels of a fine converter: most are several steps apart then.
+    # With few samples, many levels of a fine converter are missing, and most neighbours are several steps apart.
     step = float(np.median(apart[apart <= 1.5 * np.quantile(apart, _NEIGHBOURS)]))
     off = np.abs(apart / step - np.rint(apart / step))
     return step if np.mean(off < _ON_GRID) > _SHARE_ON_GRID else 0.0
 
 
 def block_noise(values: Floats, size: int) -> float:
-    """Standard deviation that a sensor gives to the mean of a block of samples.
+    """Standard deviation of the mean of a block of samples, due to the sensor.
 
-    Noise is what changes between samples: the second difference of a signal that is smooth over three
-    samples is noise of six times the variance. Its largest twentieth is left out: a joint that jumps is not noise. A
-    converter whose step is coarser than the noise rounds all samples of a block alike; its error does not average out.
+    If a signal is smooth over three samples, its second difference is noise with six times the variance. The largest
+    twentieth of the differences is left out, because jumps of the joint are not noise. If the step of a converter is
+    larger than the noise, all samples of a block are rounded to the same value, and this error does not average out.
 
     Args:
-        values: what the sensor showed (N,), NaN where missing.
+        values: readings of the sensor (N,), NaN where missing.
         size: samples of a block.
     """
     white, step = _smooth_noise(values), converter_step(values)
@@ -305,7 +305,7 @@ def block_noise(values: Floats, size: int) -> float:
 
 
 def _smooth_noise(values: Floats) -> float:
-    """Standard deviation of a sample's noise where the signal is smooth over three samples."""
+    """Standard deviation of a sample's noise, if the signal is smooth over three samples."""
     second = np.diff(values[np.isfinite(values)], 2)
     bound = 2.0 * float(np.quantile(np.abs(second), 0.95))
     return float(np.sqrt(np.mean(second[np.abs(second) <= bound] ** 2) / 6.0))
