@@ -37,7 +37,7 @@ def pull(x, p, effects=True):
 def rest_angle(pressure_1, pressure_2, p, effects=True):
     """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within the stop.
 
-    A balance beyond the stop (or beyond ±60° without one) gives that bound.
+    A balance beyond the stop or beyond ±60° gives the nearer of these bounds.
 
     Args:
         pressure_1: P_1 [Pa].
