@@ -1,4 +1,4 @@
-"""Propagation of sigma points over a step of the model: eight at once on processors with wide instructions.
+"""Propagation of sigma points over a step of the model: several at once on processors with wide instructions.
 
 Each point has the same bits either way (:mod:`pam_antagonist.model.lanes`), so the estimate does not depend on the
 machine.
@@ -18,14 +18,14 @@ from pam_antagonist.model.lane_values import LANES
 
 
 def beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
-    """Parameters of the sigma points, eight side by side.
+    """Parameters of the sigma points, side by side in groups.
 
     Args:
         parameter_sets: sets of the first points (1 + 2 m, SIZE); the others have the first set.
         points: number of points.
 
     Returns:
-        (G, SIZE, 8), G groups of eight; unused places of the last group have the first set.
+        (G, SIZE, LANES), G groups; unused places of the last group have the first set.
     """
     steps = range(0, points, LANES)
     each = [parameter_sets[k if k < len(parameter_sets) else 0] for k in range(len(steps) * LANES)]

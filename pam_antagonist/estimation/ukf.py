@@ -43,9 +43,9 @@ class Work(NamedTuple):
         gain: K (n, 2).
         torques: torque of each sigma point (1 + 2 m + 2 n,) [N m].
         stages: of a Runge-Kutta step (STAGES + 1, n).
-        lane_sets: parameters of the sigma points, eight side by side (G, SIZE, 8).
-        lane_states: states of eight sigma points (n, 8).
-        lane_stages: of a Runge-Kutta step of eight (STAGES + 1, n, 8).
+        lane_sets: parameters of the sigma points, side by side (G, SIZE, LANES).
+        lane_states: states of a group of sigma points (n, LANES).
+        lane_stages: of a Runge-Kutta step of such a group (STAGES + 1, n, LANES).
     """
 
     points: np.ndarray

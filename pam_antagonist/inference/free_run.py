@@ -133,9 +133,9 @@ def predict(trial: Trial, model: Run, start: Start) -> Floats:
 def predict_each(
     trial: Trial, models: Sequence[Run], start: Start, jobs: int, made: Callable[[int, Floats], _Result]
 ) -> list[_Result]:
-    """:func:`predict` of many models, side by side: for the same result, eight take little longer than one.
+    """:func:`predict` of many models, side by side: a group of them in lanes takes little longer than one model.
 
-    Of a long recording, no more than what is made of eight at a time is held.
+    Of a long recording, only one group is held at a time.
 
     Args:
         trial: its voltages are used.

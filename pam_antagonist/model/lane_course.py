@@ -1,4 +1,4 @@
-"""The course of eight models side by side, compiled. Import it only where it is needed: this generates the lane form.
+"""The course of several models side by side, compiled. Import it only where it is needed: this generates the lane form.
 
 To read the generated module: ``python -m pam_antagonist.model.lane_course``.
 """
@@ -17,17 +17,17 @@ rk4_step, _torque = _form.rk4_step_within, _form.torque
 
 @in_place
 def course(x, voltage, p, dt, substeps, states, torques, scratch):
-    """:func:`~pam_antagonist.model.integration.course` of eight models.
+    """:func:`~pam_antagonist.model.integration.course` of several models.
 
     Args:
-        x: states (n, 8) at the first sample; changed in place to the states at the last one.
+        x: states (n, LANES) at the first sample; changed in place to the states at the last one.
         voltage: input (N, 2) or (N, 3) of all models [V, N m].
-        p: parameter vectors (P, 8).
+        p: parameter vectors (P, LANES).
         dt: sample period [s].
         substeps: Runge-Kutta steps a sample.
-        states: result (8, N, n).
-        torques: result (8, N) [N m].
-        scratch: (STAGES + 1, n, 8) for a step, (CHUNK, n, 8) and (CHUNK, 8) for the last samples.
+        states: result (LANES, N, n).
+        torques: result (LANES, N) [N m].
+        scratch: (STAGES + 1, n, LANES) for a step, (CHUNK, n, LANES) and (CHUNK, LANES) for the last samples.
     """
     stages, recent, recent_torques = scratch
     for begin in range(0, states.shape[1], CHUNK):

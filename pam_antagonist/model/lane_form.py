@@ -1,4 +1,4 @@
-"""The lane form of compiled functions: the same equations for eight numbers at once, written from their source.
+"""The lane form of compiled functions: the same equations for several numbers at once, written from their source.
 
 The equations are written once, for numbers. Their form for lanes (:mod:`pam_antagonist.model.lane_values`) differs only
 in the branches, since different lanes may take different ones. This module generates it from the functions' source:

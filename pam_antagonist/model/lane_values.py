@@ -1,11 +1,11 @@
-"""Eight numbers that one instruction works on: a type of value for compiled code, with the operators of a number.
+"""Four or eight numbers that one instruction works on: a type for compiled code, with the operators of a number.
 
-A kernel on such *lanes* computes eight results at once: lane k of every result has the bits that the kernel gives for
+A kernel on such *lanes* computes as many results at once: lane k of every result has the bits that the kernel gives for
 the numbers in lane k of its arguments. The processor has the instructions (AVX-512, AVX or SSE), or LLVM uses several
 smaller ones; the bits are the same.
 
-A comparison of lanes gives a *mask*, eight truth values. An ``if`` cannot take two branches at once: :func:`some` says
-whether any lane takes a branch, and :func:`where` chooses between the results of two branches, lane by lane.
+A comparison of lanes gives a *mask*, a truth value for each. An ``if`` cannot take two branches at once: :func:`some`
+says whether any lane takes a branch, and :func:`where` chooses between the results of two branches, lane by lane.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ ir: Any = cgutils.ir
 
 
 def width(features: str) -> tuple[int, int]:
-    """How many numbers a step in lanes takes, and from how many on it is quicker than one number after another.
+    """How many numbers a step in lanes takes, and from how many on it is faster than one number after another.
 
-    Two registers for eight numbers take as long a number as one for four, and need more models that run side by side.
+    With AVX2, eight numbers need two registers: they take as long a number as four, and fill up more rarely.
 
     Args:
         features: what the processor can do, in LLVM's words, separated by commas.
 
     Returns:
-        Both, as measured; the second one is out of reach where registers hold two numbers only.
+        Both, as measured. With SSE2 alone, a step in lanes is never faster.
     """
     each = features.split(",")
     if "+avx512f" in each:
@@ -48,7 +48,7 @@ _LANES, _MASK = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_BIT, LANES)
 
 
 class _LanesType(types.Type):  # type: ignore[misc]
-    """Eight float64."""
+    """LANES float64."""
 
     def __init__(self) -> None:
         super().__init__(name="lanes")
@@ -63,7 +63,7 @@ class _LanesType(types.Type):  # type: ignore[misc]
 
 
 class _MaskType(types.Type):  # type: ignore[misc]
-    """Eight truth values."""
+    """LANES truth values."""
 
     def __init__(self) -> None:
         super().__init__(name="mask")
@@ -289,7 +289,7 @@ def _dimensions(index: Any) -> int:
 
 @intrinsic
 def item(typingctx: Any, array: Any, index: Any) -> Any:
-    """An entry of an array: a number, or lanes where the array has a further dimension of eight, or a row of either.
+    """An entry of an array: a number, or lanes where the array has a further dimension of LANES, or a row of either.
 
     Args:
         typingctx: numba's.
@@ -321,7 +321,7 @@ def item(typingctx: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def put(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """Set an entry of an array with a further dimension of eight.
+    """Set an entry of an array with a further dimension of LANES.
 
     Args:
         typingctx: numba's.
@@ -347,7 +347,7 @@ def shared(typingctx: Any, array: Any, index: Any) -> Any:
 
     Args:
         typingctx: numba's.
-        array: (n, 8).
+        array: (n, LANES).
         index: an integer that is not negative.
     """
     if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != 2:

@@ -1,6 +1,6 @@
-"""Many models on the same inputs at once, eight in a step of the integration.
+"""Many models on the same inputs at once, four or eight in a step of the integration.
 
-A fit simulates the same recording with many parameter vectors. Eight of them run side by side
+A fit simulates the same recording with many parameter vectors. Four of them run side by side, with AVX-512 eight
 (:mod:`pam_antagonist.model.lane_values`), by the same equations (:mod:`pam_antagonist.model.lane_form`). Each result
 has the same bits as that of :func:`pam_antagonist.model.integration.course` for this model alone.
 """
@@ -53,7 +53,7 @@ def courses(
 
 
 def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
-    """Parameters of eight models that run side by side (P, 8). All take the branches that any of them needs.
+    """Parameters of several models that run side by side (P, LANES). All take the branches that any of them needs.
 
     Args:
         vectors: parameter vector (P,) of each.
@@ -64,15 +64,15 @@ def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def step(plain: bool) -> Any:
-    """The Runge-Kutta step of eight models, compiled; None where single steps are faster or eight cannot be compiled.
+    """The Runge-Kutta step of several models, compiled; None where single steps are faster or lanes cannot be compiled.
 
     Args:
         plain: whether all models are known to be plain: much less is compiled then.
 
     Returns:
         :func:`~pam_antagonist.model.integration.plain_step` or
-        :func:`~pam_antagonist.model.integration.rk4_step_within`, for states (n, 8), parameters (P, 8) and scratch
-        (STAGES + 1, n, 8).
+        :func:`~pam_antagonist.model.integration.rk4_step_within`, for states (n, LANES), parameters (P, LANES) and
+        scratch (STAGES + 1, n, LANES).
     """
     if FEWEST > LANES:
         return None
@@ -86,7 +86,7 @@ def step(plain: bool) -> Any:
 
 
 def groups(models: Sequence[Sequence[np.ndarray]]) -> list[list[int]]:
-    """Groups of models that can run side by side, as indices; at most eight in a group.
+    """Groups of models that can run side by side, as indices; at most LANES in a group.
 
     Args:
         models: parameter vectors (P,) of each model, one for each of its phases.
@@ -106,7 +106,7 @@ def _structure(p: np.ndarray) -> bytes:
 
 @lru_cache(maxsize=1)
 def _side_by_side() -> Any:
-    """The compiled course of eight models; None where an effect of another package has no lane form."""
+    """The compiled course of several models; None where an effect of another package has no lane form."""
     try:
         return importlib.import_module("pam_antagonist.model.lane_course").course
     except lane_form.NoLaneForm:

@@ -25,7 +25,7 @@ _DESCRIPTION = """\
 Measure what the package costs on this machine.
 
   kernels   a UKF step against bare RK4 steps of the same model, and against filterpy's UKF around it; a call from
-            Python against the kernel; eight models side by side against one by one
+            Python against the kernel; several models side by side against one by one
   replay    the whole replay command against the length of the recording
   pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): losses,
             and the round trip pressure -> command against that of a pipeline that passes messages through

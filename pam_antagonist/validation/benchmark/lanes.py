@@ -1,4 +1,4 @@
-"""The model's Runge-Kutta step for eight parameter vectors at once, against eight alone."""
+"""The model's Runge-Kutta step for several parameter vectors at once, against one after another."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ROUNDS = 10
 
 
 def measure(rig: Rig) -> list[Figure]:
-    """Measure how much less a step costs by a model, where eight run side by side.
+    """Measure how much less a step costs by a model, where several run side by side.
 
     Args:
         rig: the rig, without effects of its own and with some of the catalogue.
@@ -54,10 +54,10 @@ def _measured(rig: Rig, names: tuple[str, ...]) -> Figure:
     words = " and ".join(name.replace("_", " ") for name in names) or "no effect"
     return Figure(
         f"lanes_{'_'.join(names) or 'plain'}",
-        f"eight models one by one against side by side, as fits run them ({words}; {np.size(start)} states)",
+        f"{LANES} models one by one against side by side, as fits run them ({words}; {np.size(start)} states)",
         ratio,
         "",
         None,
         "×",
-        {"one_model_ns": alone_s / steps / LANES * 1e9, "eight_at_once_ns": together_s / steps * 1e9},
+        {"one_model_ns": alone_s / steps / LANES * 1e9, "side_by_side_ns": together_s / steps * 1e9},
     )
