@@ -305,7 +305,7 @@ def deciding_evidence(
 
 
 def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison], jobs: int) -> float:
-    """Twice the log likelihood ratio of the innovations on the held-out parts, extended over recalibrated model.
+    """Twice the log likelihood ratio of the innovations of held-out samples, extended over recalibrated model.
 
     Both filters have the tuning of the rig as configured. No parameter has a price: nothing was fitted there.
 
@@ -318,8 +318,8 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
     def likelihood(part: HeldOutComparison, model: str) -> float:
         rig = own_rig(part.experiment, part.points[model])
         recording, experiment = _calibrated(prepared.recordings[part.number], part, model)
-        run, late = _estimated(recording, rig, experiment)
-        return innovation_likelihood(run, int(np.argmax(late)))[0] if late.any() else 0.0
+        run, held = _estimated(recording, rig, experiment)
+        return innovation_likelihood(run, held)[0]
 
     tasks = [
         (sign, part, model)

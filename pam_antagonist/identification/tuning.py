@@ -202,14 +202,14 @@ def own_tuning(tuned: Tuned, trial: Trial, found: JointFit, inner: JointFit, ind
     return with_directions(own, directions, scale)
 
 
-def innovation_likelihood(run: EstimateRun, settle: int) -> tuple[float, int]:
+def innovation_likelihood(run: EstimateRun, counted: slice | NDArray[np.bool_]) -> tuple[float, int]:
     """Sum of the innovations' log likelihoods, and the number of samples in it.
 
     Args:
         run: of the filter.
-        settle: samples at its start that are left out.
+        counted: samples of it that count: a slice, or for each sample whether it does (M,).
     """
-    rows = run.rows[settle:]
+    rows = run.rows[counted]
     s = rows["innovation_covariance"]
     determinant = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] * s[:, 1, 0]
     used = np.isfinite(rows["innovation"]).all(axis=1) & np.isfinite(rows["nis"]) & (determinant > 0.0)
@@ -230,7 +230,10 @@ def _tune_process(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[Rig, tu
     def against(logarithm: Floats) -> float:
         now = with_process(logarithm)
         runs = Parallel(n_jobs=jobs, prefer="threads")(delayed(run_filter)(now, trial) for trial in trials)
-        sums = [innovation_likelihood(run, trial.samples(SETTLE_S)) for run, trial in zip(runs, trials, strict=True)]
+        sums = [
+            innovation_likelihood(run, slice(trial.samples(SETTLE_S), None))
+            for run, trial in zip(runs, trials, strict=True)
+        ]
         return -sum(value for value, _ in sums) / max(sum(number for _, number in sums), 1)
 
     start = np.clip(np.log10(np.maximum([tuning.process[1], tuning.process[2]], 1e-300)), *np.transpose(_PROCESS))

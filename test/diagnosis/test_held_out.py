@@ -9,9 +9,14 @@ import pytest
 
 from pam_antagonist.diagnosis import diagnose, preparation
 from pam_antagonist.diagnosis.agreement import check_same_rig
-from pam_antagonist.diagnosis.preparation import Group
+from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.held_out import innovation_evidence
+from pam_antagonist.diagnosis.preparation import Group, Settings
+from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison
 from pam_antagonist.diagnosis.selection import recalibrate
+from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 
@@ -107,3 +112,22 @@ def test_a_recording_of_another_rig_is_refused(rig, recorded, pair) -> None:
     far = dataclasses.replace(base.fits[0], point=dataclasses.replace(base.fits[0].point, theta=shifted))
     with pytest.raises(BadInput, match="seems to be of another rig"):
         check_same_rig(group, dataclasses.replace(base, fits=(far,)), 1)
+
+
+def test_the_innovations_of_held_out_samples_count_and_no_others(rig, pair) -> None:
+    """With all blocks held out in turn, each sample counts once: the evidence is that of the whole recording."""
+    settings = Settings("locked", None, 1.0 / 3.0, 1, 0, lambda text: None, False, True, Checkpoint())
+    prepared = preparation.prepare([pair[0]], [], rig, settings)
+    (group,) = prepared.groups
+    (experiment,) = group.experiments
+    leaking = Point(experiment.origin.theta, {"effects.leak.area_1": 1e-9})
+
+    def evidence(**cut) -> float:
+        points = dict(zip(MODELS, (experiment.origin, experiment.origin, leaking), strict=True))
+        part = HeldOutComparison(dataclasses.replace(experiment, **cut), points, "both", 0)
+        return innovation_evidence(prepared, [part], 1)
+
+    count = len(experiment.trial) // experiment.trial.block
+    turns = [evidence(fitted=len(experiment.trial), split=split) for split in in_turn(count, 2, 250.0, 0, 0)]
+    assert all(abs(value) > 1.0 for value in turns)
+    assert sum(turns) == pytest.approx(evidence(fitted=0))
