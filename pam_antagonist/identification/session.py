@@ -205,7 +205,6 @@ def _chosen_parameters(rig: Rig, trials: Sequence[Trial], options: Options) -> t
     free = free_parameters(rig, options.free, options.frozen)
     if any(trial.has(channel) for trial in trials for channel in (ANGLE, TORQUE)):
         return free, []
-    asked = {item.name for item in free_parameters(rig, options.free, options.frozen)} if options.free else set()
     kept = [
         item
         for item in free
@@ -214,7 +213,7 @@ def _chosen_parameters(rig: Rig, trials: Sequence[Trial], options: Options) -> t
     if not kept:
         raise BadInput(
             "no recording has a measured angle or torque, and pressures alone tell nothing of the free parameters: "
-            f"{', '.join(sorted(asked or {item.name for item in free}))}"
+            f"{', '.join(sorted(item.name for item in free))}"
         )
     names = ", ".join(item.name for item in kept)
     return kept, [
