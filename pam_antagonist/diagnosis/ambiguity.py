@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import found_calibrations, thresholds
+from pam_antagonist.diagnosis import explained, found_calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
@@ -48,12 +48,7 @@ def near_candidates(selection: Selection) -> tuple[str, ...]:
         return ()
     first = [tried for tried in selection.tried if tried.round == 1 and tried.shares is not None]
     best = next((tried for tried in first if tried.effect == selection.model.effects[0]), None)
-    if best is None:
-        return ()
-    return tuple(
-        tried.effect for tried in first if tried is not best and tried.shares is not None
-        and best.standing - tried.standing < thresholds.STRONG and tried.shares[0] >= thresholds.FIRST_SHARE
-    )  # fmt: skip
+    return () if best is None else explained.near(best, first)
 
 
 def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) -> tuple[Ambiguity, ...]:
