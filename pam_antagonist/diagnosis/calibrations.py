@@ -10,6 +10,7 @@ from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import explained, far_calibrations, thresholds
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, evidence
+from pam_antagonist.diagnosis.common_values import of_calibration
 from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment
@@ -180,7 +181,7 @@ def taken(
     """
     dotted = calibration.path(name)
     shown = [fitted for fitted in best.fits if dotted in fitted.point.effects]
-    value = _mean([_value(fitted, dotted) for fitted in shown])[0]
+    value = of_calibration([_value(fitted, dotted) for fitted in shown])[0]
 
     def given(experiment: Experiment, fitted: Fitted) -> Fitted:
         if dotted in fitted.point.effects:
@@ -294,7 +295,9 @@ def common(model: Model) -> dict[str, float]:
     Args:
         model: the recordings' models.
     """
-    return {calibration.path(name): _mean(list(_seen(model, name).values()))[0] for name in calibrations_of(model)}
+    return {
+        calibration.path(name): of_calibration(list(_seen(model, name).values()))[0] for name in calibrations_of(model)
+    }
 
 
 def found(
@@ -323,14 +326,14 @@ def found(
         gain = next(item.delta_bic or 0.0 for item in weighed if item.effect == name and item.taken)
         # A stamp is off by a part of a sample, whatever a fit says.
         stamped = {r: experiments[r].trial.dt * _STAMP_STD if name.startswith("delay_") else 0.0 for r in seen}
-        value, std = _mean([(own, float(np.hypot(error, stamped[r]))) for r, (own, error) in seen.items()])
+        value, std = of_calibration([(own, float(np.hypot(error, stamped[r]))) for r, (own, error) in seen.items()])
         # A calibration may turn out to be a part of an effect that begins late and was found afterwards.
         if abs(value) < thresholds.CERTAIN_CALIBRATION * std:
             continue
         errors = {r: float(np.hypot(_value(well(number, r), calibration.path(name))[1], stamped[r])) for r in seen}
         by_recording = {experiments[r].trial.name: (own, errors[r]) for r, (own, _) in seen.items()}
         # The rig's uncertainty is common to all recordings: their mean is not better than the best of them.
-        std = max(_mean(list(by_recording.values()))[1], min(errors.values()))
+        std = max(of_calibration(list(by_recording.values()))[1], min(errors.values()))
         # The same test with the whole standard deviation: it may be a part of an effect whose law differs on this rig.
         if abs(value) < thresholds.CERTAIN_CALIBRATION * std:
             continue
@@ -349,12 +352,3 @@ def _seen(model: Model, name: str) -> dict[int, tuple[float, float]]:
 def _value(fitted: Fitted, dotted: str) -> tuple[float, float]:
     k = next(k for k, one in enumerate(fitted.free) if one.path == dotted)
     return fitted.point.effects[dotted], float(np.sqrt(fitted.effect_covariance[k, k])) * fitted.free[k].item.scale
-
-
-def _mean(seen: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean and its standard deviation, enlarged where the values scatter by more than their own."""
-    values, stds = np.array(seen).T
-    weights = 1.0 / np.maximum(stds, 1e-12) ** 2
-    mean, std = float(weights @ values / weights.sum()), float(weights.sum() ** -0.5)
-    chi = float(np.sqrt(weights @ (values - mean) ** 2 / max(len(values) - 1, 1)))
-    return mean, std * max(chi, 1.0)

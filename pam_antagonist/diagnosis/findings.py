@@ -11,6 +11,7 @@ from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.candidates import Model, price
+from pam_antagonist.diagnosis.common_values import contradict, of_size
 from pam_antagonist.diagnosis.explained import evidence_of, further_share, remaining_residuals
 from pam_antagonist.diagnosis.result import FoundEffect, Size, SizeProfile
 from pam_antagonist.diagnosis.selection import refitted_without
@@ -191,7 +192,7 @@ def found_effects(
             parameters: dict[str, Size] = {}
             for free, seen in numbers.items():
                 if seen:
-                    mean, std = _mean(seen)
+                    mean, std = of_size([(s.value, s.std) for s in seen])
                     parameters |= dict.fromkeys(
                         (path.split(".")[2] for path in free.paths), Size(mean, std, free.item.unit)
                     )
@@ -222,7 +223,8 @@ def _differences(
     """Sizes in which the recordings contradict each other."""
     out = []
     for free, seen in numbers.items():
-        if free.item.is_size and seen and not _agree(seen):
+        sizes = [(s.value, s.std) for s in seen]
+        if free.item.is_size and sizes and contradict(sizes, of_size(sizes)[0]):
             each = ", ".join(f"{names[s.recording]}: {s.value:.3g}" for s in seen)
             out.append(f"the recordings differ in {effect}'s {free.item.name} ({each})")
     return out
@@ -259,22 +261,6 @@ def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> lis
                 continue
         seen.append(Sized(r, value, std))
     return seen
-
-
-def _mean(seen: Sequence[Sized]) -> tuple[float, float]:
-    """Weighted mean, and its standard deviation with the spread between recordings."""
-    values = np.array([s.value for s in seen])
-    floor = 0.02 * float(np.max(np.abs(values)))
-    weights = 1.0 / (np.array([s.std for s in seen]) ** 2 + floor**2)
-    std = float(np.sqrt(1.0 / weights.sum())) if len(seen) > 1 else seen[0].std
-    return float(weights @ values / weights.sum()), max(std, float(np.ptp(values)) / 2.0)
-
-
-def _agree(seen: Sequence[Sized]) -> bool:
-    """Whether a size may be the same in all recordings."""
-    spread = float(np.ptp([s.value for s in seen]))
-    near = spread <= thresholds.SIZES_DIFFER * abs(_mean(seen)[0])
-    return near or spread <= thresholds.SIZES_DIFFER_STD * float(np.hypot.reduce([s.std for s in seen]))
 
 
 def profile_sizes(

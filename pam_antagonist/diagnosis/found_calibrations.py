@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.common_values import contradict
 from pam_antagonist.recording.corrections import Corrections
 
 
@@ -43,10 +43,7 @@ def differences(found: Sequence[FoundCalibration]) -> list[str]:
     """
     out = []
     for item in found:
-        values, stds = np.array(list(item.by_recording.values())).T
-        if np.ptp(values) > thresholds.SIZES_DIFFER_STD * np.hypot.reduce(stds) and np.ptp(values) > (
-            thresholds.SIZES_DIFFER * abs(item.value)
-        ):
+        if contradict(list(item.by_recording.values()), item.value):
             each = "; ".join(
                 f"{name}: {in_words(replace(item, value=value, std=std))}"
                 for name, (value, std) in item.by_recording.items()
