@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,31 +115,32 @@ def diagnose(
     progress("from how many episodes a model for later ones is fitted")
     forecasts = tuple(forecast(joint, held.pool, model, window) for window in WINDOWS)
     window = WINDOWS[int(np.argmin(forecasts))]
-    rows, squares = [_configured(joint, unseen, held)], {}
+    judged = {}
     for name, start in models.items():
         progress(f"errors: {name}")
-        row, squares[name], whole, fitted = _row(joint, unseen, held, name, start, window)
-        rows.append(row)
+        judged[name] = _judged(joint, unseen, held, name, start, window)
+    extended = judged["extended"]
     others = []
     for (name, instead_of), start in replaced.items():
         progress(f"errors: {name} in the place of {instead_of}")
         title = f"extended, {name} in the place of {instead_of}"
-        others.append((name, instead_of, _row(joint, unseen, held, title, start, window)[0]))
+        others.append((name, instead_of, _judged(joint, unseen, held, title, start, window).row))
     progress("errors: numbers along straight lines")
-    lines = StraightLines(joint, held, whole)
+    lines = StraightLines(joint, held, extended.whole)
     drifting = Row(
         "extended, numbers along straight lines", rmse(*lines.later(unseen)), None,
         rmse(*lines.between(joint, held.interleaved)),
     )  # fmt: skip
-    recent = joint.take(thinned(last(held.pool, window), _USED))
+    values = joint.take(thinned(last(held.pool, window), _USED)).intervals(extended.recent)
     progress("drift")
-    drift = course(joint, held, whole)
+    drift = course(joint, held, extended.whole)
     compared = None
     if coulomb is not None:
-        compared = ratio(squares["extended"], squares["with Coulomb friction alone"])
+        compared = ratio(extended.squares, judged["with Coulomb friction alone"].squares)
+    rows = (_configured(joint, unseen, held), *(one.row for one in judged.values()))
     return EpisodeDiagnosis(
-        tuple(item.name for item in tried if item.taken), tried, tuple(rows), fitted, recent.intervals(fitted),
-        window, forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), drifting, tuple(others),
+        tuple(item.name for item in tried if item.taken), tried, rows, extended.recent, values, window,
+        forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), drifting, tuple(others),
         compared, searched.left, searched.longest_step,
     )  # fmt: skip
 
@@ -152,20 +154,32 @@ def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Ro
     )  # fmt: skip
 
 
-def _row(
-    joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, start: EpisodeModel, window: float
-) -> tuple[Row, Floats, EpisodeModel, EpisodeModel]:
-    """Errors of a model, its squared errors on interleaved episodes, and two fits of it.
+class _Judged(NamedTuple):
+    """A model that was fitted anew, and its errors.
 
-    The first fit takes all episodes that may be fitted. The second one, for later episodes, takes the last of them.
+    Attributes:
+        row: its errors.
+        squares: its squared errors on interleaved episodes.
+        whole: fitted to all episodes that may be fitted.
+        recent: fitted to the last of them, for later episodes.
     """
+
+    row: Row
+    squares: Floats
+    whole: EpisodeModel
+    recent: EpisodeModel
+
+
+def _judged(
+    joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, start: EpisodeModel, window: float
+) -> _Judged:
     pool = joint.take(thinned(held.pool, _USED))
-    everything = pool.fit(start)
-    later = rmse(*unseen.squares(unseen.residual(everything)))
-    recent, fitted = later, everything
+    whole = pool.fit(start)
+    later = rmse(*unseen.squares(unseen.residual(whole)))
+    forecast_error, recent = later, whole
     if window < 1.0:
-        fitted = joint.take(thinned(last(held.pool, window), _USED)).fit(everything)
-        recent = rmse(*unseen.squares(unseen.residual(fitted)))
+        recent = joint.take(thinned(last(held.pool, window), _USED)).fit(whole)
+        forecast_error = rmse(*unseen.squares(unseen.residual(recent)))
     between = joint.take(held.interleaved)
-    squares = between.squares(between.residual(everything))
-    return Row(name, later, recent, rmse(*squares)), squares.sums, everything, fitted
+    squares = between.squares(between.residual(whole))
+    return _Judged(Row(name, later, forecast_error, rmse(*squares)), squares.sums, whole, recent)
