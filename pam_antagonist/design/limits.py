@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,18 +117,16 @@ class Limits:
 def uncertain_directions(rig: Rig) -> tuple[Direction, ...]:
     """What the rig file leaves uncertain, as independent changes of one standard deviation each.
 
-    These are the directions and uncertainties that the estimator considers. Where the rig file has no directions, the
-    other parameters that a fit would free add their priors. Of a force map with a declared uncertainty only that
-    counts: its coefficients nearly cancel in the force, so their priors would say nothing about it.
+    These are the directions and uncertainties that the estimator considers, and the priors of the other parameters
+    that a fit would free. Of a force map with a declared uncertainty only that counts: its coefficients nearly cancel
+    in the force, so their priors would say nothing about it.
 
     Args:
         rig: the rig file.
     """
     found = [Direction(name, changes) for name, changes in rig.directions.items()]
     found += [Direction(name, {name: std}) for name, std in rig.uncertainty.items()]
-    if rig.directions:
-        return tuple(found)
-    declared: Mapping[str, float] = rig.uncertainty
+    declared = {name for direction in found for name in direction.changes}
     maps = {name.rsplit(".", 1)[0] for name in declared if ".force." in name}
     for item in free_parameters(rig):
         if item.name not in declared and item.name.rsplit(".", 1)[0] not in maps:

@@ -87,6 +87,15 @@ def test_a_rig_file_that_leaves_all_open_is_refused_with_what_to_do(rig: Rig) ->
         designed(unknown, Limits.of(rig, angle=math.radians(5.0)), 6.0)
 
 
+def test_what_the_directions_of_a_rig_file_do_not_name_is_as_uncertain_as_before(rig: Rig) -> None:
+    """A direction of one valve says nothing about force maps: their priors still count."""
+    open_maps = rig.replaced(uncertainty={})
+    one = open_maps.replaced(directions={"valve": {"valve_1.inflow_area": 1e-10}})
+    for unknown in (open_maps, one):
+        with pytest.raises(BadInput, match="expected wider limits, or a rig file that is known better"):
+            designed(unknown, Limits.of(rig), 6.0)
+
+
 def test_what_is_measured_beyond_a_limit_is_said(rig: Rig) -> None:
     limits = Limits.of(rig, pressure=(200e3, 600e3), angle=math.radians(10.0))
     assert limits.broken(np.array([599e3, 102e3]), math.radians(-9.9)) == ""
