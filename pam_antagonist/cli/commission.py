@@ -355,11 +355,7 @@ class Commission:
             "/**/controller": {"ros__parameters": given},
         }
         (self._out / "parameters.yaml").write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
-        said = "; ".join(
-            f"{mode}: {one.bandwidth:.2g} Hz, gain margin {one.gain_margin:.2g}, "
-            f"phase margin {math.degrees(one.phase_margin):.0f} deg"
-            for mode, one in gains.items()
-        )
+        said = "; ".join(f"{mode}: {one.in_words()}" for mode, one in gains.items())
         return {"said": said, "gains": {mode: asdict(one) for mode, one in gains.items()}}
 
     def report(self) -> None:

@@ -9,6 +9,7 @@ disturbance such as friction.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,16 +48,25 @@ class LoopGains:
     Attributes:
         proportional: [V/rad] or [V/(N m)].
         integral: [V/(rad s)] or [V/(N m s)].
-        bandwidth: frequency at which the loop's gain is 1 the last time [Hz].
+        bandwidth: frequency at which the loop's gain is 1 the last time [Hz]; None if it never reaches 1.
         gain_margin: factor by which the gain may grow; infinite where no phase reaches −180 degrees.
-        phase_margin: at the bandwidth [rad].
+        phase_margin: at the bandwidth [rad]; None likewise.
     """
 
     proportional: float
     integral: float
-    bandwidth: float
+    bandwidth: float | None
     gain_margin: float
-    phase_margin: float
+    phase_margin: float | None
+
+    def in_words(self) -> str:
+        """Bandwidth and margins."""
+        if self.bandwidth is None or self.phase_margin is None:
+            return "the loop's gain never reaches 1, so the joint will hardly follow"
+        return (
+            f"{self.bandwidth:.2g} Hz, gain margin {self.gain_margin:.2g}, "
+            f"phase margin {math.degrees(self.phase_margin):.0f} deg"
+        )
 
 
 def loop_gains(rig: Rig, mode: str) -> LoopGains:
@@ -78,9 +88,12 @@ def loop_gains(rig: Rig, mode: str) -> LoopGains:
     loop = gain * plant * (1.0 + corner / (1j * omega))
     size, phase = np.abs(loop), np.unwrap(np.angle(loop))
     above = np.flatnonzero(size >= 1.0)
-    last = int(above[-1]) if len(above) else 0
-    turned = np.flatnonzero((phase <= -np.pi) & (np.arange(len(omega)) >= last))
-    margin = 1.0 / float(np.max(size[turned])) if len(turned) else np.inf
+    last = int(above[-1]) if len(above) else None
+    turned = (phase <= -np.pi) & (np.arange(len(omega)) >= (last or 0))
+    largest = float(np.max(size[turned], initial=0.0))
+    margin = 1.0 / largest if largest > 0.0 else math.inf
+    if last is None:
+        return LoopGains(gain, gain * corner, None, margin, None)
     return LoopGains(gain, gain * corner, float(omega[last] / (2.0 * np.pi)), margin, float(np.pi + phase[last]))
 
 

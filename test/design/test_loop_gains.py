@@ -17,8 +17,17 @@ RIG = load_rig("shin2022")
 @pytest.mark.parametrize("mode", ["angle", "torque"])
 def test_margins_and_bandwidth_are_within_bounds(mode: str) -> None:
     found = loop_gains(RIG, mode)
-    assert found.gain_margin >= 2.5 and found.phase_margin >= math.radians(35.0)
-    assert 0.1 < found.bandwidth <= 2.0
+    assert found.gain_margin >= 2.5 and found.phase_margin is not None and found.bandwidth is not None
+    assert found.phase_margin >= math.radians(35.0) and 0.1 < found.bandwidth <= 2.0
+    assert f"phase margin {math.degrees(found.phase_margin):.0f} deg" in found.in_words()
+
+
+def test_a_loop_whose_gain_never_reaches_1_has_no_bandwidth() -> None:
+    """A joint with hardly any lever: the largest gain that is tried leaves the torque as it is."""
+    weak = RIG.replaced(geometry=RIG.geometry.replaced(radius=1e-9 * RIG.geometry.radius))
+    found = loop_gains(weak, "torque")
+    assert (found.bandwidth, found.phase_margin) == (None, None)
+    assert "never reaches 1" in found.in_words()
 
 
 def test_a_joint_with_more_gain_of_its_own_gets_less() -> None:
