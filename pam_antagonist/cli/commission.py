@@ -33,11 +33,12 @@ from pam_antagonist.cli.driving import (
 from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Plan, designed
-from pam_antagonist.design.apart import told_apart
+from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
 from pam_antagonist.design.first_fill import dead_sensors, faults, first_fill, turns_visibly
 from pam_antagonist.design.loop_gains import loop_gains
 from pam_antagonist.design.optimal import steady_voltage
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.nodes.processes import ProcessFailed
 from pam_antagonist.optional import needs_ros
@@ -54,7 +55,8 @@ Take a joint from its rig file to control, with a person at the rig:
   locked      the same with the joint locked at 0 degrees; asks for the lock
   identify    parameters, noise and tuning from both recordings
   close_loop  what the model lacks, traced to an effect
-  apart       where two effects explain it alike: the experiment that decides, and close_loop again
+  apart       where two effects explain it alike: the experiment that decides, and close_loop again; nothing is driven
+              where no motion would decide
   gains       a PI controller for the rig that was found, with bandwidth and margins
 
 Each step that is done stays done: type the same command again to go on after a fault, an interruption or a break. A
@@ -312,16 +314,27 @@ class Commission:
         if not (before["effects"] and before["rivals"]):
             return {"said": "nothing is undecided"}
         rig = load_rig(str(self._out / "found" / "rig_extended.yaml"))
+        given = rig, before["effects"][0], before["rivals"]
+        channels, seed = self._measured(), self._arguments.seed
         self._at("apart", "designing the experiment")
         with counted(60.0, "design") as advance:
-            verdict = told_apart(
-                rig, before["effects"][0], before["rivals"], self._limits, seed=self._arguments.seed, progress=advance
-            )
+            verdict = told_apart(*given, self._limits, seed=seed, channels=channels, progress=advance)
+        if verdict.chance < LIKELY:
+            self._at("apart", "looking for what would decide")
+            said = f"{given[1]} or {' or '.join(given[2])}: would be decided with a chance of {verdict.chance:.0%}. "
+            said += no_motion_decides(instead_of(*given, verdict, channels))
+            return {"said": f"{said}. The joint was not driven", "chance": verdict.chance}
         print(f"it decides with a chance of {verdict.chance:.0%}, in {verdict.plan.duration:.0f} s", flush=True)
         self._ask("apart", "Joint free:")
         recorded = self._recorded("apart", verdict.plan)
         self._record.steps["apart"] = {"done": False, "said": "", **recorded}
         return {**self._diagnosed("found_again"), **recorded, "chance": verdict.chance}
+
+    def _measured(self) -> list[int]:
+        """What is measured while the joint is free, as indices of ``CHANNELS``."""
+        recording = read_bag(self._out / self._record.steps["free"]["bag"], judge=False)
+        missing = [k for k, values in ((ANGLE, recording.angle), (TORQUE, recording.torque)) if values is None]
+        return [k for k in range(len(CHANNELS)) if k not in missing]
 
     def found(self) -> Rig:
         """The rig that the steps found: with its effects, or identified where there are none.

@@ -15,7 +15,7 @@ from pam_antagonist.cli.driving import Owner, add_limits, add_source, drive, lim
 from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import SHORTEST, Limits, Plan, designed
-from pam_antagonist.design.apart import LIKELY, instead_of, told_apart
+from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import CHANNELS
 from pam_antagonist.model.effects import CATALOGUE
@@ -124,9 +124,7 @@ def _between(
     text = f"{effect} or {' or '.join(rivals)}: decided with a chance of {verdict.chance:.0%} ({each}), "
     text += f"in {verdict.plan.duration:.0f} s with the joint {arguments.joint}"
     if verdict.chance < LIKELY:
-        others = instead_of(extended, effect, rivals, verdict, channels)
-        text += ". No motion within the limits tells them apart"
-        text += f"; what would: {'; '.join(others)}" if others else ", nor does a further sensor or a lock"
+        text += f". {no_motion_decides(instead_of(extended, effect, rivals, verdict, channels))}"
     return verdict.plan, text
 
 

@@ -76,13 +76,11 @@ class Verdict:
         plan: the experiment.
         chance: of a decision, the least over all rivals.
         by_rival: chance of a decision against each rival.
-        instead: sensors or conditions that would distinguish the effects where this experiment does not, in words.
     """
 
     plan: Plan
     chance: float
     by_rival: dict[str, float]
-    instead: tuple[str, ...] = ()
 
 
 def chance(distance: float) -> float:
@@ -393,3 +391,13 @@ def instead_of(
         if further.chance >= LIKELY:
             out.append(f"the joint {other} ({further.chance:.0%})")
     return tuple(out)
+
+
+def no_motion_decides(instead: Sequence[str]) -> str:
+    """That no experiment within the limits decides, and what would.
+
+    Args:
+        instead: of :func:`instead_of`.
+    """
+    text = "No motion within the limits tells them apart"
+    return text + (f"; what would: {'; '.join(instead)}" if instead else ", nor does a further sensor or a lock")

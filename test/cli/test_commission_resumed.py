@@ -121,6 +121,36 @@ def test_recordings_that_no_model_fits_are_left_to_close_loop(
     assert ("no model fits the joint" in said.err) == bool(status)
 
 
+@pytest.mark.parametrize(
+    ("instead", "words"),
+    [
+        (("a third pressure sensor at muscle 1 (97%)",), "what would: a third pressure sensor at muscle 1 (97%)"),
+        ((), "nor does a further sensor or a lock"),
+    ],
+)
+def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named(
+    instead: tuple[str, ...], words: str, stopped: Stopped, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    asked: list[Any] = []
+
+    def told_apart(*given: Any, channels: Any, **more: Any) -> Verdict:
+        asked.append(channels)
+        return Verdict(short(), 0.12, {"valve_offset": 0.12})
+
+    stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "identified", "found"), 1))
+    monkeypatch.setattr(commission, "told_apart", told_apart)
+    monkeypatch.setattr(commission, "instead_of", lambda *given: instead)
+    out = tmp_path / "new"
+    commands = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"]
+    assert commission.main(commands) == 0
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("apart: ")]
+    assert "leak or valve_offset: would be decided with a chance of 12%. No motion within the limits" in said
+    assert words in said and said.endswith("The joint was not driven")
+    assert asked == [[0, 1, 2, 3]] and not (out / "apart_1").exists()
+    assert "leak" in load_rig(str(out / "rig.yaml")).effects
+
+
 def test_a_sensor_that_always_shows_the_same_is_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
