@@ -73,6 +73,13 @@ _FREE_S, _LOCKED_S = 30.0, 26.0
 """[s] Shortest experiments: close_loop wants 20 s and more in which the valves move."""
 STEPS = ("wiring", "free", "locked", "identify", "close_loop", "apart", "gains")
 _LATEST_NS = 500_000_000
+_BEYOND = """\
+The joint goes farther than its model says. What helps:
+  - a larger uncertainty in the rig file, so that the experiment keeps more distance from the limits
+  - a wider limit, if the rig allows it (--max-angle, --max-pressure)
+  - for the angle: pressures nearer to each other (--min-pressure, --max-pressure)
+A tighter limit ends the experiment as well."""
+"""What a design keeps away from a limit grows and shrinks with the limit."""
 Floats = NDArray[np.float64]
 
 
@@ -223,7 +230,7 @@ class Commission:
         """
         driven = self._drive(name, plan)
         if driven.ended:
-            raise StepFailed(f"{name}: it ended {driven.ended}; give tighter limits (--max-angle, --max-pressure)")
+            raise StepFailed(f"{name}: it ended {driven.ended}. {_BEYOND}")
         return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": plan.duration}
 
     def _wiring(self) -> dict[str, Any]:

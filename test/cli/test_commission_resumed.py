@@ -151,6 +151,25 @@ def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named
     assert "leak" in load_rig(str(out / "rig.yaml")).effects
 
 
+def test_a_joint_that_goes_farther_than_its_model_gets_advice_that_helps(
+    stopped: Stopped, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A smaller --max-angle does not help: it is the limit at which the experiment ends."""
+
+    def narrow(*given: Any, **more: Any) -> Plan:
+        plan = short()
+        return replace(plan, limits=replace(plan.limits, angle=1e-7))
+
+    stopped.calls.update(dict.fromkeys(("wiring", "free"), 1))
+    monkeypatch.setattr(commission, "designed", narrow)
+    words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
+    assert commission.main(words) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "free: it ended after" in said and "beyond the limit of 0.0 deg" in said
+    assert "a larger uncertainty in the rig file" in said and "a wider limit, if the rig allows it" in said
+    assert "pressures nearer to each other (--min-pressure, --max-pressure)" in said and "tighter limits" not in said
+
+
 def test_a_sensor_that_always_shows_the_same_is_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
