@@ -15,7 +15,11 @@ from . import metadata
 SEALED = "pam_antagonist.sealed"
 """Name of the note that lists the muscles whose chambers are sealed: "1", "2" or "1 2"."""
 REGULATOR = "pam_antagonist.regulator"
-"""Name of the note for a joint with pressure regulators whose commands in the bag are placeholders."""
+"""Name of the note that says of a bag that its valve voltages are placeholders: pressure regulators drove the joint.
+
+Like the note of the source, it is for people and for programs of other packages who open the bag: nothing else in it
+distinguishes these voltages from those of closed valves. No command of this package reads it, since the rig file says
+what drives the joint."""
 
 
 def write_notes(path: Path, notes: Mapping[str, str]) -> None:
