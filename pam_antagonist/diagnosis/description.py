@@ -165,12 +165,12 @@ def _as_judged(prepared: Prepared, judged: Sequence[Judged]) -> Prepared:
     return replace(prepared, groups=tuple(groups))
 
 
-def _overall(judged: Sequence[Judged]) -> tuple[Verdict, float]:
-    """The verdict on all groups together, and the least share that effects remove in any of them."""
+def _overall(judged: Sequence[Judged]) -> tuple[Verdict, float | None]:
+    """The verdict on all groups together, and the least share that effects remove in any of them, if it is known."""
     verdicts = {j.verdict for j in judged}
     verdict: Verdict = "effect" if "effect" in verdicts else "unexplained" if "unexplained" in verdicts else "none"
     shares = [j.share for j in judged if j.effects] or [j.share for j in judged]
-    return verdict, min(shares)
+    return verdict, min((share for share in shares if share is not None), default=None)
 
 
 def _effects(prepared: Prepared, judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[FoundEffect, ...]:
@@ -306,7 +306,7 @@ def sentence(
     calibrated: Sequence[str],
     firmness: str,
     ambiguous: Sequence[str],
-    share: float,
+    share: float | None,
     errors: ModelErrors,
     ranking: Sequence[TriedCandidate],
     reference: Mapping[str, float] | None,
@@ -321,7 +321,7 @@ def sentence(
         calibrated: calibrations that the recordings need, each in words.
         firmness: what the splits say of them.
         ambiguous: names of the effects that would do as well.
-        share: of the held-out excess that the effects remove.
+        share: of the held-out excess that the effects remove; None if it is not known.
         errors: of the three models.
         ranking: all candidates.
         reference: errors of maps without physics.
@@ -342,7 +342,7 @@ def sentence(
     if verdict == "effect":
         what = " ".join(f"{words[0].upper()}{words[1:]}." for words in effects)
         these = "these effects" if len(effects) > 1 else "this effect"
-        gone = f"{100 * share:.0f} % of the excess over the sensors' noise is explained"
+        gone = "" if share is None else f"{100 * share:.0f} % of the excess over the sensors' noise is explained"
         if along_motion:
             text = (
                 f"{what} The joint sticks, so the balance of its torques along the measured motion decides: with "
@@ -350,10 +350,8 @@ def sentence(
                 f"{extended} with."
             )
         else:
-            text = (
-                f"{what} With {these} the model's errors on held-out data fall from {recalibrated} to {extended}: "
-                f"{gone}."
-            )
+            text = f"{what} With {these} the model's errors on held-out data fall from {recalibrated} to {extended}"
+            text += f": {gone}." if gone else "."
         text += beside + (f" {firmness}." if firmness else "")
         if reference is not None:
             straight = reference["angle_and_pressures"]

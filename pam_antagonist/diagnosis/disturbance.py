@@ -84,8 +84,8 @@ class Disturbance:
         torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the episodes.
         active: share of the time in episodes.
         recurring: share of its square that the torque at the same angle at other times predicts.
-        shares: of the held-out and of all excess that it removes; the first is 0 where nothing is held out. The torque
-            was estimated from all data, held out or not.
+        shares: of the held-out and of all excess that it removes; the first is None where nothing of the recording is
+            held out. The torque was estimated from all data, held out or not.
         squares: share of all squares above noise that it removes.
         noise: size of a random walk with the same steps [N m/s^0.5].
     """
@@ -95,7 +95,7 @@ class Disturbance:
     torque: Floats
     active: float
     recurring: float
-    shares: tuple[float, float]
+    shares: tuple[float | None, float]
     squares: float
     noise: float
 
@@ -167,6 +167,7 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     left = disturbed.residual(beside.point, whole=True)
     after = [explained.Residuals(disturbed.held(left), disturbed.fitted_rows(left[: disturbed.fitted // trial.block]))]
     squares = [in_mean_squares(*pair, experiment.noise) for pair in zip(before[0], after[0], strict=True)]
+    held = explained.held_share([experiment], before, after) if len(before[0].held) else None
     width = trial.block_count(_SMOOTHED)
     steps = np.diff(torque[::width])
     return Disturbance(
@@ -175,7 +176,7 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
         torque=torque,
         active=float(np.mean(torque != 0.0)),
         recurring=_recurring(seen, torque != 0.0, _angle(experiment), trial.block_count(_APART)),
-        shares=(explained.held_share([experiment], before, after), explained.whole_share([experiment], before, after)),
+        shares=(held, explained.whole_share([experiment], before, after)),
         squares=explained.share_of(squares),
         noise=float(np.sqrt(np.mean(steps**2) / (width * trial.block_s))),
     )

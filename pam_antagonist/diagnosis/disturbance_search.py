@@ -34,14 +34,14 @@ class Explanation:
         model: with the effects, and with an unknown torque where the disturbance acted.
         effects: what was found, the strongest first.
         values: of the effects, for one rig.
-        share: of the held-out excess that the disturbance removes.
+        share: of the held-out excess that the disturbance removes; None if nothing is held out of its recordings.
         warnings: what the user should know.
     """
 
     model: Model
     effects: tuple[FoundEffect, ...]
     values: Mapping[str, float]
-    share: float
+    share: float | None
     warnings: tuple[str, ...]
 
 
@@ -220,7 +220,7 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Distur
         None,
         {"noise": Size(noise, std, "N m/s^0.5")},
         gained,
-        min(one.shares[0] for one in seen.values()),
+        min((one.shares[0] for one in seen.values() if one.shares[0] is not None), default=None),
         tuple(experiments[r].trial.name for r in seen),
         (NOTE,),
     )

@@ -70,9 +70,9 @@ def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Se
         stuck = _stuck(prepared, group, selection, base_warnings, settings) if verdict == "unexplained" else None
         if stuck is not None and not explained.explains_in_part(stuck.group.experiments, stuck.base, stuck.model):
             return stuck
-        share = share if verdict == "effect" else found.share
+        removed = share if verdict == "effect" else found.share
         notes = (*base_warnings, *found.warnings)
-        return Judged(group, base, selection, "effect", share, found.model, found.effects, found.values, notes)
+        return Judged(group, base, selection, "effect", removed, found.model, found.effects, found.values, notes)
     if verdict == "effect":
         judged = _by_effects(prepared, group, selection, share, base_warnings, settings)
         return judged if changing is None else onset.dated(judged, changing)

@@ -65,7 +65,8 @@ class FoundEffect:
         muscle: 1 or 2; None for both, and for an effect that belongs to neither.
         parameters: by name.
         delta_bic: evidence for it: what the model loses without it, the price of its parameters paid.
-        holdout_gain: share of the held-out excess over noise (:mod:`explained`) that goes with it.
+        holdout_gain: share of the held-out excess over noise (:mod:`explained`) that goes with it; None for a
+            disturbance torque in recordings of which nothing is held out.
         recordings: names of the recordings that show it.
         notes: what a user should know about it.
         onset_s: since when it acts [s]; None: throughout.
@@ -79,7 +80,7 @@ class FoundEffect:
     muscle: int | None
     parameters: Mapping[str, Size]
     delta_bic: float
-    holdout_gain: float
+    holdout_gain: float | None
     recordings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     onset_s: float | None = None
@@ -131,12 +132,13 @@ class PartVerdict:
     Attributes:
         name: ``joint``, or ``pressures`` and ``torque`` of a joint that is driven by its angle.
         verdict: of this part alone.
-        share: of its held-out excess over noise that its effects remove.
+        share: of its held-out excess over noise that its effects remove; None if that is a disturbance torque in
+            recordings of which nothing is held out.
     """
 
     name: str
     verdict: Verdict
-    share: float
+    share: float | None
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``."""
@@ -152,7 +154,7 @@ class Judged:
         base: the model without effects.
         selection: what was tried.
         verdict: on this group alone.
-        share: of its held-out excess that the chosen model removes.
+        share: of its held-out excess that the chosen model removes; None likewise.
         model: the final one; the model without effects where none was found.
         effects: that were found, with the experiments' names as recordings.
         values: of their parameters for one rig, by dotted path.
@@ -165,7 +167,7 @@ class Judged:
     base: Model
     selection: Selection
     verdict: Verdict
-    share: float
+    share: float | None
     model: Model
     effects: tuple[FoundEffect, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
@@ -277,7 +279,8 @@ class Diagnosis:
         experiment: what would distinguish them, by effect.
         ambiguities: comparisons of found effects with others on equal terms.
         ranking: all candidates of all rounds, with their models.
-        share: share of the held-out excess over noise (:mod:`explained`) that the extended model removes.
+        share: share of the held-out excess over noise (:mod:`explained`) that the extended model removes; None if that
+            is a disturbance torque in recordings of which nothing is held out.
         parts: the verdict on each part of the joint that was judged by itself.
         errors: of the three models, on each recording with its own values.
         errors_of_one_rig: of ``rig_extended`` on all of several recordings; None where nothing was found in several.
@@ -306,7 +309,7 @@ class Diagnosis:
     experiment: Mapping[str, str]
     ambiguities: tuple[Ambiguity, ...]
     ranking: tuple[TriedCandidate, ...]
-    share: float
+    share: float | None
     parts: tuple[PartVerdict, ...]
     errors: ModelErrors
     errors_of_one_rig: Errors | None

@@ -123,7 +123,8 @@ class CloseLoopReport:
         ambiguous_with: effects and calibrations that the recordings cannot distinguish from the detected ones.
         experiments: effect or calibration -> experiment that would distinguish it.
         ambiguities: effects that were compared with a detected one under equal conditions.
-        share_explained: share of the held-out excess over noise that the effects explain.
+        share_explained: share of the held-out excess over noise that the effects explain; None if that is a disturbance
+            torque in recordings of which nothing is held out.
         parts: verdict on each part of the joint with a test of its own.
         reference: errors of straight-line maps without physics [N m]; None where there is none.
         base_friction_removed: whether the rig file's friction was removed before the tests.
@@ -151,7 +152,7 @@ class CloseLoopReport:
     ambiguous_with: tuple[str, ...]
     experiments: Mapping[str, str]
     ambiguities: tuple[Ambiguity, ...]
-    share_explained: float
+    share_explained: float | None
     parts: tuple[PartVerdict, ...]
     reference: Mapping[str, float] | None
     base_friction_removed: bool

@@ -235,7 +235,8 @@ def _tiles(report: CloseLoopReport) -> tuple[Tile, ...]:
     out, errors = [], report.errors
     if report.effects:
         evidence = {effect.name: effect.delta_bic for effect in report.effects}
-        out.append(Tile("Explained", percent(report.share_explained), "of the excess over noise on held-out data"))
+        if report.share_explained is not None:
+            out.append(Tile("Explained", percent(report.share_explained), "of the excess over noise on held-out data"))
         values = " and ".join(f"{value:.0f}" for value in evidence.values())
         out.append(Tile(f"Evidence for {', '.join(evidence)}".replace("_", " "), values, "ΔBIC; above 6 is strong"))
     if report.splits is not None:

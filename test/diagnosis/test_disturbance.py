@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import disturbance
+from pam_antagonist.diagnosis import disturbance, disturbance_search
+from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import BLOCK_S
+from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.validation.battery.forms import SINGLE
 
 SEED = 13
@@ -49,6 +51,16 @@ def test_pushes_are_found_when_they_were(pushed, rig) -> None:
     assert error < 0.4 * np.sqrt(np.mean(true**2))
     quiet = true == 0.0
     assert np.mean(pushed.torque[quiet] != 0.0) < 0.1
+
+
+def test_where_nothing_is_held_out_no_share_of_it_is_claimed(free) -> None:
+    """The recordings that judge the model are others: they have pushes of their own, or none."""
+    experiment, fitted = free("external_torque", "smooth pushes", SIZE)
+    whole = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)))
+    fitted = refit(whole, fitted.point, rounds=2, renewals=1)
+    found = disturbance_search.beside([whole], Model((), (fitted,)), 1)
+    assert found is not None and found.share is None
+    assert [effect.holdout_gain for effect in found.effects if effect.name == DISTURBANCE] == [None]
 
 
 def test_a_law_that_always_holds_is_no_push(free) -> None:
