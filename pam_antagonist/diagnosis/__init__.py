@@ -15,8 +15,8 @@
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
    :mod:`found_calibrations` the corrections that a user enters.
 
-All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data that are passed on. :mod:`checkpoint`
-keeps finished candidates on disk.
+All of them use :mod:`thresholds`. :mod:`common_values` has the mean of a number over several recordings. :mod:`result`
+and :mod:`errors` hold the data that are passed on. :mod:`checkpoint` keeps finished candidates on disk.
 
 A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
 :mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` and :mod:`episode_lines` for
