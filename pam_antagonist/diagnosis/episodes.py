@@ -2,8 +2,8 @@
 
 Episodes are held out whole, in two ways: the last part of the recording (*later*), and every fifth episode of what
 comes before (*interleaved*). No fit and no choice sees either. Of the rest one half is fitted, the other half decides
-which effect is taken. An episode is one value, and neighbouring episodes may have similar errors. So all intervals come
-from a bootstrap of blocks of episodes.
+which effect is taken; of few episodes each quarter is judged by fits to the rest. An episode is one value, and
+neighbouring episodes may have similar errors. So all intervals come from a bootstrap of blocks of episodes.
 """
 
 from __future__ import annotations
