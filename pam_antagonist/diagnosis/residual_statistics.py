@@ -18,7 +18,7 @@ at the measured state.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -300,7 +300,7 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
         known.append(3)
     span, near = trial.block_count(_SPAN), trial.block_count(_NEAR)
     begin = np.arange(near, len(shown) - span - 1, span)
-    start = np.array([_measured_state(states, shown, block, trial, moves, p_at[block]) for block in range(len(shown))])
+    start = _measured_states(states, shown, trial, moves, p_at)
     factors = np.array([[_flow_of_rate(i, start[b], p_at[b]) for i in (0, 1)] for b in begin])
     seconds, size = span * trial.block_s, trial.block
 
@@ -350,19 +350,21 @@ def _vectors(experiment: Experiment, point: Point) -> list[Floats]:
     return [vectors[k] for k in phase]
 
 
-def _measured_state(states: Floats, shown: Floats, block: int, trial: Trial, moves: bool, p: Floats) -> Floats:
-    """The simulation's state in the middle of a block, with what was measured in place of what was simulated.
+def _measured_states(states: Floats, shown: Floats, trial: Trial, moves: bool, p_at: Sequence[Floats]) -> Floats:
+    """The simulation's states in the middle of each block (B, n), with the measurements in their places.
 
     The angle stays the simulation's where the joint does not move.
     """
+    block = np.arange(len(shown))
     x = states[block * trial.block + trial.block // 2].copy()
     if moves:
         near = trial.block_count(_NEAR)
-        low, high = max(block - near, 0), min(block + near, len(shown) - 1)
-        x[0] = shown[block, ANGLE]
-        x[1] = (shown[high, ANGLE] - shown[low, ANGLE]) / ((high - low) * trial.block_s)
+        low, high = np.maximum(block - near, 0), np.minimum(block + near, len(shown) - 1)
+        x[:, 0] = shown[:, ANGLE]
+        x[:, 1] = (shown[high, ANGLE] - shown[low, ANGLE]) / ((high - low) * trial.block_s)
     for i in (0, 1):
-        x[2 + i] = sensor.pressure_behind(i, shown[block, PRESSURE_1 + i], p)
+        readings = shown[:, PRESSURE_1 + i]
+        x[:, 2 + i] = [sensor.pressure_behind(i, value, p) for value, p in zip(readings, p_at, strict=True)]
     return x
 
 

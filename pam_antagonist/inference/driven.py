@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.free_parameters import FreeDirection, start_values, values_along
+from pam_antagonist.inference.free_parameters import FreeDirection, start_values
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.rig import Rig
@@ -79,11 +79,20 @@ class Driven(ABC):
 
     def changes(self, point: Point) -> dict[str, float]:
         """Values of the base parameters that differ from the rig file's, by dotted path."""
-        return values_along(self._start_values, self.directions, point.theta)
+        start, change = self._line
+        return dict(zip(self._moved, (start + point.theta[: len(change)] @ change).tolist(), strict=True))
 
     @cached_property
-    def _start_values(self) -> dict[str, float]:
-        return start_values(self.rig, self.directions)
+    def _moved(self) -> tuple[str, ...]:
+        """Parameters that the directions move (M)."""
+        return tuple(start_values(self.rig, self.directions))
+
+    @cached_property
+    def _line(self) -> tuple[Floats, Floats]:
+        """Their values in the rig file (M,), and their change in each direction (K, M)."""
+        start = list(start_values(self.rig, self.directions).values())
+        change = [[direction.changes.get(name, 0.0) for name in self._moved] for direction in self.directions]
+        return np.array(start), np.array(change).reshape(len(self.directions), len(start))
 
     def jacobian(self, point: Point, residual: Floats) -> Floats:
         """Derivatives of the residual by the base coordinates (B, C, K + S)."""

@@ -244,6 +244,7 @@ class Equations:
         counted = np.full(len(scale.noise), scale.blocks_per_error) if length is None else length
         n, count, blocks = self.base.shape[2], self.slope.shape[1], len(self.residual)
         keep = np.array([k for k in range(count) if k - n not in held])
+        kept = np.ix_(keep, keep)
         step, squares = np.zeros(count), self.squares / blocks
         information = np.diag(np.concatenate([prior, np.zeros(count - n)]))
         for number in range(rounds):
@@ -254,11 +255,11 @@ class Equations:
             right = weights @ self.slope
             right[:n] += prior * theta
             step = np.zeros(count)
-            damped = information + damping * np.diag(np.diag(information))
-            step[keep] = -_solved(damped[np.ix_(keep, keep)], right[keep])
+            damped = information + damping * np.diag(np.diag(information)) if damping else information
+            step[keep] = -_solved(damped[kept], right[keep])
             # What the step leaves, by the same sums: no block is looked at again.
             squares = np.maximum(self.squares + (2.0 * self.slope + self.gram @ step) @ step, 0.0) / blocks
-        return Step(step[:n], step[n:], squares, information[np.ix_(keep, keep)], keep, self)
+        return Step(step[:n], step[n:], squares, information[kept], keep, self)
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats:

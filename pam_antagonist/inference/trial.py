@@ -89,12 +89,12 @@ class Trial:
         """Time of each sample (N,) [s]."""
         return np.asarray(np.arange(len(self)) * self.dt)
 
-    @property
+    @cached_property
     def block(self) -> int:
         """Samples that are averaged to one residual: as near to ``BLOCK_S`` as whole samples allow."""
         return self.samples(BLOCK_S)
 
-    @property
+    @cached_property
     def block_s(self) -> float:
         """Length of a block [s]."""
         return self.block * self.dt

@@ -38,7 +38,7 @@ _RECENT = 3
 """Simulations of a recording that are kept: where it is fitted, and in longer steps."""
 STARTS = 3
 """Start values: the angle and both pressures."""
-_LONG_STEPS = (4e-3, 2e-3)
+_LONG_STEPS = (10e-3, 4e-3, 2e-3)
 """[s] Steps in which derivatives are simulated, the longest first that goes the model's way."""
 _ASTRAY = 0.5
 """A simulation in longer steps goes the model's way if no channel is off by more than so many noises (RMS)."""
