@@ -25,10 +25,12 @@ COMMANDS: dict[str, Command] = {
     "demo": Command("pam_antagonist.cli.demo:main", "control a simulated joint live, record, replay and report it"),
     "watch": Command("pam_antagonist.cli.watch:main", "show a running joint in the browser, 30 times a second"),
     "new_rig": Command(
-        "pam_antagonist.cli.new_rig:main", "the rig file of a new joint, by ruler, scale and data sheet"
+        "pam_antagonist.cli.new_rig:main", "write the rig file of a new joint, from ruler, scale and data sheets"
     ),
-    "excite": Command("pam_antagonist.cli.excite:main", "drive a joint so that its recording tells most"),
-    "commission": Command("pam_antagonist.cli.commission:main", "from a rig file to a controlled joint, step by step"),
+    "excite": Command("pam_antagonist.cli.excite:main", "design an experiment, drive the joint with it and record it"),
+    "commission": Command(
+        "pam_antagonist.cli.commission:main", "lead from a rig file to a controlled joint, step by step"
+    ),
     "check": Command("pam_antagonist.cli.check:main", "is this a recording of this rig, in the right units?"),
     "replay": Command(
         "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"
@@ -37,65 +39,77 @@ COMMANDS: dict[str, Command] = {
         "pam_antagonist.cli.identify:main", "find a rig's parameters, noise and tuning from recordings"
     ),
     "close_loop": Command(
-        "pam_antagonist.cli.close_loop:main", "trace what the model lacks to a physical effect, error before and after"
+        "pam_antagonist.cli.close_loop:main",
+        "find the physical effect that the model lacks, with errors before and after",
     ),
     "simulate": Command("pam_antagonist.cli.simulate:main", "make a recording of a simulated joint"),
     "import_csv": Command(
-        "pam_antagonist.cli.import_csv:main", "make a recording of a CSV, MATLAB, numpy or Parquet file"
+        "pam_antagonist.cli.import_csv:main", "convert a CSV, MATLAB, numpy or Parquet file to a recording"
     ),
     "reachable": Command(
-        "pam_antagonist.cli.reachable:main", "which angles and torques a joint can have with which stiffness"
+        "pam_antagonist.cli.reachable:main",
+        "compute which angles and torques a joint can reach, and with which stiffness",
     ),
-    "static": Command("pam_antagonist.cli.static:main", "volume and force map of a muscle from tables of measurements"),
+    "static": Command(
+        "pam_antagonist.cli.static:main", "fit volume and force map of a muscle to tables of measurements"
+    ),
     "paper": Command(
-        "pam_antagonist.validation.paper.command:main", "every experiment of the paper on a simulated joint"
+        "pam_antagonist.validation.paper.command:main", "repeat every experiment of the paper on simulated joints"
     ),
     "benchmark": Command(
         "pam_antagonist.validation.benchmark.command:main", "measure the speed of estimator, pipeline and replay"
     ),
     "battery": Command(
-        "pam_antagonist.validation.battery.command:main", "how often the diagnosis is right, on simulated joints"
+        "pam_antagonist.validation.battery.command:main", "measure how often close_loop is right, on simulated joints"
     ),
     "control_laws": Command(
-        "pam_antagonist.validation.control.command:main", "how well the laws of control do, on simulated joints"
+        "pam_antagonist.validation.control.command:main", "compare the laws of control, on simulated joints"
     ),
     "external_torque": Command(
-        "pam_antagonist.validation.pushes.command:main", "how well a torque from outside is told, on simulated joints"
+        "pam_antagonist.validation.pushes.command:main",
+        "measure how well a torque from outside is estimated, on simulated joints",
     ),
     "observability": Command(
-        "pam_antagonist.validation.observability.command:main", "which sensor tells angle and torque from outside"
+        "pam_antagonist.validation.observability.command:main",
+        "compute how well each sensor determines angle and torque from outside",
     ),
     "excitation": Command(
-        "pam_antagonist.validation.excitation.command:main", "how much more a designed excitation tells than steps"
+        "pam_antagonist.validation.excitation.command:main",
+        "compare designed experiments with random steps, on simulated joints",
     ),
     "tell_apart": Command(
-        "pam_antagonist.validation.excitation.pairs:main", "whether designed experiments tell similar effects apart"
+        "pam_antagonist.validation.excitation.pairs:main",
+        "test whether designed experiments distinguish similar effects",
     ),
     "rehearse": Command(
-        "pam_antagonist.validation.excitation.rehearse:main", "whole commissionings of simulated joints with an effect"
+        "pam_antagonist.validation.excitation.rehearse:main", "run commission on simulated joints with a known effect"
     ),
     "pamy": Command(
-        "pam_antagonist.validation.pamy.command:main", "what close_loop makes of a measured arm with regulators"
+        "pam_antagonist.validation.pamy.command:main", "apply close_loop to the recording of a real arm with regulators"
     ),
     "faults": Command(
         "pam_antagonist.validation.faults.command:main",
-        "make every fault in a running pipeline, tell what the valves did",
+        "make every fault in a running pipeline and report what the valves did",
     ),
     "device_emulator": Command(
         "pam_antagonist.cli.device_emulator:main", "emulate a rig's microcontroller, with a simulated joint"
     ),
     "plant": Command("pam_antagonist.nodes.plant:main", "a simulated joint that publishes what its sensors show"),
-    "bridge": Command("pam_antagonist.nodes.bridge:main", "from a microcontroller on a serial port to topics and back"),
-    "estimator": Command("pam_antagonist.nodes.estimator:main", "the joint's angle and torque from two pressures"),
-    "controller": Command("pam_antagonist.nodes.controller:main", "angle or torque control on the estimate"),
-    "joints": Command("pam_antagonist.nodes.joints:main", "several joints, with all of these nodes, in one process"),
+    "bridge": Command("pam_antagonist.nodes.bridge:main", "connect a microcontroller on a serial port with ROS topics"),
+    "estimator": Command(
+        "pam_antagonist.nodes.estimator:main", "estimate the joint's angle and torque from two pressures"
+    ),
+    "controller": Command(
+        "pam_antagonist.nodes.controller:main", "control the joint's angle or torque by the estimate"
+    ),
+    "joints": Command("pam_antagonist.nodes.joints:main", "run the nodes of several joints in one process"),
     "record": Command("pam_antagonist.nodes.recorder:main", "write all topics into a rosbag2 (MCAP) bag"),
 }
 """Name of an executable -> description. In a ROS workspace, ``setup.py`` installs one script for each."""
 
 _PLACES = {
     "Commands": "pam_antagonist.cli.",
-    "What measures the product": "pam_antagonist.validation.",
+    "Benchmarks and validation": "pam_antagonist.validation.",
     "ROS 2 nodes": "pam_antagonist.nodes.",
 }
 """Title in the help -> package of its executables."""
@@ -116,8 +130,8 @@ def usage() -> str:
         [
             *lines,
             "",
-            "NAME --help tells the arguments of each, --version the version.",
-            "--completion SHELL prints a script that lets a shell (bash, zsh, fish, ...) complete names and options.",
+            "NAME --help explains one command. --version prints the version.",
+            "--completion SHELL prints a script with which a shell (bash, zsh, fish, ...) completes names and options.",
         ]
     )
 

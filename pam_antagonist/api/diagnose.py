@@ -77,7 +77,9 @@ class DiagnoseResult(Diagnosis):
         pairs += [("torque", a.rmse, b.rmse, " N m") for a, b in ((before.torque, now.torque),) if a and b]
         pressures = zip(before.rmse_pa, now.rmse_pa, strict=True)
         pairs += [(f"pressure {k}", a / 1e3, b / 1e3, " kPa") for k, (a, b) in enumerate(pressures, 1)]
-        return tuple(f"{name} {b:.3g}{unit} off, {a:.3g}{unit} before" for name, a, b, unit in pairs if b > _MARGIN * a)
+        return tuple(
+            f"{name} error {b:.3g}{unit}, before {a:.3g}{unit}" for name, a, b, unit in pairs if b > _MARGIN * a
+        )
 
     @property
     def no_common_rig(self) -> str:
@@ -93,7 +95,7 @@ class DiagnoseResult(Diagnosis):
             return f"no rig suits all recordings: {apart[0][0].name} is {where}"
         if not self.worse:
             return ""
-        what = "without an effect it" if self.verdict == "unexplained" else "one rig for all recordings"
+        what = "the recalibrated rig" if self.verdict == "unexplained" else "one rig for all recordings"
         return f"{what} would be worse than {self.start.name} ({'; '.join(self.worse)})"
 
     @property

@@ -176,9 +176,9 @@ def identified(
         BadInput: several recordings, chosen parameters, or episodes that allow no identification.
     """
     if len(recordings) > 1:
-        raise BadInput("a recording of many episodes: expected it alone, as it is a series by itself")
+        raise BadInput("several recordings, one of them with many episodes: expected the recording of episodes alone")
     if free:
-        raise BadInput(f"{free[0]}: what episodes tell of a joint is fixed; leave it out")
+        raise BadInput(f"{free[0]}: which parameters are fitted to episodes cannot be chosen; leave it out")
     joint = PressureDriven.of(recordings[0], rig, jobs=jobs)
     found = _identify(joint, holdout, progress or _silent)
     source = f"identified from {bag_name(recordings[0].path)}; started from: {rig.source.strip()}"

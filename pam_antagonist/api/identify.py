@@ -121,7 +121,8 @@ class IdentifyResult:
         ]
         if isinstance(self.found, Identified):
             about.append(
-                "Standard errors stand in report.json; the directions below are what of them moves the estimate."
+                "Standard errors are in report.json. The directions below are the combinations of errors that change "
+                "the estimate most."
             )
         names = ", ".join(name for _, _, name in self.recordings)
         source = f"identified from {names}; started from: {start.source.strip()}"
@@ -217,7 +218,7 @@ def _sealed(
 ) -> IdentifyResult:
     """Identify a joint with sealed muscles, with other steps and fewer parameters."""
     if chosen:
-        raise BadInput(f"{chosen[0]}: the parameters of a sealed joint that can be identified are fixed; leave it out")
+        raise BadInput(f"{chosen[0]}: which parameters of a sealed joint are fitted cannot be chosen; leave it out")
     for _, state, name in read:
         if state.condition != "free":
             raise BadInput(

@@ -23,7 +23,7 @@ round, voltages that are stamped early, topics with different clocks, channels t
 another rig. For each finding it says how sure it is and what to type. replay, identify and close_loop make the same
 check and refuse a recording that is certainly wrong.
 
-Status: 0 nothing is certainly wrong, 2 something is, or bad input.
+Status: 0 nothing is certainly wrong, 2 something is certainly wrong, or bad input.
 """
 _EXAMPLES = """\
 examples:

@@ -32,10 +32,11 @@ Trace what the model of a rig lacks to a physical effect, add it, and report the
 
 Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured. The
 base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
-catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a recording of
-its own (--holdout), is kept to judge by. A rig whose valves are sealed needs a recording of its joint driven to and
-fro by a known torque (docs/evidence/sealed_joint.md). A rig with pressure regulators (drive: regulator) takes such
-recordings as well, or many short episodes in one recording (import_csv), of which whole ones are held out.
+catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a separate
+recording (--holdout), is held out: no fit uses it, and the result is judged on it. A rig whose valves are sealed needs
+a recording of its joint driven to and fro by a known torque (docs/evidence/sealed_joint.md). A rig with pressure
+regulators (drive: regulator) takes such recordings as well, or many short episodes in one recording (import_csv), of
+which whole ones are held out.
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
 recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. DIR/rig_extended.yaml is left out
@@ -58,18 +59,20 @@ def parser() -> common.Parser:
     given.add_bags(out)
     out.add_argument(
         "--holdout", type=_held_out, action="append", default=[], metavar="SHARE|BAG",
-        help="what no fit sees: a share at the end of each recording (default: a third), or a whole recording; may be "
-        "given several times with recordings",
+        help="what is held out, so that no fit uses it: a share at the end of each recording (default: a third), or a "
+        "whole recording (may be given several times)",
     )  # fmt: skip
     out.add_argument(
         "--also", action="append", default=[], metavar="SIGNAL",
-        help="a further signal of the recording that may be a cause: a name below also/, or a topic; several times for "
-        "several; for rigs with drive: regulator",
+        help="another recorded signal on which the joint may depend: a name below also/, or a topic; may be given "
+        "several times; for rigs with drive: regulator",
     )  # fmt: skip
     out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
     cluster.add_dask(out)
     out.add_argument("--seed", type=SEED, default=0, help="seed of the random starts of fits (default: 0)")
-    out.add_argument("--resume", action="store_true", help="go on with what an interrupted run left in DIR.part")
+    out.add_argument(
+        "--resume", action="store_true", help="continue an interrupted run, which left its results in DIR.part"
+    )
     given.add_names_and_report(out)
     return out
 

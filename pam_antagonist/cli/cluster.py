@@ -39,7 +39,7 @@ def refuse_for_episodes(address: str | None) -> None:
         BadInput: an address.
     """
     if address is not None:
-        raise BadInput("--dask: episodes are fitted on this machine; leave it out")
+        raise BadInput("--dask: a recording of episodes is fitted on this machine only; leave --dask out")
 
 
 @contextmanager

@@ -48,19 +48,19 @@ from pam_antagonist.report.commission import Step, write_report
 from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
-Take a joint from its rig file to control, with a person at the rig:
+Lead from a rig file to a controlled joint, with a person at the rig. The steps are:
 
-  wiring      a little air at low pressure: does each valve fill its muscle, signs, zeros, supply, leaks
+  wiring      a little air at low pressure, to test the valves, signs, zeros, supply and leaks
   free        a designed experiment with the joint free
   locked      the same with the joint locked at 0 degrees; asks for the lock
   identify    parameters, noise and tuning from both recordings
-  close_loop  what the model lacks, traced to an effect
-  apart       where two effects explain it alike: the experiment that decides, and close_loop again; nothing is driven
-              where no motion would decide
+  close_loop  the physical effect that the model lacks
+  apart       if two effects explain the data equally well: an experiment that distinguishes them, and close_loop again;
+              if no motion would decide, the joint is not driven
   gains       a PI controller for the rig that was found, with bandwidth and margins
 
-Each step that is done stays done: type the same command again to go on after a fault, an interruption or a break. A
-step that found a fault says what to check. DIR holds a folder for each step, rig.yaml, parameters.yaml and report.html.
+A step that is done is not repeated: after a fault, an interruption or a break, type the same command again. A step
+that found a fault says what to check. DIR holds a folder for each step, rig.yaml, parameters.yaml and report.html.
 
 Status: 0 done, 1 a step found a fault or failed, 2 bad input (one line says what and where), 130 interrupted.
 """
@@ -95,15 +95,21 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("commission", _DESCRIPTION, _EXAMPLES)
     common.add_rig(out)
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder; one that was begun is continued")
+    out.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="folder of the results; if commission has begun in it, the command continues there",
+    )
     out.add_argument(
         "--duration", type=float, default=40.0, metavar="S", help="length of the free experiment [s] (default: 40)"
     )
     out.add_argument("--no-lock", action="store_true", help="the joint cannot be locked: leave that step out")
-    out.add_argument("--unattended", action="store_true", help="ask nobody; with a simulated joint only")
-    out.add_argument("--plant", metavar="RIG", help="what the simulated joint is in truth (default: the rig file)")
+    out.add_argument("--unattended", action="store_true", help="do not wait for a person; for a simulated joint only")
+    out.add_argument("--plant", metavar="RIG", help="rig file of the simulated joint (default: that of --rig)")
     out.add_argument(
-        "--seed", type=SEED, default=0, metavar="N", help="of searches and the simulated joint (default: 0)"
+        "--seed", type=SEED, default=0, metavar="N", help="seed of the searches and of the simulated joint (default: 0)"
     )
     add_limits(out)
     add_source(out)
@@ -214,7 +220,10 @@ class Commission:
             try:
                 input(f"{text} [Enter] ")
             except EOFError:
-                raise BadInput("nobody is there to answer; expected a terminal, or --unattended") from None
+                raise BadInput(
+                    "there is no terminal to answer at: start the command in a terminal, or with --unattended "
+                    "(simulated joint only)"
+                ) from None
 
     def _drive(self, name: str, plan: Plan) -> Driven:
         folder = self._record.attempt(name)
@@ -230,7 +239,7 @@ class Commission:
         """
         driven = self._drive(name, plan)
         if driven.ended:
-            raise StepFailed(f"{name}: it ended {driven.ended}. {_BEYOND}")
+            raise StepFailed(f"{name}: the experiment ended early, {driven.ended}. {_BEYOND}")
         return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": plan.duration}
 
     def _wiring(self) -> dict[str, Any]:
@@ -241,12 +250,12 @@ class Commission:
         if driven.ended:
             # A sensor that always shows a high pressure ends the plan as well.
             dead = [fault.sentence for fault in dead_sensors(recording.pressure)]
-            other = f"wiring: it ended {driven.ended}; let the air out, and look at valves and sensors"
+            other = f"wiring: the experiment ended early, {driven.ended}; let the air out, and check valves and sensors"
             raise StepFailed("\n".join(dead) or other)
         samples = driven.begun_ns + np.round(np.arange(len(plan.voltage)) * plan.period * 1e9).astype(np.int64)
         if recording.stamp_ns[-1] < samples[-1] - _LATEST_NS:
             raise StepFailed(
-                "wiring: the samples ended before the plan did; look at the device, its plug and its power"
+                "wiring: the samples stopped before the end of the experiment; check the device, its plug and its power"
             )
         place = np.clip(np.searchsorted(recording.stamp_ns, samples), 0, len(recording.stamp_ns) - 1)
         angle = None if recording.angle is None else recording.angle[place]
@@ -291,7 +300,7 @@ class Commission:
             assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
         except BadInput as error:
             # An effect that acts on the free joint only lets both recordings look like two joints.
-            return {"said": f"left to close_loop, since the model does not fit: {error}"}
+            return {"said": f"not identified, since the model does not fit; close_loop looks for the reason: {error}"}
         result.save(self._record.result("identified"), figures=False)
         return {
             "said": f"{len(result.rig.directions)} uncertain directions are left",
@@ -319,7 +328,7 @@ class Commission:
     def _apart(self) -> dict[str, Any]:
         before = self._record.steps["close_loop"]
         if not (before["effects"] and before["rivals"]):
-            return {"said": "nothing is undecided"}
+            return {"said": "not needed, since no two effects explain the data equally well"}
         rig = load_rig(str(self._out / "found" / "rig_extended.yaml"))
         given = rig, before["effects"][0], before["rivals"]
         channels, seed = self._measured(), self._arguments.seed
@@ -328,10 +337,14 @@ class Commission:
             verdict = told_apart(*given, self._limits, seed=seed, channels=channels, progress=advance)
         if verdict.chance < LIKELY:
             self._at("apart", "looking for what would decide")
-            said = f"{given[1]} or {' or '.join(given[2])}: would be decided with a chance of {verdict.chance:.0%}. "
+            said = f"{given[1]} or {' or '.join(given[2])}: the probability of a decision is {verdict.chance:.0%}. "
             said += no_motion_decides(instead_of(*given, verdict, channels))
             return {"said": f"{said}. The joint was not driven", "chance": verdict.chance}
-        print(f"it decides with a chance of {verdict.chance:.0%}, in {verdict.plan.duration:.0f} s", flush=True)
+        print(
+            f"the experiment takes {verdict.plan.duration:.0f} s and decides with a probability of "
+            f"{verdict.chance:.0%}",
+            flush=True,
+        )
         self._ask("apart", "Joint free:")
         recorded = self._recorded("apart", verdict.plan)
         self._record.steps["apart"] = {"done": False, "said": "", **recorded}

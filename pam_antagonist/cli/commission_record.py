@@ -29,7 +29,7 @@ class Record:
         self.steps: dict[str, dict[str, Any]] = {}
         state = out / "state.json"
         if out.exists() and not state.exists():
-            raise BadInput(f"{out}: exists, and is no folder of commission; expected a new one")
+            raise BadInput(f"{out}: exists, but commission did not write it; expected the name of a new folder")
         if state.exists():
             try:
                 content = json.loads(state.read_text(encoding="utf-8"))
@@ -37,7 +37,7 @@ class Record:
             except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
                 raise BadInput(f"{state}: cannot be read: {error}; expected what commission wrote") from None
             if begun_for != rig:
-                raise BadInput(f"{out}: was begun for rig {begun_for}, not {rig}")
+                raise BadInput(f"{out}: was begun with --rig {begun_for}, not {rig}; give that rig, or another --out")
         out.mkdir(parents=True, exist_ok=True)
         self.keep()
 

@@ -214,7 +214,7 @@ def _topic(text: str) -> tuple[str, str]:
 
 def add_recover(parser: argparse.ArgumentParser) -> None:
     """``--recover``."""
-    parser.add_argument("--recover", action="store_true", help="of a damaged bag, read what stands before the damage")
+    parser.add_argument("--recover", action="store_true", help="if the bag is damaged, read the part before the damage")
 
 
 def topics(arguments: argparse.Namespace) -> dict[str, str]:
@@ -265,7 +265,8 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(writes_report_json=True)
     parser.add_argument(
         "--json", metavar="FILE",
-        help="write the content of report.json there as well; - for standard output, and the tables on standard error",
+        help="write the content of report.json to this file as well; with -, it goes to standard output and the "
+        "tables go to standard error",
     )  # fmt: skip
 
 

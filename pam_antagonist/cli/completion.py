@@ -47,7 +47,7 @@ def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:
     with needs("completion", "--completion"):
         import shtab
     root = argparse.ArgumentParser(prog="pam")
-    root.add_argument("--version", action="store_true", help="tell the version")
+    root.add_argument("--version", action="store_true", help="print the version")
     below = root.add_subparsers()
     for name, (target, summary) in commands.items():
         module = importlib.import_module(target.split(":")[0])

@@ -88,8 +88,8 @@ def parser() -> common.Parser:
     )
     add("--mode", choices=tuple(_MODES), default="angle", help="what is controlled (default: angle)")
     gains_help = (
-        "gains of the PI: fast ones (default), or those of the paper, which take 9 s for a step of the angle; "
-        "stiffness and impedance have a law of their own"
+        "gains of the PI: fast (default), or paper, with which a step of the angle takes 9 s; modes stiffness and "
+        "impedance use another law"
     )
     add("--gains", choices=tuple(_GAINS), default="fast", help=gains_help)
     rig_help = (
@@ -99,8 +99,8 @@ def parser() -> common.Parser:
     add("--rig", metavar="RIG", help=rig_help)
     add(
         "--no-pressures", action="store_true",
-        help="nobody measures the pressures: the filter goes by what the regulators are asked for; for a rig with "
-        "drive: regulator",
+        help="without pressure sensors: the filter uses the pressures that the regulators are commanded to hold; for "
+        "a rig with drive: regulator",
     )  # fmt: skip
     add("--tuning", default="default", metavar="NAME", help="filter tuning of the rig (default: default)")
     add("--seed", type=SEED, default=0, metavar="N", help="seed of the joint's mismatch and sensor noise (default: 0)")
@@ -283,10 +283,12 @@ def _steps(
         def missing() -> str:
             if "record" not in processes.running:
                 if not watch.listeners:
-                    return "the controller does not listen"
+                    return "the controller does not subscribe to the reference"
                 # The plant waits for the recorder. So the recording does not begin while a node compiles.
                 processes.start("record", ["--out", str(bag)])
-            return watch.missing() or ("" if not pushed or watch.may_push() else "nobody can push the joint")
+            return watch.missing() or (
+                "" if not pushed or watch.may_push() else "the simulated joint does not take a push"
+            )
 
         processes.wait(_patient(missing))
         took = f"plant, estimator and controller are running after {time.monotonic() - begin:.1f} s"

@@ -123,7 +123,7 @@ def add_limits(out: argparse.ArgumentParser) -> None:
     """
     for name, unit, text in (
         ("--min-pressure", "KPA", "least pressure, absolute [kPa] (default: 15 %% of the supply's gauge pressure)"),
-        ("--max-pressure", "KPA", "largest pressure, absolute [kPa] (default: 97 %% of it)"),
+        ("--max-pressure", "KPA", "largest pressure, absolute [kPa] (default: 97 %% of the supply's gauge pressure)"),
         ("--max-angle", "DEG", "largest angle either way [deg] (default: nine tenths of the stop; 20 without one)"),
         ("--max-rate", "RAD_S", "largest rate of the angle [rad/s] (default: 10)"),
     ):
@@ -159,13 +159,17 @@ def add_source(out: argparse.ArgumentParser) -> None:
         "--source",
         choices=SOURCES,
         default="plant",
-        help="owner of the valves (default: plant); rehearsal: a simulated joint without ROS, faster than real time",
+        help="what owns the valves (default: plant); rehearsal: a simulated joint without ROS, faster than real time",
     )
     out.add_argument("--port", metavar="PATH", help="serial port of the bridge's device")
     out.add_argument("--hardware", metavar="FILE", help="calibration of the bridge's device")
     out.add_argument("--parameters", type=Path, metavar="FILE", help="parameter file of plant or bridge")
     out.add_argument(
-        "--mismatch", type=float, default=0.01, metavar="X", help="of the plant from the rig file (default: 0.01)"
+        "--mismatch",
+        type=float,
+        default=0.01,
+        metavar="X",
+        help="relative deviation of the simulated joint's parameters from the rig file (default: 0.01)",
     )
 
 

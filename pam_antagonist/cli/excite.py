@@ -26,20 +26,20 @@ from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
-Drive a joint so that its recording tells most of what the rig file leaves open.
+Design an experiment that determines the parameters of a rig well, drive the joint with it and record it.
 
-The voltages are designed beforehand, by the rig's model: of many courses, the one is taken that makes the determinant
-of the parameters' information largest (D-optimal), for all parameters that identify moves. The joint stays within the
-limits, with a margin of three standard deviations by what the rig file declares uncertain.
+The voltages are designed beforehand with the rig's model. Of many candidates, the command takes the one with the
+largest determinant of the parameters' information (D-optimal), for all parameters that identify fits. The joint stays
+within the limits with a margin of three standard deviations, by the uncertainties that the rig file declares.
 
-With --tell-apart the voltages are those under which the found effect and those that explain as much differ most, as
-short as that may be (--duration at most). It says beforehand how likely that decides, and what else would where it does
-not.
+With --tell-apart the experiment distinguishes the effect that close_loop found from the effects that explain the data
+as well. It is as short as possible, --duration at most. The command prints how likely the experiment decides. If that
+is not likely, the command prints what else would decide.
 
---source says who owns the valves: plant starts a simulated joint, bridge a bridge to hardware, none nothing, where
-such a node runs already. No controller may run beside it: one node at a time commands the valves. Ctrl-C ends it at any
-time: the valves then get their safe voltages. It ends by itself, at rest, where a measured pressure or angle is beyond
-a limit.
+--source says what owns the valves: plant starts a simulated joint, bridge starts a bridge to hardware, and none starts
+nothing, since such a node runs already. No controller may run at the same time: only one node may command the valves.
+Ctrl-C ends the experiment at any time: the valves then get their safe voltages. If a measured pressure or angle is
+beyond a limit, the experiment ends by itself, with the joint at rest.
 
 DIR holds voltages.csv (what is planned, for simulate --profile as well), plan.json and the bag.
 Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 else.
@@ -64,10 +64,11 @@ def parser() -> common.Parser:
     out.add_argument("--seed", type=SEED, default=0, metavar="N", help="seed of the search (default: 0)")
     out.add_argument(
         "--tell-apart", type=Path, metavar="FOUND",
-        help="folder of close_loop: design what tells the found effect from those that explain as much",
+        help="folder that close_loop wrote: design an experiment that distinguishes the found effect from those that "
+        "explain the data as well",
     )  # fmt: skip
     out.add_argument(
-        "--without", action="append", default=[], choices=("angle", "torque"), help="this is not measured",
+        "--without", action="append", default=[], choices=("angle", "torque"), help="design without this sensor",
     )  # fmt: skip
     out.add_argument("--plan-only", action="store_true", help="design and write the plan, drive nothing")
     add_source(out)
@@ -121,7 +122,7 @@ def _between(
         extended, effect, rivals, limits, arguments.duration, arguments.joint, angle, arguments.seed, channels, advance
     )
     each = ", ".join(f"{rival} {chance:.0%}" for rival, chance in verdict.by_rival.items())
-    text = f"{effect} or {' or '.join(rivals)}: decided with a chance of {verdict.chance:.0%} ({each}), "
+    text = f"{effect} or {' or '.join(rivals)}: decided with a probability of {verdict.chance:.0%} ({each}), "
     text += f"in {verdict.plan.duration:.0f} s with the joint {arguments.joint}"
     if verdict.chance < LIKELY:
         text += f". {no_motion_decides(instead_of(extended, effect, rivals, verdict, channels))}"
@@ -148,9 +149,15 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
         why = error.strerror if isinstance(error, OSError) else error
         raise BadInput(f"{folder}: expected a folder of close_loop with its report.json: {why}") from None
     if not effects:
-        raise BadInput(f"{folder}: close_loop found no effect there; expected one with ambiguous_with in report.json")
+        raise BadInput(
+            f"{folder}: close_loop found no effect there; expected a folder whose report.json lists effects in "
+            "ambiguous_with"
+        )
     if not rivals:
-        raise BadInput(f"{folder}: {effects[0]} is decided; expected a report with ambiguous_with")
+        raise BadInput(
+            f"{folder}: {effects[0]} is decided, so no experiment is needed; expected a folder whose report.json "
+            "lists effects in ambiguous_with"
+        )
     return load_rig(str(folder / "rig_extended.yaml")), effects[0], rivals
 
 
@@ -175,7 +182,7 @@ def _summary(document: dict[str, Any]) -> str:
     limits = document["limits"]
     low, high = (value / 1e3 for value in limits["pressure_pa"])
     rows = [(name, percent(share)) for name, share in document["standard_errors"].items()]
-    table = terminal.table(Table(("parameter", "standard error, of its prior's"), tuple(rows)))
+    table = terminal.table(Table(("parameter", "standard error, as a share of the prior's"), tuple(rows)))
     angle = number(math.degrees(limits["angle_rad"]), 3)
     return (
         f"planned: {document['duration_s']:g} s, joint {document['joint']}, {low:.0f} to {high:.0f} kPa, "

@@ -44,15 +44,16 @@ def parser() -> common.Parser:
     given.add_bags(out)
     out.add_argument(
         "--free", action="append", default=[], metavar="NAME",
-        help="a parameter (supply.pressure), or the beginning of its name, that may move as well; may be repeated",
+        help="fit this parameter as well: its name, such as supply.pressure, or the beginning of its name; may be "
+        "repeated",
     )  # fmt: skip
     out.add_argument(
         "--freeze", action="append", default=[], metavar="NAME",
-        help="a parameter, or the beginning of its name, that stays as configured; may be repeated",
+        help="keep this parameter as configured: its name, or the beginning of its name; may be repeated",
     )  # fmt: skip
     out.add_argument(
         "--holdout", type=real(0.05, 0.8, "a share"), default=1.0 / 3.0, metavar="SHARE",
-        help="share at the end of each recording that is kept to judge the result (default: a third)",
+        help="share at the end of each recording that is held out to judge the result (default: a third)",
     )  # fmt: skip
     out.add_argument("--starts", type=whole(1, 64), default=1, metavar="N", help="starts of the search (default: 1)")
     out.add_argument("--seed", type=SEED, default=0, help="seed of the further starts (default: 0)")
@@ -75,7 +76,9 @@ def _run(arguments: argparse.Namespace) -> int:
     common.lock_angle(arguments)
     for name in ("free", "freeze") if rig.valves.sealed else ():
         if getattr(arguments, name):
-            raise BadInput(f"--{name}: the parameters of a sealed joint that can be identified are fixed; leave it out")
+            raise BadInput(
+                f"--{name}: which parameters of a sealed joint are fitted cannot be chosen; leave --{name} out"
+            )
     recordings = given.read(arguments, rig)
     if episodes.are_given(recordings, rig):
         return _of_episodes(arguments, rig, recordings)
@@ -104,7 +107,7 @@ def _of_episodes(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[R
     cluster.refuse_for_episodes(arguments.dask)
     for name in ("free", "freeze"):
         if getattr(arguments, name):
-            raise BadInput(f"--{name}: what episodes tell of a joint is fixed; leave it out")
+            raise BadInput(f"--{name}: which parameters are fitted to episodes cannot be chosen; leave --{name} out")
     found = identify(
         recordings, rig, holdout=arguments.holdout, jobs=arguments.jobs, progress=said_by("identify")
     )  # fmt: skip

@@ -20,7 +20,7 @@ from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map
 from pam_antagonist.recording.notes import write_notes
 
 _DESCRIPTION = """\
-Make a recording of a file with columns: a rosbag2 (MCAP) with the topics of a live joint, for replay and identify.
+Convert a file with columns to a recording: a rosbag2 (MCAP) with the topics of a live joint, for replay and identify.
 
 The file is CSV text, MATLAB (.mat of both kinds), numpy (.npz) or Parquet.
 
@@ -100,9 +100,11 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
         if mapping.drive == "valve"
     ]
     if mapping.drive == "regulator":
-        asked = [f"regulator {n} asked for {span(voltage[:, n - 1], 1e-3, 'kPa')} absolute" for n in (1, 2)]
+        asked = [
+            f"commanded pressure of regulator {n}: {span(voltage[:, n - 1], 1e-3, 'kPa')} absolute" for n in (1, 2)
+        ]
         valves = (
-            asked if recording.drive == "regulator" else ["pressure regulators: what they were asked for is not there"]
+            asked if recording.drive == "regulator" else ["pressure regulators: their commands are not in the file"]
         )
     lines = [
         f"{arguments.out}: {len(recording)} samples, {recording.duration_s:.3f} s, one each "
@@ -120,7 +122,8 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
     lines += [textwrap.fill(text, 100, initial_indent="! ", subsequent_indent="  ") for text in recording.issues]
     if mapping.sealed:
         lines.append(
-            "the rig file for this bag has to say that the chambers are sealed: valve voltages mean nothing in it"
+            "the chambers of this joint are sealed: write valves: {sealed: true} into its rig file; the valve "
+            "voltages in the bag have no meaning"
         )
     lines.append(common.next_command("check", [arguments.out], "--rig RIG"))
     return "\n".join(lines)

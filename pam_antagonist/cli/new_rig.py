@@ -114,7 +114,10 @@ def _answers(given: Mapping[str, str | None]) -> tuple[dict[str, Any], list[Ques
             missing.append(f"--{question.option} ({question.how})")
             values[question.name] = None
     if missing:
-        raise BadInput(f"not known: {', '.join(missing)}; expected an option each, or a terminal to ask at")
+        raise BadInput(
+            f"missing: {', '.join(missing)}; give them as options, or start the command in a terminal, where it asks "
+            "for them"
+        )
     return values, assumed
 
 
@@ -184,13 +187,13 @@ def _regulator(values: Mapping[str, Any]) -> RegulatorPart:
     if values["regulator"] != OWN:
         return named("regulator", values["regulator"], regulator_parts())
     low, high = values["regulator_range"]
-    return RegulatorPart(lowest=low, highest=high, hysteresis=0.0, source="range as asked")
+    return RegulatorPart(lowest=low, highest=high, hysteresis=0.0, source="your answer")
 
 
 def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
     """The head of the file: which numbers come from where."""
     lines = [
-        "A starting point by new_rig: identify finds what yours really is.",
+        "A starting point by new_rig: identify finds the values of your joint.",
         "Measured: geometry, supply, joint.mass, joint.inertia, sensors.pressure_step.",
         "From data sheets: force and volume of the muscles, areas of the valves. Muscles of one kind differ by 15 %.",
         "Assumed: valve curves, friction, gas.polytropic_*, noise of the sensors, uncertainty, tunings.",
@@ -200,13 +203,15 @@ def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
     if assumed:
         lines.append(f"Default answers were taken for: {', '.join(question.option for question in assumed)}.")
     if facts.regulator is not None:
-        told = "hysteresis as their source tells it" if facts.regulator.hysteresis else "hysteresis not known: none"
+        told = "hysteresis by the same source" if facts.regulator.hysteresis else "hysteresis unknown and taken as none"
         lines.append(f"Of the regulators: range by {facts.regulator.source}.")
-        lines.append(f"Their time as asked, damping ratio assumed, {told}. Valves and flow play no part.")
+        lines.append(
+            f"Their rise time is your answer, their damping ratio assumed, {told}. Valves and flow are not used."
+        )
         lines.append("Compare range and hysteresis with the data sheet of yours.")
     if facts.valve.closed_centre:
         lines.append(
-            "Attention: this valve lets no air pass at its middle voltage. Equation (5) has no such place: steady"
+            "Attention: this valve lets no air pass at its middle voltage. Equation (5) does not model that: steady"
         )
-        lines.append("pressures near it are not predicted well. Keep the voltages away from it, or moving.")
+        lines.append("pressures near that voltage are not predicted well. Keep the voltages away from it, or moving.")
     return lines

@@ -13,10 +13,10 @@ from pam_antagonist.report.reachable import ReachableReport, summary, write_repo
 from pam_antagonist.rig import load_rig
 
 _DESCRIPTION = """\
-Work out which angles of rest, and which torques, a joint can have together with which stiffness.
+Compute which angles at rest and which torques a joint can reach, and which stiffness it can have there.
 
-The rig's model tells it, at the supply that the rig declares and within the bounds below. They are those of the
-controller's parameters of the same names. With --out, a page with figures is written as well.
+The rig's model is evaluated at the declared supply pressure, within the bounds below. The controller has parameters of
+the same names. With --out, a page with figures is written as well.
 """
 _EXAMPLES = """\
 examples:
@@ -32,7 +32,7 @@ def parser() -> common.Parser:
     out.add_argument("--out", type=Path, metavar="DIR", help="folder of report.html and report.json; a new one")
     for name, default, unit, text in (
         ("--lowest-pressure", LOWEST_PRESSURE, "PA", "least pressure of a muscle, absolute [Pa]"),
-        ("--supply-margin", SUPPLY_MARGIN, "PA", "what is left of the supply's pressure [Pa]"),
+        ("--supply-margin", SUPPLY_MARGIN, "PA", "how far the pressures stay below the supply's pressure [Pa]"),
         ("--least-force", LEAST_FORCE, "N", "least contraction force of a muscle [N]"),
     ):
         out.add_argument(name, type=_number, default=default, metavar=unit, help=f"{text} (default: {default:g})")

@@ -44,7 +44,9 @@ def add_names_and_report(parser: argparse.ArgumentParser) -> None:
 def add_corrections(parser: argparse.ArgumentParser) -> None:
     """The options that correct a recording, and ``--no-check``."""
     corrections.add_options(parser)
-    parser.add_argument("--no-check", action="store_true", help="go on with a recording that seems to be wrong")
+    parser.add_argument(
+        "--no-check", action="store_true", help="use a recording although the check says that it is wrong"
+    )
 
 
 def refuse_wrong(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> None:

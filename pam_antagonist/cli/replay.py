@@ -24,7 +24,7 @@ Run recordings through the estimator again and report its errors.
 The unscented Kalman filter gets the recorded pressures and valve voltages, and with --angle-sensor encoder the
 encoder's angle, by the code that runs live; the model alone gets the voltages. Both are compared with the measured
 angle and torque, where the bag has them. Where it has the estimate that was published live, the two are compared bit
-by bit. Of a bag that holds several joints, each is replayed, with the one rig; --namespace picks one.
+by bit. If a bag holds several joints, each is replayed, all with the same rig; --namespace selects one.
 
 Writes DIR/report.json and DIR/report.html. Status: 0 done, 2 bad input (one line says what and where).
 """
@@ -47,28 +47,29 @@ def parser() -> common.Parser:
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the report; a new one")
     out.add_argument(
         "--save", type=Path, metavar="FILE",
-        help="write the estimate with its covariance and innovations as well: a new .csv, or .mcap for PlotJuggler and "
-        "Foxglove; of one recording",
+        help="write the estimate with its covariance and innovations as well: a new .csv, or .mcap for PlotJuggler "
+        "and Foxglove; for one recording only",
     )  # fmt: skip
     common.add_joint(
         out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, from the measured angle)"
     )
     out.add_argument(
         "--from", dest="begin", type=float, metavar="SECONDS",
-        help="estimate from this time of the recording on; a checkpoint of the live filter saves the way there, and "
-        "the estimates are those of the whole (default: all of it)",
+        help="estimate from this time of the recording on; if the bag has a checkpoint of the live filter, the filter "
+        "continues from it, and the estimates equal those of a full replay (default: the whole recording)",
     )  # fmt: skip
     out.add_argument(
         "--angle-sensor", choices=("auto", "none", "encoder"), default="auto",
-        help="encoder: topic angle_sensor is an input of the filter as well; auto: as the live filter, where the "
-        "recording tells, else none (default: auto)",
+        help="encoder: topic angle_sensor is an input of the filter as well; auto: the same as in the live filter if "
+        "the recording shows that, else none (default: auto)",
     )  # fmt: skip
     common.add_topics(out)
     out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
     out.add_argument("--namespace", metavar="/NS", help="namespace of the joint, where the bag holds several")
     out.add_argument(
         "--restarts", choices=("refuse", "last"), default="refuse",
-        help="of a bag whose clock was set back: refuse it, or read what came after the last time (default: refuse)",
+        help="if the clock was set back while recording: refuse the bag, or read the part after the last time "
+        "(default: refuse)",
     )  # fmt: skip
     common.add_recover(out)
     given.add_corrections(out)

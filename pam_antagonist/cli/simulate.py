@@ -42,7 +42,7 @@ def parser() -> common.Parser:
         default="paper",
         metavar="NAME|FILE.csv",
         help=f"valve voltages: {', '.join(excitation.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s and V; "
-        "of a rig with pressure regulators what these are asked for, in Pa",
+        "for a rig with pressure regulators, u1 and u2 are the commanded pressures in Pa",
     )
     out.add_argument(
         "--duration", type=float, metavar="S", help="length [s] (default: 130 for paper, 60, or that of the CSV file)"

@@ -43,7 +43,10 @@ def parser() -> common.Parser:
     out.add_argument("--volume", type=Path, metavar="FILE", help="CSV of length and volume")
     out.add_argument("--force-map", type=Path, metavar="FILE", help="CSV of length, pressure and force")
     out.add_argument(
-        "--muscle", choices=("1", "2", "both"), default="both", help="whose tables these are (default: both)"
+        "--muscle",
+        choices=("1", "2", "both"),
+        default="both",
+        help="muscle that gets the fitted coefficients (default: both get the same)",
     )
     common.add_rig(out)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the results; a new one")
@@ -53,7 +56,10 @@ def parser() -> common.Parser:
         help=f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not give it",
     )  # fmt: skip
     out.add_argument(
-        "--pressure", choices=("gauge", "absolute"), default="", help="where the column's name does not say"
+        "--pressure",
+        choices=("gauge", "absolute"),
+        default="",
+        help="what the pressures are, where the column's name does not say it",
     )
     out.add_argument(
         "--slack-below", type=_newton, default=0.0, metavar="N",
@@ -65,7 +71,9 @@ def parser() -> common.Parser:
         metavar="L_0",
         help="muscle length at angle 0 [m], in place of the rig's geometry.length",
     )
-    out.add_argument("--report-only", action="store_true", help="write no rig.yaml; then any muscle will do")
+    out.add_argument(
+        "--report-only", action="store_true", help="write no rig.yaml; then the muscle need not fit the rig"
+    )
     common.add_json(out)
     out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
     common.add_open(out)
@@ -127,7 +135,7 @@ def _worked_out(arguments: argparse.Namespace) -> StaticResult:
             f"nothing to fit: expected --volume FILE, --force-map FILE or both (see {typed('static --help')})"
         )
     if arguments.form and arguments.force_map is None:
-        raise BadInput("--form: the form of a force map, but there is no --force-map")
+        raise BadInput("--form: chooses the form of a force map; expected --force-map FILE as well")
     columns = _columns(arguments)
     rig = load_rig(arguments.rig)
     if arguments.length is not None:
@@ -157,7 +165,10 @@ def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
             raise BadInput(f"--column {quantity}: given twice, as {chosen[quantity].column!r} and {choice.column!r}")
         needs = {"volume": "volume", "force": "force_map", "pressure": "force_map"}.get(quantity.removesuffix("_std"))
         if needs and getattr(arguments, needs) is None:
-            raise BadInput(f"--column {quantity}: there is no --{needs.replace('_', '-')} whose column it could be")
+            raise BadInput(
+                f"--column {quantity}: names a column of --{needs.replace('_', '-')}; expected "
+                f"--{needs.replace('_', '-')} FILE as well"
+            )
         chosen[quantity] = choice
     return chosen
 

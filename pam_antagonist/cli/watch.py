@@ -19,7 +19,8 @@ Show a running joint in the browser, 30 times a second.
 
 The page shows the estimate with its 95 % interval beside reference and encoder, pressures and valve voltages
 within their limits, NIS, and what the nodes report: safety, faults, losses. It is for this machine alone unless
---host says otherwise, and it commands nothing without --allow-commands. It subscribes only while somebody looks.
+--host says otherwise, and it commands nothing without --allow-commands. It subscribes to topics only while a page is
+open.
 
 Status: 0 ended by Ctrl-C, 2 bad input (one line says what).
 """
@@ -83,7 +84,7 @@ def _serve(arguments: argparse.Namespace) -> None:
         try:
             print(f"{watch.namespace or '/'}: {server.address}  (Ctrl-C ends)", flush=True)
             if not _loopback(arguments.host):
-                print("warning: whoever reaches this machine on that port sees the joint", file=sys.stderr)
+                print("warning: everybody who can reach this machine on that port can see the joint", file=sys.stderr)
             if arguments.open:
                 webbrowser.open(server.address)
             loop.run_forever()

@@ -28,10 +28,10 @@ def test_arguments_that_do_not_go_together_are_refused(
 
 def test_a_folder_of_something_else_stays_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 2
-    assert "is no folder of commission" in capsys.readouterr().err
+    assert "but commission did not write it" in capsys.readouterr().err
     (tmp_path / "state.json").write_text(json.dumps({"rig": "another", "steps": {}}))
     assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 2
-    assert "was begun for rig another" in capsys.readouterr().err
+    assert "was begun with --rig another" in capsys.readouterr().err
     (tmp_path / "state.json").write_text("no json")
     assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 2
     assert "state.json" in capsys.readouterr().err

@@ -82,7 +82,7 @@ def test_the_sealed_joint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert main([str(FILE), "--map", "sealed_joint", "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "valve 1 sealed, valve 2 sealed" in said
-    assert "the rig file for this bag has to say that the chambers are sealed" in said
+    assert "the chambers of this joint are sealed: write valves: {sealed: true} into its rig file" in said
     assert sealed_muscles(out) == (1, 2)
     recording = read_bag(out)
     assert recording.external_torque is not None and recording.angle is not None

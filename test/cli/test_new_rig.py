@@ -152,7 +152,7 @@ def test_a_regulator_of_a_name_has_the_numbers_of_its_source(tmp_path, capsys) -
     del answers["regulator-range"]
     assert new_rig.main(typed(answers, path)) == 0
     assert load_rig(path, regulators=True).command_limits == pytest.approx((104.3e3, 701.3e3))
-    assert "Zephyr" in path.read_text() and "hysteresis not known" in path.read_text()
+    assert "Zephyr" in path.read_text() and "hysteresis unknown and taken as none" in path.read_text()
     path = tmp_path / "with_data_sheet.yaml"
     assert new_rig.main(typed({**answers, "regulator": "VEAA-D11"}, path)) == 0
     rig = load_rig(path, regulators=True)

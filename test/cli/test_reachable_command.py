@@ -30,7 +30,7 @@ def test_narrower_bounds_reach_less(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--lowest-pressure", "700e3"], "expected the first above the atmosphere's"),
+        (["--lowest-pressure", "700e3"], "lowest_pressure 700000 Pa, supply_margin 20000 Pa: expected pressures from"),
         (["--least-force", "much"], "expected a number, 0 or more"),
     ],
 )

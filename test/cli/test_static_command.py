@@ -113,7 +113,7 @@ def test_what_the_joint_needs_and_the_table_lacks_is_said(tables, tmp_path, caps
     tables[1].write_text("\n".join([lines[0], *short]) + "\n")
     assert main(arguments(tables, tmp_path / "out", "--no-figures")) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "the joint takes its muscles to 149.6 to 180.4 mm; below 153.7 mm and above 170.7 mm the fit is" in said
+    assert "in the joint the muscles are 149.6 to 180.4 mm long; below 153.7 mm and above 170.7 mm the fit is" in said
     assert "the supply of rig shin2022 has 710 kPa: above, the fit is extrapolated" in said
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert len(report["warnings"]) >= 2
@@ -177,10 +177,13 @@ def test_bad_input_is_one_line_and_no_output(tables, tmp_path, capsys, more, say
             lambda line: [*line[4:6], "--out", line[-1]],
             "nothing to fit: expected --volume FILE, --force-map FILE or both",
         ),
-        (lambda line: [*line[:2], *line[4:], "--form", "sarosi"], "there is no --force-map"),
+        (
+            lambda line: [*line[:2], *line[4:], "--form", "sarosi"],
+            "--form: chooses the form of a force map; expected --force-map FILE as well",
+        ),
         (
             lambda line: [*line[:2], *line[4:], "--column", "force=F:N"],
-            "there is no --force-map whose column it could be",
+            "--column force: names a column of --force-map; expected --force-map FILE as well",
         ),
         (lambda line: [*line, "--column", "force=a", "--column", "force=b"], "given twice, as 'a' and 'b'"),
         (lambda line: [*line[:5], "no_such_rig", *line[6:]], "unknown rig 'no_such_rig'"),

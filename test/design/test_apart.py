@@ -95,7 +95,7 @@ def test_where_no_motion_tells_it_says_which_sensor_would(
     narrow = ["--min-pressure", "300", "--max-pressure", "400", "--duration", "26"]
     assert excite.main([*words, *narrow, "--without", "angle", "--without", "torque"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "No motion within the limits tells them apart; what would: " in said
+    assert "No motion within the limits distinguishes them; this would: " in said
     assert "a third pressure sensor at muscle 1 (" in said
     # A gauge at the other muscle, or at the tank, sees nothing of it.
     assert "muscle 2" not in said and "tank" not in said

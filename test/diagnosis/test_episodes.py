@@ -128,7 +128,11 @@ def test_a_signal_that_goes_with_another_one_is_not_told_apart_from_it(tied: Rec
     assert {one, place} == {"friction_by_signal: other", "friction_by_signal: alike"}
     assert row.later.value < 0.1 * found.rows[1].later.value
     assert row.later.value == pytest.approx(found.rows[-1].later.value, rel=0.5)
-    said = [item.text for item in report.findings(found, episodes) if item.text.startswith("Not told apart")]
+    said = [
+        item.text
+        for item in report.findings(found, episodes)
+        if item.text.startswith("The episodes do not decide between two effects")
+    ]
     assert any("friction that grows with other" in text and "friction that grows with alike" in text for text in said)
 
 
@@ -184,7 +188,11 @@ def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: P
     [
         (["--also", "elbow"], "regulator_joint", "no signal 'elbow'; expected one of decoy, other"),
         (["--also", "other"], "shin2022", "--also: rig shin2022 has valves"),
-        (["--dask", "tcp://127.0.0.1:1"], "regulator_joint", "--dask: episodes are fitted on this machine"),
+        (
+            ["--dask", "tcp://127.0.0.1:1"],
+            "regulator_joint",
+            "--dask: a recording of episodes is fitted on this machine only",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(
