@@ -180,9 +180,9 @@ def _still(recording: Recording, now: Corrections, rig: Rig) -> list[Finding]:
             if now.pressure_unit == "Pa" and np.nanmax(np.abs(recording.pressure)) > 10 * _STILL_PRESSURE:
                 out.append(Finding("doubtful", f"pressure_{muscle + 1} hardly moves: is the muscle connected?"))
     if recording.angle is None:
-        out.append(Finding("untested", "no angle was measured: its sign, unit and zero are not tested"))
+        out.append(Finding("untested", "no angle was measured, so its sign, unit and zero are not tested"))
     if recording.torque is None and recording.external_torque is None:
-        out.append(Finding("untested", "no torque was measured: its sign and unit are not tested"))
+        out.append(Finding("untested", "no torque was measured, so its sign and unit are not tested"))
     return out
 
 
@@ -241,7 +241,14 @@ def _sealed(recording: Recording, rig: Rig, now: Corrections) -> tuple[list[Find
         return [Finding("doubtful", f"the pressures hardly follow the angle (correlation {rho:.2f})")], now
     found = [Finding("good", f"the pressures follow the angle as closed chambers do (correlation {rho:.3f})")]
     if p[par.CHARGE] <= 0.0 or p[par.CHARGE + 1] <= 0.0:
-        return [*found, Finding("untested", "the charge is not in the rig file: gauge pressures are not tested")], now
+        return [
+            *found,
+            Finding(
+                "untested",
+                "the rig file does not give the pressures of the sealed muscles at angle 0 (valves.charge_1, "
+                "charge_2), so gauge pressures are not tested",
+            ),
+        ], now
     closed = np.array([[equilibrium.closed_pressure(i, value, p) for i in (0, 1)] for value in angle])
     offset = np.mean(pressure - closed, axis=0)
     if np.all(np.abs(offset + STANDARD_ATMOSPHERE) < wiring.GAUGE_TOLERANCE):
@@ -250,5 +257,5 @@ def _sealed(recording: Recording, rig: Rig, now: Corrections) -> tuple[list[Find
             "rig file: these are gauge pressures (sure)"
         )
         return [Finding("wrong", text, ("--gauge",)), *found], replace(now, gauge=True)
-    text = f"the pressures are {offset[0] / 1e3:+.1f} and {offset[1] / 1e3:+.1f} kPa from the charge of the rig file"
+    text = f"the pressures are {offset[0] / 1e3:+.1f} and {offset[1] / 1e3:+.1f} kPa off the charge in the rig file"
     return [*found, Finding("good" if np.max(np.abs(offset)) < wiring.FAR_OFF else "doubtful", text)], now

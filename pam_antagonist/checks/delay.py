@@ -56,7 +56,7 @@ def delay_of_voltages(
         weights.append(float(alone @ alone) / max(float(left @ left), 1e-12))
         shares.append(1.0 - float(left @ left) / max(float(base @ base), 1e-12))
     if not delays:
-        return [Finding("untested", "delays: the pressures do not move")], now
+        return [Finding("untested", "delays: the pressures do not move, so they are not tested")], now
     delay = float(np.average(delays, weights=weights))
     apart = float(np.ptp(delays)) / 2.0
     if abs(delay) < max(_LATE, 2.0 * apart) or min(shares) < _LATE_SHARE:
@@ -65,8 +65,9 @@ def delay_of_voltages(
         ], now
     if delay > 0.0:
         text = (
-            f"the pressures come {1e3 * delay:.0f} ± {1e3 * max(apart, 0.0005):.0f} ms late: the voltages are stamped "
-            "too early, or the valves are slow. If it is the stamps, type the correction; `close_loop` weighs both"
+            f"the pressures come {1e3 * delay:.0f} ± {1e3 * max(apart, 0.0005):.0f} ms later than the model's: the "
+            "voltages are stamped too early, or the valves are slow. If the stamps are wrong, type the correction; "
+            "`close_loop` compares both explanations"
         )
     else:
         text = (

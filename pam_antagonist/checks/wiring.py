@@ -67,12 +67,12 @@ def arrangement(recording: Recording, model: Prediction) -> tuple[list[Finding],
     better, worse = max(straight, crossed), min(straight, crossed)
     if better < GOES_WITH:
         text = (
-            "the pressures do not follow the voltages as in this rig (correlation "
-            f"{better:.3f}, expected {GOES_WITH:g} or more): another rig's recording, or voltages of another time"
+            f"the pressures do not follow the voltages as in this rig (correlation {better:.3f}, expected "
+            f"{GOES_WITH:g} or more): the recording is of another rig, or its voltages are shifted in time"
         )
         return [Finding("doubtful", text)], None
     if better - worse < _LEAST_CONTRAST:
-        text = "both valves had the same voltages: exchanged valves or pressure lines do not show"
+        text = "both valves had the same voltages, so exchanged valves or pressure lines are not tested"
         return [Finding("untested", text)], False
     if straight >= crossed:
         return [Finding("good", f"each pressure follows its own valve (correlation {straight:.3f})")], False
@@ -91,7 +91,10 @@ def pressure_unit_of(pressures: Floats, model: Prediction, now: Corrections) -> 
     unit, factor = min(UNITS["pressure"].items(), key=lambda item: abs(math.log(item[1] * ratio)))
     offset = np.nanmean(pressures * factor - model.pressure, axis=0)
     if max(factor * ratio, 1.0 / (factor * ratio)) > _SAME_UNIT or np.max(np.abs(offset)) > _ANY_PRESSURE:
-        text = f"the pressures change {ratio:.3g} times as much as the model's, which no unit explains"
+        text = (
+            f"the pressures change {ratio:.3g} times as much as the model's, and no unit has this factor: check the "
+            "pressure sensors and supply.pressure"
+        )
         return [Finding("doubtful", text)], now
     found = replace(now, pressure_unit=unit)
     gauge = bool(np.all(np.abs(offset + STANDARD_ATMOSPHERE) < GAUGE_TOLERANCE))
@@ -109,8 +112,8 @@ def pressure_unit_of(pressures: Floats, model: Prediction, now: Corrections) -> 
         out.append(Finding("wrong", text, ("--gauge",)))
     elif np.max(np.abs(offset)) > FAR_OFF:
         text = (
-            f"pressures 1 and 2 differ by {offset[0] / 1e3:+.0f} and {offset[1] / 1e3:+.0f} kPa from what the voltages "
-            "make them: look at supply.pressure, the valve curves and the sensors' zeros"
+            f"pressures 1 and 2 differ by {offset[0] / 1e3:+.0f} and {offset[1] / 1e3:+.0f} kPa from what the "
+            "voltages make them: check supply.pressure, the valve curves and the sensors' zeros"
         )
         out.append(Finding("doubtful", text))
     if not out:
@@ -233,8 +236,8 @@ def _unit_of(direction: Direction) -> list[Finding]:
         return [Finding("wrong", text, (f"--{direction.channel}-unit {unit!r}",))]
     if max(direction.ratio, 1.0 / direction.ratio) > _SAME_UNIT:
         text = (
-            f"the measured {direction.channel} is {direction.ratio:.3g} times as large as the model's, which is no "
-            "unit's factor: look at geometry.radius and the force map"
+            f"the measured {direction.channel} is {direction.ratio:.3g} times as large as the model's, and no unit "
+            "has this factor: check geometry.radius and the force map"
         )
         return [Finding("doubtful", text)]
     return []

@@ -44,7 +44,7 @@ class Laws:
         self.pi, self.model, self._reachable, self.governor = pi, model, reachable, governor
         first = pi or model
         if first is None:
-            raise BadInput("no law of control: expected the PI, or the one through the model")
+            raise BadInput("no law of control: expected the PI, the law through the model, or both")
         self._law: Law = first
         self.name = "model" if pi is None else "pi"
         self.choose(name, None)
@@ -62,9 +62,12 @@ class Laws:
         if name == self.name:
             return
         if name == "pi" and self.pi is None:
-            raise BadInput("law: pi puts voltages on valves, and this joint has pressure regulators: expected model")
+            raise BadInput("law: pi commands valve voltages, but this joint has pressure regulators: set law to model")
         if name == "model" and self.model is None:
-            raise BadInput("law: model: the rig's supply leaves no pressures to choose (see lowest_pressure)")
+            raise BadInput(
+                "law: model has no pressures to choose from: expected lowest_pressure below the supply's pressure "
+                "less supply_margin"
+            )
         if name == "pi" and mode is not None and mode.has_stiffness:
             raise BadInput(f"law: pi has no mode {mode.name}: send a reference of mode ANGLE or TORQUE first")
         before, chosen = self._law, self.pi if name == "pi" else self.model

@@ -77,8 +77,9 @@ class Box(NamedTuple):
         lowest = max(lowest, float(p[_LOWEST]))
         if not p[ATMOSPHERE] <= lowest < highest <= p[SUPPLY]:
             raise BadInput(
-                f"pressures from {lowest:g} Pa to {margin:g} Pa below the supply's {p[SUPPLY]:g} Pa: expected the "
-                f"first above the atmosphere's {p[ATMOSPHERE]:g} Pa and below the second"
+                f"lowest_pressure {lowest:g} Pa, supply_margin {margin:g} Pa: expected pressures from "
+                f"{p[ATMOSPHERE]:g} Pa (the atmosphere's) to {p[SUPPLY]:g} Pa (the supply's), lowest_pressure below "
+                "the supply's less supply_margin"
             )
         return cls(float(lowest), highest, float(force))
 

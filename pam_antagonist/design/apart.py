@@ -399,5 +399,5 @@ def no_motion_decides(instead: Sequence[str]) -> str:
     Args:
         instead: of :func:`instead_of`.
     """
-    text = "No motion within the limits tells them apart"
-    return text + (f"; what would: {'; '.join(instead)}" if instead else ", nor does a further sensor or a lock")
+    text = "No motion within the limits distinguishes them"
+    return text + (f"; this would: {'; '.join(instead)}" if instead else ", nor does another sensor or a lock")

@@ -166,8 +166,8 @@ class Design:
         tail = self._work.along(self._states, held(self._rest[None], TAIL, self.step))
         if limits.excess(tail.states, predicted_std(tail, self._spread)) > 0.0:
             raise BadInput(
-                "the joint may leave the limits at rest already, by what the rig file leaves open: expected wider "
-                "limits, or a rig file that is known better (identify)"
+                "with the uncertainties of the rig file, the joint may leave the limits even at rest: expected wider "
+                "limits, or a rig file with smaller uncertainties (identify)"
             )
 
     def _merit(self, rows: Floats) -> float:

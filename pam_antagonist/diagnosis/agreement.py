@@ -160,8 +160,8 @@ def check_same_rig(group: Group, base: Model, jobs: int) -> None:
             apart = farthest_apart(experiment, theirs, fitted) if same_condition else None
             if apart is not None:
                 raise BadInput(
-                    f"{other.trial.name}: held out, but {apart[0]} is {apart[1]} from that of "
-                    f"{experiment.trial.name}: it seems to be of another rig; expected a recording of the same one"
+                    f"{other.trial.name}: held out, but its {apart[0]} is {apart[1]} from that of "
+                    f"{experiment.trial.name}, so it seems to be of another rig; expected a recording of the same rig"
                 )
 
 
@@ -176,8 +176,8 @@ def base_contradictions(experiments: Sequence[Experiment], base: Model) -> list[
             apart = farthest_apart(one, fitted, theirs)
             if apart is not None:
                 warnings.append(
-                    f"the recordings contradict each other: {apart[0]} is {apart[1]} in {one.trial.name} "
-                    f"from that in {other.trial.name}; are they of one rig?"
+                    f"the recordings contradict each other: {apart[0]} is {apart[1]} in {one.trial.name} from that in "
+                    f"{other.trial.name}; are both recordings of one rig?"
                 )
     return warnings
 

@@ -332,7 +332,7 @@ def sentence(
     recalibrated, extended = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
     beside = f" The recordings need a calibration: {'; '.join(calibrated)}." if calibrated else ""
     others = "; ".join(_instead(name) for name in ambiguous)
-    doubts = f" Not told apart: {others}." if others else ""
+    doubts = f" The recordings do not exclude another explanation: {others}." if others else ""
     if verdict == "none":
         return (
             f"The model lacks nothing that these recordings show.{beside} After {'calibration and ' if beside else ''}"
@@ -346,8 +346,8 @@ def sentence(
         if along_motion:
             text = (
                 f"{what} The joint sticks, so the balance of its torques along the measured motion decides: with "
-                f"{these} {gone} on held-out data. The model that runs by itself errs there by {recalibrated} without, "
-                f"{extended} with."
+                f"{these} {gone} on held-out data. The errors there of the model that gets the commands only are "
+                f"{recalibrated} without {these} and {extended} with."
             )
         else:
             text = f"{what} With {these} the model's errors on held-out data fall from {recalibrated} to {extended}"
@@ -371,9 +371,9 @@ def sentence(
 
 def _instead(name: str) -> str:
     if name in CALIBRATIONS:
-        return f"{found_calibrations.alternative(name)} would do as well"
+        return f"{found_calibrations.alternative(name)} would explain the data as well"
     effect = CATALOGUE[name]
-    return effect.sealed.instead or f"{effect.title} would do as well"
+    return effect.sealed.instead or f"{effect.title} would explain the data as well"
 
 
 def _errors(own: Errors, mean_pressure: bool) -> str:

@@ -115,8 +115,8 @@ class _Words(NamedTuple):
 
 _STAMPED = ("late", "early")
 _CLOCK = (
-    "stamp everything by one clock, or record a step of a voltage at 1 kHz: late stamps shift the whole answer, what "
-    "is slow rounds its beginning"
+    "stamp everything by one clock, or record a step of a voltage at 1 kHz: late stamps shift the whole response, a "
+    "slow valve or sensor rounds its beginning"
 )
 _EXPERIMENTS = {
     "encoder_zero": "hold the joint at an angle that is known without the encoder (a gauge block, a stop), and read it",

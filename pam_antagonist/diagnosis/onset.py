@@ -397,8 +397,8 @@ def dated(judged: Judged, found: Changing) -> Judged:
     if all(effect.onset_s is None and effect.end_s is None for effect in effects):
         return judged
     note = (
-        "effects begin or end during the recordings; blocks in turn were held out, on either side of each change, and "
-        "errors are those on these blocks. The times themselves were fitted to all data"
+        "effects begin or end during the recordings, so blocks on either side of each change were held out, and the "
+        "errors are those in these blocks. The times of the changes were fitted to all data"
     )
     return replace(judged, effects=tuple(effects), warnings=(*judged.warnings, note))
 

@@ -192,8 +192,8 @@ def _check_duration(trial: Trial, least: float, what: str) -> None:
     duration = len(trial) * trial.dt
     if duration < least:
         raise BadInput(
-            f"{trial.name}: {duration:.1f} s is too short to tell an effect from chance; expected at least "
-            f"{least:g} s {what}"
+            f"{trial.name}: {duration:.1f} s is too short to distinguish an effect from chance; expected at "
+            f"least {least:g} s {what}"
         )
 
 
@@ -214,7 +214,7 @@ def check_distinct(recordings: Sequence[Recording], others: Sequence[Recording],
                 other.pressure, seen.pressure, equal_nan=True
             ):
                 what = "given twice" if any(seen is one for one in others) else "also among those that are fitted"
-                raise BadInput(f"{name}: held out, and {what}; expected a recording that no fit sees")
+                raise BadInput(f"{name}: held out, but {what}; expected a recording that no fit uses")
 
 
 def valve_driven_experiments(
@@ -319,7 +319,9 @@ def base_without_friction(
         BadInput: recordings from which nothing can be learned, or a law of friction that is not the paper's.
     """
     if rig.model.friction != "kikuuwe":
-        raise BadInput(f"model.friction of rig {rig.name}: {rig.model.friction}; expected kikuuwe of a sealed rig")
+        raise BadInput(
+            f"model.friction of rig {rig.name} is {rig.model.friction}; expected kikuuwe, since the rig is sealed"
+        )
     trials: list[SealedTrial] = [sealed_trial(recording, name, 1.0 - holdout) for recording, name in recordings]
     # Effects that noise drives stay. Other effects that a sealed rig declares have to be found.
     kept = random_part(rig.effects)

@@ -88,7 +88,7 @@ class Firmness:
             if value <= 0.0
         ]
         text = f"{self.agree} of {len(self.evidence)} splits agree"
-        return text if not against else f"{text}; not those that hold out {', '.join(against)}"
+        return text if not against else f"{text}; those that hold out {', '.join(against)} disagree"
 
 
 def in_words(firm: Mapping[str, Firmness]) -> str:

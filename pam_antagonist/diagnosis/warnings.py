@@ -58,8 +58,8 @@ def guessed_curves(rig: Rig, effects: Iterable[str]) -> list[str]:
     if not alike:
         return []
     return [
-        f"the valves' curves are a guess in rig {rig.name}, and a curve of another slope looks like {alike}: this is "
-        "not certain before the curves are measured"
+        f"rig {rig.name} only guesses the valves' curves, and a curve of another slope looks like {alike}: measure "
+        "the curves before you trust this result"
     ]
 
 
@@ -70,8 +70,9 @@ def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
         for direction, amount in zip(experiment.directions, fitted.point.theta, strict=False):
             if abs(amount) > thresholds.IMPLAUSIBLE * direction.prior:
                 warnings.append(
-                    f"recalibration moves {direction.name} by {direction.in_words(amount)} in {experiment.trial.name}, "
-                    f"{abs(amount) / direction.prior:.0f} standard deviations of what was expected"
+                    f"recalibration moves {direction.name} by {direction.in_words(amount)} in "
+                    f"{experiment.trial.name}, {abs(amount) / direction.prior:.0f} standard deviations of its prior: "
+                    "a number in the rig file is wrong, or an effect that the model lacks looks like it"
                 )
     return warnings
 
@@ -80,7 +81,7 @@ def explained_in_part(effects: Sequence[str]) -> str:
     """A warning of effects that explain much of the excess and not all."""
     which = " and ".join(dict.fromkeys(effects))
     return (
-        f"{which} does not explain all: much of the residual is still above the sensors' noise; the effect may have "
+        f"{which} does not explain all: much of the residual is still above the sensors' noise. The effect may have "
         "another form than the catalogue's law, or there is a smaller effect as well (section What is left)"
     )
 
@@ -116,7 +117,8 @@ def above_noise(stretches: Sequence[Stretch]) -> list[str]:
     """Where the recalibrated model leaves more than noise, one sentence a recording."""
     return [
         f"{s.recording}: the residual of {s.channel.lower()} is {s.times_noise:.2g} times its noise from "
-        f"{s.begin_s:.0f} to {s.end_s:.0f} s, whatever the base parameters (evidence {s.evidence:.0f} against noise)"
+        f"{s.begin_s:.0f} to {s.end_s:.0f} s, and no base parameters change that (evidence {s.evidence:.0f} against "
+        "noise)"
         for s in stretches
     ]
 
@@ -133,8 +135,8 @@ def changes(above_noise: Mapping[str, Sequence[Span]]) -> list[str]:
         if all(acts):
             part = "that part" if len(acts) == 1 else "these parts"
             out.append(
-                f"{name}: something {', then '.join(acts)}; outside of {part} the model leaves what the sensors' noise "
-                "explains"
+                f"{name}: something that the model lacks {', then '.join(acts)}; outside of {part} the residuals are "
+                "as small as the sensors' noise allows"
             )
     return out
 
@@ -157,17 +159,17 @@ def along_motion(experiments: Sequence[Experiment], base: Model, model: Model) -
             old, new = (100.0 * experiment.right(fitted.point) for fitted in fits)
             each.append(f"{experiment.trial.name}: {old:.0f} % before, {new:.0f} % with the effect")
     return (
-        "the joint sticks and slips, which no model predicts for long: the verdict rests on the balance of its torques "
-        f"along the measured motion. Share of the held-out time in which they are in balance: {'; '.join(each)}. "
-        "Errors in this report are those of the model that runs by itself"
+        "the joint sticks and slips, and no model predicts that for long. So the verdict rests on the balance of "
+        "torques along the measured motion. Share of the held-out time in which the torques balance: "
+        f"{'; '.join(each)}. The errors in this report are those of the model that gets the commands only"
     )
 
 
 def not_firm(effect: str, firm: Firmness) -> str:
     """A warning of an effect that was selected and that most splits do not support."""
     return (
-        f"{effect} was selected, but only {firm.in_words()}: it depends on which part of the recording is held out and "
-        "is not called found"
+        f"{effect} was selected, but only {firm.in_words()}: the result depends on which part of the recording is "
+        "held out, so the effect is not reported as found"
     )
 
 
@@ -181,10 +183,10 @@ def decided_by_innovations(effects: Sequence[str], evidence: float, taken: bool)
     """
     which = " and ".join(effects)
     if taken:
-        return f"only pressures were measured; the estimator's innovations speak for {which} as well ({evidence:+.0f})"
+        return f"only pressures were measured; the estimator's innovations support {which} as well ({evidence:+.0f})"
     return (
         f"the pressures suggest {which}, but the estimator's innovations on the held-out part do not "
-        f"({evidence:+.0f}), so it was not taken; to decide, measure the angle or the torque as well"
+        f"({evidence:+.0f}), so it is not reported as found; to decide, measure the angle or the torque as well"
     )
 
 
@@ -210,7 +212,7 @@ def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
         ):  # fmt: skip
             if before and after and after.rmse > thresholds.ESTIMATOR_WORSE * before.rmse:
                 warnings.append(
-                    f"the estimator is worse in {entry.recording} with what was fitted here ({what} "
+                    f"the estimator is worse in {entry.recording} with the values fitted here ({what} "
                     f"{after.rmse:.2g}{unit}) than with the rig as configured ({before.rmse:.2g}{unit}): the base "
                     "parameters were fitted to something that no effect explains; keep the rig file that you have"
                 )
@@ -261,12 +263,12 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
             "Zeros of the encoder and of the torque cannot be seen: the charge of the muscles and the difference of "
             "their forces look the same."
         )
-        return f"Of a sealed joint cannot be seen: {reasons}.", torque, zeros
+        return f"These effects cannot be seen on a sealed joint: {reasons}.", torque, zeros
     out = []
     free = [trial for trial in trials if trial.joint == "free"]
     if not free:
         moving = _listed(effect for effect in _WITH_VALVES if effect.needs_motion)
-        out.append(f"The joint was locked throughout: {moving} do not show.")
+        out.append(f"The joint was locked throughout: {moving} cannot be seen.")
     if len(free) == len(trials):
         out.append(
             "The joint was never locked, so an error of the force is hard to distinguish from friction and load. A "
@@ -281,7 +283,9 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
         out.append("No torque was measured: an error of the force shows only in the joint's motion.")
     if free and not any(trial.has(ANGLE) for trial in free):
         hardly = _listed(effect for effect in _WITH_VALVES if effect.needs_angle)
-        out.append(f"No angle was measured: the motion shows only through the pressures, and {hardly} hardly show.")
+        out.append(
+            f"No angle was measured: the motion shows only through the pressures, and {hardly} can hardly be seen."
+        )
     if not any(trial.has(TORQUE) or trial.has(ANGLE) for trial in trials):
         out.append(
             "Pressures alone decide here. The estimator's innovations have to support what they suggest. Only effects "

@@ -82,7 +82,9 @@ def identify(
         found = regulators.on(found)
     complaint = unphysical(found)
     if complaint:
-        raise BadInput(f"{joint.name}: what fits it best cannot be: {complaint}; does the joint move enough?")
+        raise BadInput(
+            f"{joint.name}: the values that fit it best are impossible: {complaint}; does the joint move enough?"
+        )
     counts = len(held.pool), len(held.later), len(held.interleaved)
     return EpisodesIdentified(joint.rig, found, fitted.intervals(model), errors, regulators, counts)
 

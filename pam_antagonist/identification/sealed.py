@@ -98,7 +98,9 @@ def sealed_trial(recording: Recording, name: str, share: float = 1.0) -> SealedT
         BadInput: no measured angle, an angle that hardly moves, or too few samples.
     """
     if recording.angle is None or not np.isfinite(recording.angle).any():
-        raise BadInput(f"{name}: no measured angle; a sealed joint tells its volume only together with one")
+        raise BadInput(
+            f"{name}: no measured angle; without it, a recording of a sealed joint does not determine the volume"
+        )
     time = (recording.stamp_ns - recording.stamp_ns[0]) * 1e-9
     block = np.floor(time / BLOCK_S).astype(np.int64)
     kept = time < share * time[-1] + 1e-9
@@ -167,7 +169,7 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
         spread,
         float(np.sqrt(np.mean(solution.fun**2))),
         "Pa",
-        "the volume at angle 0 and the polytropic index stay as declared: pressures tell only k_2 (dV/dl)/V",
+        "the volume at angle 0 and the polytropic index stay as declared: pressures determine only k_2 (dV/dl)/V",
     )
 
 

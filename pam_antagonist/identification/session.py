@@ -41,7 +41,10 @@ _WHAT_SHOWS = (
     ("force.c", "a free joint over its whole angle range, at low and at high pressures, with torque or angle measured"),
     ("inflow_area", "fast fillings of this muscle from low pressure: steps of its valve to the highest voltage"),
     ("outflow_area", "fast emptyings of this muscle from high pressure: steps of its valve to the lowest voltage"),
-    ("gas.polytropic_flow", "the volume of the chambers or the orifice areas measured apart: they act together"),
+    (
+        "gas.polytropic_flow",
+        "a separate measurement of the chambers' volume or of the orifice areas: a recording shows only both together",
+    ),
     ("gas.polytropic_volume", "a free joint that moves while the valves are still, so that only the volume changes"),
     (".volume.", "the volume of the muscle by length in a graduated cylinder (a static CSV)"),
     ("supply.pressure", "a steady pressure with the valve fully open, or a gauge on the tank"),
@@ -212,13 +215,13 @@ def _chosen_parameters(rig: Rig, trials: Sequence[Trial], options: Options) -> t
     ]
     if not kept:
         raise BadInput(
-            "no recording has a measured angle or torque, and pressures alone tell nothing of the free parameters: "
+            "no recording has a measured angle or torque, and pressures alone do not determine the free parameters: "
             f"{', '.join(sorted(item.name for item in free))}"
         )
     names = ", ".join(item.name for item in kept)
     return kept, [
-        f"No recording has a measured angle or torque: pressures alone tell {names}; all others stay as configured. "
-        "Record the angle of a free joint and the torque of a locked one for the rest."
+        f"No recording has a measured angle or torque: pressures alone determine {names} only; all others stay as "
+        "configured. To determine these, record the angle of a free joint and the torque of a locked one."
     ]
 
 

@@ -176,7 +176,7 @@ def _force_map(state: _Progress, ways: Sequence[Variation]) -> None:
 
 
 def _regulators(state: _Progress) -> None:
-    source = "measured pressures and commands, by stretches that begin where the commands had stood"
+    source = "measured pressures and commands, in stretches that begin after constant commands"
     earlier = padded(state.whole, state.theta)
     rig = state.whole.rig
     found, note = beside_the_lag(rig, state.whole.trials, state.whole.jobs)

@@ -184,8 +184,8 @@ def fit_force(table: ForceMap, form: str, rest_length: float) -> ForceFit:
         covariance = larger(covariance, jackknife(np.array(parts)))
     else:
         notes.append(
-            "without one of its lengths the map does not determine this form: the standard deviations take every force "
-            "for independent and are too small"
+            "if one length is left out, the map does not determine this form: so the standard deviations treat all "
+            "forces as independent, and are too small"
         )
     error = map_force(form, whole.coefficients, table.length, table.pressure, rest_length) - table.force
     error = error[~table.slack]

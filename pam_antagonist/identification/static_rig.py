@@ -111,20 +111,21 @@ def coverage(table: ForceMap | VolumeTable, rig: Rig) -> list[str]:
         uncovered.append(f"above {high * 1e3:.1f} mm")
     if uncovered:
         out.append(
-            f"{table.name}: the joint takes its muscles to {span}; {' and '.join(uncovered)} the fit is "
+            f"{table.name}: in the joint the muscles are {span} long; {' and '.join(uncovered)} the fit is "
             "extrapolated: measure there"
         )
     if table.lengths < _FEW_LENGTHS:
         out.append(
-            f"{table.name}: {table.lengths} lengths; with fewer than {_FEW_LENGTHS} nothing tells how wrong the form "
-            "is between them"
+            f"{table.name}: {table.lengths} lengths; with fewer than {_FEW_LENGTHS} the form's error between them is "
+            "unknown"
         )
     if isinstance(table, VolumeTable):
         return out
     measured = table.pressure[~table.slack]
     if len(np.unique(np.round(table.pressure, -2))) < _FEW_PRESSURES:
         out.append(
-            f"{table.name}: fewer than {_FEW_PRESSURES} pressures; nothing tells whether the force is straight in them"
+            f"{table.name}: fewer than {_FEW_PRESSURES} pressures; it is unknown whether the force is linear in the "
+            "pressure"
         )
     if not rig.valves.sealed and measured.max() < 0.95 * span.highest:
         out.append(
@@ -170,8 +171,9 @@ def doubts_about_force(fit: ForceFit, rig: Rig) -> list[str]:
     missed = float(np.sqrt(np.mean(np.square(shared)))) if shared else math.nan
     if missed > 2.0 * carried:
         out.append(
-            f"at lengths left out the map is off by {missed:.2g} N throughout, and the filter's covariance allows for "
-            f"{carried:.2g} N ({offsets[0]} under uncertainty, which stays as it is): identify, or enter more there"
+            f"at lengths left out the map's mean error is {missed:.2g} N, but the filter's covariance allows for "
+            f"{carried:.2g} N only (uncertainty of {offsets[0]} in the rig file): identify the rig, or enter a larger "
+            "value there"
         )
     return out
 
@@ -350,7 +352,8 @@ def _about_volume(table: VolumeTable, fit: VolumeFit, rig: Rig, report_only: boo
     out = [] if report_only else doubts_about_volume(fit, rig)
     if fit.freedom == 0 and not table.declared:
         out.append(
-            f"{table.name}: 3 volumes for 3 coefficients tell no error, so there are no priors: measure more lengths"
+            f"{table.name}: 3 volumes for 3 coefficients give no error estimate, so there are no priors: measure more "
+            "lengths"
         )
     return out
 

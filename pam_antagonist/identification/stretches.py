@@ -48,17 +48,20 @@ def beside_the_lag(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[dict[s
     """
     joint = _stretches(rig, trials, jobs)
     if len(joint) < _FEWEST:
-        return {}, f"skipped: both commands stand for {_REST_S:g} s before {len(joint)} stretches, expected {_FEWEST}"
+        return (
+            {},
+            f"skipped: both commands are constant for {_REST_S:g} s before {len(joint)} stretches, expected {_FEWEST}",
+        )
     found = of_commands(joint, held_out(len(joint), _SHARE), lambda text: None)
     known = {path: interval.value for path, interval in found.values.items()}
     values = {path: known[path] for path in (f"effects.{name}" for name in _PATHS) if path in known}
     taken = [item.name for item in found.tried if item.taken]
     others = [name for name in taken if name in ("dead time", "threshold")]
-    note = f"{len(joint)} stretches tell {', '.join(taken) if taken else 'nothing beside the lag'}"
+    note = f"{len(joint)} stretches determine {', '.join(taken) if taken else 'nothing beside the lag'}"
     if others:
         shown = {path: value for path, value in known.items() if path not in values and "regulator_lag" not in path}
         listed = ", ".join(f"{path.removeprefix('effects.')}: {value:.3g}" for path, value in shown.items())
-        note += f"; give the rig file {listed}"
+        note += f"; write into the rig file, under effects: {listed}"
     return values, note
 
 

@@ -274,7 +274,7 @@ def next_steps(found: Diagnosis, rig: Rig, rig_files: Sequence[str], no_common_r
         either = " and ".join(name.replace("_", " ") for name in (found.effects[0].name, *rivals))
         out.append(
             f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
-            "folder of this report designs the voltages."
+            "folder of this report designs the experiment."
         )
     alike = like_a_curve(rig, [effect.name for effect in found.effects])
     if alike:
@@ -285,15 +285,19 @@ def next_steps(found: Diagnosis, rig: Rig, rig_files: Sequence[str], no_common_r
             "that it writes."
         )
     elif found.verdict == "effect":
-        instead = f", or go on with {rig_files[0]}, which every command and node takes" if rig_files else ""
+        instead = f", or use {rig_files[0]}, which every command and node takes" if rig_files else ""
         out.append(f"Next: repair the joint and record again{instead}.")
     elif found.verdict == "unexplained" and rig_files and _halves_errors(found):
         out.append(
-            f"Next: read when the rest appears and with what it goes. Until that is known, go on with {rig_files[0]}: "
-            f"it is {rig.name} with its parameters fitted, and halves the errors on held-out data."
+            "Next: read in section What is left when the remaining residual appears and on what it depends. Until "
+            f"its cause is known, use {rig_files[0]}: it is {rig.name} with its parameters fitted, and halves the "
+            "errors on held-out data."
         )
     elif found.verdict == "unexplained":
-        out.append(f"Next: keep the rig file of {rig.name}, and read when the rest appears and with what it goes.")
+        out.append(
+            f"Next: keep the rig file of {rig.name}, and read in section What is left when the remaining residual "
+            "appears and on what it depends."
+        )
     else:
         also = "" if no_common_rig else "; rig_extended.yaml is the same, recalibrated by these recordings"
         out.append(f"Next: nothing. Keep the rig file of {rig.name}{also}.")

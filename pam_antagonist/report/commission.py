@@ -12,8 +12,11 @@ from pam_antagonist.report.table import Table
 from pam_antagonist.rig import Rig
 
 _DEFINITIONS = (
-    ("Rig time", "How long the joint was driven: the rest is design, fits and waiting."),
-    ("Margins", "Of the loop with the linearised model: the rest of the joint's behaviour is not in them."),
+    ("Rig time", "How long the joint was driven. The remaining time is design, fits and waiting."),
+    (
+        "Margins",
+        "They are those of the loop with the linearised model. Nonlinear behaviour of the joint is not included.",
+    ),
 )
 
 

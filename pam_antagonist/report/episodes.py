@@ -103,18 +103,21 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
     out = [_not_told_apart(found, name, instead_of, row) for name, instead_of, row in found.others]
     base = next(row for row in found.rows if row.model.startswith("mechanics"))
     if found.effects and _later(found.rows[-1]).value >= _later(base).value:
-        text = "On later episodes the model errs no less with these effects: they may be chance; record more episodes."
+        text = (
+            "On later episodes the model's error is no smaller with these effects, so they may be chance: record "
+            "more episodes."
+        )
         out.append(Finding("warn", text))
     if found.left is not None and found.left.low <= ABOVE_NOISE:
         text = (
-            f"What is left is hardly more than noise: the model's squared error is {interval(found.left)} times what "
-            "the noise of the readings alone would leave. No further effect is named."
+            f"The remaining error is hardly more than noise: the model's squared error is {interval(found.left)} "
+            "times what the noise of the readings alone would leave. No further effect is named."
         )
         out.append(Finding("note", text))
     last = max(item.round for item in found.tried)
     not_needed = [item for item in found.tried if item.round == last and not item.taken]
     for item in not_needed:
-        how = "was not fitted, its score is lower than the others'" if item.removed is None else (
+        how = "was not fitted, since its score is lower than those of the others" if item.removed is None else (
             f"removes {percent(item.removed.value)} of the squared error of unseen episodes "
             f"({percent(item.removed.low)} to {percent(item.removed.high)})"
         )  # fmt: skip
@@ -126,9 +129,9 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
         out.append(
             Finding(
                 kind,
-                f"The rig drifts: fitted to the last {percent(found.window)} of the fitted episodes, the model errs by "
-                f"{number(recent.value)}° on later ones, fitted to all of them by {number(whole.value)}°. The share "
-                "was chosen by forecasts within the fitted episodes.",
+                f"The rig drifts: on later episodes the model's error is {number(recent.value)}° if only the last "
+                f"{percent(found.window)} of the fitted episodes are used, and {number(whole.value)}° if all are "
+                "used. The share was chosen by forecasts within the fitted episodes.",
             )
         )
     lines = found.lines
@@ -136,8 +139,8 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
     out.append(
         Finding(
             "note",
-            f"With numbers that go along straight lines over the fitted episodes, and stay at their last values, a "
-            f"model of all of them errs by {number(lines.later.value)}° on later ones and by "
+            "A model whose numbers change along straight lines over the fitted episodes, and then stay at their last "
+            f"values, has an error of {number(lines.later.value)}° on later episodes and of "
             f"{number(lines.interleaved.value)}° on interleaved ones.",
         )
     )
@@ -146,7 +149,8 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
         out.append(
             Finding(
                 "warn",
-                f"Over the recording change, along straight lines, with corrected 95 % intervals: {'; '.join(moved)}.",
+                "These numbers change over the recording (straight-line fit, corrected 95 % intervals): "
+                f"{'; '.join(moved)}.",
             )
         )
     if found.ratio is not None and found.effects:
@@ -171,14 +175,16 @@ def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
     if units.force == "per_inertia":
         out.append(
             Finding(
-                "note", "Forces are known per inertia only: torque, areas and stiffness in their units are not told."
+                "note",
+                "Forces are known per inertia only: torque, areas and stiffness are not known in their own units.",
             )
         )
     if units.pressure == "unknown":
         out.append(
             Finding(
                 "note",
-                "Gain and offset of the pressures are stand-ins: a bar is one of the recording only.",
+                "The unit of the recorded pressures is not known: gain and offset in the rig file are assumed, and "
+                "so is every bar in this report.",
             )
         )
     if joint.left_out:
@@ -199,9 +205,10 @@ def _not_told_apart(found: EpisodeDiagnosis, name: str, instead_of: str, row: Ro
     left = f" With the first in the model, the second scores {percent(after[0])}." if after else ""
     return Finding(
         "warn",
-        f"Not told apart: {in_words(instead_of)} removes {percent(taken.removed.value)} of what was left, "
-        f"{in_words(name)} {percent(other.removed.value)}.{left} With the second in the place of the first, the error "
-        f"on later episodes is {number(_later(row).value)}° instead of {number(_later(found.rows[-1]).value)}°.",
+        f"The episodes do not decide between two effects: {in_words(instead_of)} removes "
+        f"{percent(taken.removed.value)} of the remaining error, {in_words(name)} "
+        f"{percent(other.removed.value)}.{left} With the second in place of the first, the error on later episodes is "
+        f"{number(_later(row).value)}° instead of {number(_later(found.rows[-1]).value)}°.",
     )
 
 

@@ -36,7 +36,11 @@ def _findings(found: EpisodesIdentified, joint: PressureDriven) -> tuple[Finding
     out = []
     if found.errors["identified"][0].value > found.errors["as configured"][0].value:
         out.append(
-            Finding("warn", "On later episodes the rig as configured errs less: the joint drifts, or moved little.")
+            Finding(
+                "warn",
+                "On later episodes the rig as configured has the smaller error: the joint drifts, or it moved too "
+                "little to be identified.",
+            )
         )
     if found.regulators is None:
         out.append(Finding("note", "No commands were recorded: the regulators stay as configured."))
@@ -94,7 +98,7 @@ def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
         item = [one for one in found.tried if one.name == name][-1]
         assert item.removed is not None
         out.append(
-            f"The {item.name} is {'identified' if item.taken else 'left as configured'}: to free it removes "
+            f"The {item.name} is {'identified' if item.taken else 'left as configured'}: freeing it removes "
             f"{percent(item.removed.value)} of the squared error of unseen episodes ({percent(item.removed.low)} to "
             f"{percent(item.removed.high)})."
         )

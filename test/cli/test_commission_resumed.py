@@ -124,7 +124,7 @@ def test_recordings_that_no_model_fits_are_left_to_close_loop(
 @pytest.mark.parametrize(
     ("instead", "words"),
     [
-        (("a third pressure sensor at muscle 1 (97%)",), "what would: a third pressure sensor at muscle 1 (97%)"),
+        (("a third pressure sensor at muscle 1 (97%)",), "this would: a third pressure sensor at muscle 1 (97%)"),
         ((), "nor does a further sensor or a lock"),
     ],
 )

@@ -83,7 +83,7 @@ def test_limits_that_no_joint_has_are_refused(rig: Rig, changes: dict[str, float
 
 def test_a_rig_file_that_leaves_all_open_is_refused_with_what_to_do(rig: Rig) -> None:
     unknown = rig.replaced(uncertainty={"muscle_1.force.w2": 60.0})
-    with pytest.raises(BadInput, match="expected wider limits, or a rig file that is known better"):
+    with pytest.raises(BadInput, match="expected wider limits, or a rig file with smaller uncertainties"):
         designed(unknown, Limits.of(rig, angle=math.radians(5.0)), 6.0)
 
 

@@ -110,7 +110,7 @@ def test_recordings_with_different_faults_get_a_rig_each(rig, leaking, tmp_path)
     worse = dataclasses.replace(leaking.errors.as_configured, rmse_pa=(1e6, 1.0))
     alike = dataclasses.replace(found, effects=both, errors_of_one_rig=worse)
     assert alike.no_common_rig.startswith(
-        "one rig for all recordings would be worse than shin2022 (pressure 1 1e+03 kPa"
+        "one rig for all recordings would be worse than shin2022 (pressure 1 error 1e+03 kPa, before "
     )
     assert "rig_extended.yaml" not in alike.rig_files
 
@@ -120,7 +120,7 @@ def test_a_report_says_what_to_do_next(rig, leaking) -> None:
     fields |= {"ambiguous_with": [], "own": leaking.own[:1]}
     found = DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
     (repair,) = found.report.next_steps
-    assert repair.startswith("Next: repair the joint and record again, or go on with rig_extended.yaml,")
+    assert repair.startswith("Next: repair the joint and record again, or use rig_extended.yaml,")
     assert " ".join(found.summary().split()).endswith(repair)
     assert plain(found.report)["next_steps"] == [repair]
     undecided = dataclasses.replace(found, ambiguous_with=["valve_offset", "encoder_zero"])

@@ -111,7 +111,7 @@ def test_splits_agree_on_an_effect_that_is_there(quiet) -> None:
 def test_a_split_that_does_not_agree_is_named() -> None:
     firm = splits.Firmness((3.0, -1.0, 2.0, 4.0, -2.0), ((0, 12), (12, 24), (24, 36), (36, 48), (48, 60)))
     assert firm.is_firm
-    assert firm.in_words() == "3 of 5 splits agree; not those that hold out 12 to 24 s, 48 to 60 s"
+    assert firm.in_words() == "3 of 5 splits agree; those that hold out 12 to 24 s, 48 to 60 s disagree"
     assert not replace(firm, evidence=(3.0, -1.0, 2.0, -4.0, -2.0)).is_firm
     assert splits.in_words({"leak": firm, "creep": firm}).startswith("leak: 3 of 5")
 

@@ -63,7 +63,7 @@ def test_rate_zone_and_range_are_found_in_one_long_recording_and_nothing_else(ma
     assert set(values) == {f"effects.{path}" for path in expected}
     for path, value in expected.items():
         assert values[f"effects.{path}"] == pytest.approx(value, rel=0.1)
-    assert "stretches tell" in note
+    assert "stretches determine" in note
 
 
 def statuses(recording: Recording) -> dict[str, str]:
