@@ -138,8 +138,8 @@ def _complaints(found: Calibration) -> Iterator[str]:
         low, high = sorted(_absolute(channel, found.atmosphere, end) for end in (channel.lowest, channel.highest))
         if high > _HIGHEST_PRESSURE or high < found.atmosphere or low < -found.atmosphere:
             yield (
-                f"{name}: readings from lowest to highest mean {low:g} to {high:g} Pa absolute: expected what "
-                f"covers the atmosphere's pressure and ends below {_HIGHEST_PRESSURE:g} Pa; is gain in Pa?"
+                f"{name}: readings from lowest to highest mean {low:g} to {high:g} Pa absolute: expected a range that "
+                f"includes the atmosphere's pressure and ends below {_HIGHEST_PRESSURE:g} Pa; is gain in Pa?"
             )
 
 
@@ -147,12 +147,15 @@ def _sensor_complaints(found: Calibration) -> Iterator[str]:
     """Contradictions between ``pressure_sensors`` and the sensors of the file."""
     measured = found.pressure_sensors == "measured"
     if not measured and found.regulator_1 is None:
-        yield "pressure_sensors is none: expected regulator_1 and regulator_2 as well; valves do not tell the pressures"
+        yield (
+            "pressure_sensors is none: expected regulator_1 and regulator_2 as well, since valve voltages do not "
+            "determine the pressures"
+        )
     for name, channel in (("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2)):
         if measured and channel is None:
             yield f"{name} is missing: expected a sensor, or pressure_sensors: none with pressure regulators"
         if not measured and channel is not None:
-            yield f"{name}: pressure_sensors is none; expected one of the two"
+            yield f"{name} is given, but pressure_sensors is none: expected only one of them"
 
 
 def _absolute(channel: PressureChannel, atmosphere: float, reading: float) -> float:
@@ -245,13 +248,13 @@ class Converter:
         """
         if drive == "regulator" and self._regulators is None:
             raise BadInput(
-                f"calibration {self.calibration.name} says nothing of regulators, which the rig has; expected "
-                "regulator_1 and regulator_2, such as {gain: 60.0e+3, offset: 0.0, reference: gauge}"
+                f"calibration {self.calibration.name} has no regulators, but the rig has; expected regulator_1 and "
+                "regulator_2, such as {gain: 60.0e+3, offset: 0.0, reference: gauge}"
             )
         if drive == "valve" and not self._pressures:
             raise BadInput(
                 f"calibration {self.calibration.name} has no pressure sensors (pressure_sensors: none), but the rig "
-                "has valves, whose voltages do not tell the pressures; expected pressure_1 and pressure_2"
+                "has valves, whose voltages do not determine the pressures; expected pressure_1 and pressure_2"
             )
 
     def asked(self, command: tuple[float, float]) -> tuple[float, float]:

@@ -50,7 +50,7 @@ class Port:
 
     def _make_link(self, link: Path) -> None:
         if link.exists() and not link.is_symlink():
-            raise BadInput(f"{link}: exists, and is no link; expected the name of a link to make")
+            raise BadInput(f"{link}: exists, but is no link; expected the name of a new link")
         try:
             link.unlink(missing_ok=True)
             link.symlink_to(self.path)

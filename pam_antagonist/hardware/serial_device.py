@@ -92,7 +92,7 @@ class SerialDevice:
                         self.sessions += 1
                         return info
         self._drop()
-        raise DeviceLost("no answer to the greeting: is this its port, and does its firmware run?")
+        raise DeviceLost("no answer to the greeting: is this the device's port, and does its firmware run?")
 
     def _answer(self, payload: bytes) -> DeviceInfo | None:
         """Device information from a welcome; None for another message."""

@@ -54,5 +54,5 @@ class ZeroPressureMeasurement:
                 f"{_FARTHEST:g}: is the muscle open to the air?"
             )
         if statistics.pstdev(values) > _LOUDEST:
-            raise BadInput(f"sensors at rest: pressure {muscle + 1} still moves: wait until it stands")
+            raise BadInput(f"sensors at rest: pressure {muscle + 1} still changes: wait until it is constant")
         return -off

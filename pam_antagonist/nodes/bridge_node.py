@@ -97,7 +97,8 @@ class BridgeNode(PamNode):
         values = self.values
         if self.get_parameter("use_sim_time").value:
             raise BadInput(
-                "use_sim_time is true: hardware does not follow simulated time; replay a bag without a bridge"
+                "use_sim_time is true, but hardware does not follow simulated time: set it to false, or replay a bag "
+                "without a bridge"
             )
         rig = load_rig(values["rig"], regulators=True)
         first, second = values["pressure_rest"]

@@ -41,7 +41,8 @@ PARAMETERS = (
     Parameter(
         "pressure_sensors",
         "measured",
-        "none: estimates without measured pressures are no reason to stop; for a rig with drive: regulator",
+        "none: the pressures are not measured, so estimates without them do not stop the controller; for a rig with "
+        "drive: regulator",
         choices=PRESSURE_SENSORS,
     ),
     Parameter("bias", _ANGLE.bias, "voltage of both valves at rest [V]", 0.0, 10.0, read_only=False),
@@ -84,13 +85,19 @@ PARAMETERS = (
     Parameter(
         "approach",
         _MODEL.approach,
-        "law model: last part of the way over which the torque against friction fades [rad]",
+        "law model: distance from the reference within which the torque against friction fades [rad]",
         1e-4,
         1.0,
         read_only=False,
     ),
     Parameter("lowest_pressure", LOWEST_PRESSURE, "law model: least pressure of a muscle, absolute [Pa]", 0.0, 1e7),
-    Parameter("supply_margin", SUPPLY_MARGIN, "law model: what is left of the supply's pressure [Pa]", 0.0, 1e7),
+    Parameter(
+        "supply_margin",
+        SUPPLY_MARGIN,
+        "law model: how far the pressures stay below the supply's pressure [Pa]",
+        0.0,
+        1e7,
+    ),
     Parameter("least_force", LEAST_FORCE, "law model: least contraction force of a muscle [N]", 0.0, 1e4),
     Parameter(
         "governor", True, "law model: whether references are held back so that limits are kept (docs/interaction.md)"
@@ -124,7 +131,8 @@ PARAMETERS = (
     Parameter(
         "reference_lost",
         "safe",
-        "what follows a lost reference: safe voltages, or hold, the angle estimated at that moment",
+        "what follows a lost reference: safe, the safe voltages, or hold, which keeps the angle estimated at that "
+        "moment",
         choices=LOST,
     ),
     Parameter(
@@ -134,19 +142,37 @@ PARAMETERS = (
         "effort of joint_name, NaN: not asked), commands (Float64MultiArray), joint_trajectory (JointTrajectory)",
         choices=("reference", "joint_command", "commands", "joint_trajectory"),
     ),
-    Parameter("commands_mode", "angle", "quantity of the numbers in commands", choices=("angle", "torque")),
-    Parameter("commands_index", 0, "which of the numbers of commands is this joint's [-]", 0, 1000),
-    Parameter("max_age", 0.02, "age beyond which an estimate is not acted on [s]", 0.002, 10.0),
+    Parameter("commands_mode", "angle", "quantity of the numbers in topic commands", choices=("angle", "torque")),
+    Parameter("commands_index", 0, "index of this joint's number in topic commands, from 0 [-]", 0, 1000),
+    Parameter("max_age", 0.02, "an estimate that is older than this is not used [s]", 0.002, 10.0),
     Parameter("resume_time", 0.5, "longest interruption after which the integral goes on as it was [s]", 0.001, 60.0),
-    Parameter("start_enabled", True, "whether it commands as soon as it is active, without a call of enable"),
+    Parameter(
+        "start_enabled",
+        True,
+        "whether the controller sends commands as soon as it is active; false: only after a call of ~/enable",
+    ),
     # One degree beyond the stop of the paper's joint, which a correct estimate does not reach.
-    Parameter("stop_angle", 0.4538, "magnitude of the estimated angle that stops it [rad]", 0.01, 1.6),
-    Parameter("stop_angle_time", 0.01, "time beyond stop_angle after which it stops [s]", 0.001, 1.0),
+    Parameter(
+        "stop_angle", 0.4538, "magnitude of the estimated angle beyond which the controller stops [rad]", 0.01, 1.6
+    ),
+    Parameter("stop_angle_time", 0.01, "time beyond stop_angle after which the controller stops [s]", 0.001, 1.0),
     # 99.9 % quantile for two pressures. On recordings of joints whose parameters differ from the model by one or two
     # per cent, or that have an unmodelled effect, at most 2 % of the samples in any 0.1 s are above.
     Parameter("nis_limit", 13.8, "normalised innovation squared that counts as out of bounds [-]", 0.1, 1e9),
-    Parameter("nis_time", 0.1, "it stops when 15 % of the samples of this time are out of bounds [s]", 0.01, 60.0),
-    Parameter("blind_time", 0.1, "how long an estimate may be without one of the pressures [s]", 0.001, 10.0),
+    Parameter(
+        "nis_time",
+        0.1,
+        "the controller stops when 15 % of the samples within this time are out of bounds [s]",
+        0.01,
+        60.0,
+    ),
+    Parameter(
+        "blind_time",
+        0.1,
+        "time for which estimates may lack one of the pressures before the controller stops [s]",
+        0.001,
+        10.0,
+    ),
     Parameter("blend_time", 0.5, "time constant with which the offset of a bumpless start fades [s]", 0.001, 60.0),
 )
 

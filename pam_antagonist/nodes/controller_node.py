@@ -136,7 +136,7 @@ class ControllerNode(PamNode):
         if not self.active:
             response.success, response.message = False, "the node is not active: activate it first"
             return response
-        response.message = f"was {'enabled' if wanted else 'disabled'} already"
+        response.message = f"it is {'enabled' if wanted else 'disabled'} already"
         if wanted and not self._enabled:
             self._from_the_valves()
             self._supervision.reset()
@@ -151,10 +151,10 @@ class ControllerNode(PamNode):
     def _on_clear(self, _request: Any, response: Any) -> Any:
         self._rigs.forget_the_gone()
         recent = self._heard_ns is not None and self.now_ns() - self._heard_ns <= self._max_age
-        response.success, response.message = True, "was not stopped"
+        response.success, response.message = True, "there is no stop to clear"
         present = self._rigs.present or (recent and self._supervision.present)
         if self.stopped and present:
-            response.success, response.message = False, f"still so: {present}"
+            response.success, response.message = False, f"not cleared, since the cause is still present: {present}"
         elif self.stopped:
             response.message = f"cleared: {self.stopped}"
             self.stopped = ""

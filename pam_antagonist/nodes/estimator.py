@@ -43,7 +43,7 @@ PARAMETERS = (
     Parameter(
         "tuning",
         "default",
-        "name of one of the rig's filter tunings; a new one starts the filter again",
+        "name of one of the rig's filter tunings; a change starts the filter anew",
         read_only=False,
     ),
     Parameter(
@@ -55,8 +55,8 @@ PARAMETERS = (
     Parameter(
         "pressure_sensors",
         "measured",
-        "none: the filter goes by what the regulators are asked for, and no pressure topic is listened to; for a rig "
-        "with drive: regulator",
+        "none: the filter uses the commanded pressures of the regulators and subscribes to no pressure topic; for a "
+        "rig with drive: regulator",
         choices=PRESSURE_SENSORS,
     ),
     Parameter("pairing_timeout", 0.02, "longest time that a sample waits for its other topics [s]", 0.001, 1.0),

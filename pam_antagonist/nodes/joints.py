@@ -54,8 +54,8 @@ def refuse_renames(arguments: Sequence[str]) -> None:
     for word in arguments:
         if _RENAMES.match(word):
             raise BadInput(
-                f"joints: {word} is for all nodes of the process; namespaces of the joints are in the parameter "
-                f"joints, and joints:{word} is for the node joints alone"
+                f"joints: {word} would rename all nodes of the process; give the namespaces of the joints as "
+                f"parameter joints, or write joints:{word} to rename the node joints alone"
             )
 
 

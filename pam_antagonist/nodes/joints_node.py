@@ -116,7 +116,10 @@ class JointsNode(PamNode):
             raise BadInput("joints: no joint; expected namespaces such as [left/elbow, left/wrist]")
         for namespace in namespaces:
             if not namespace or namespaces.count(namespace) > 1:
-                raise BadInput(f"joints: {namespace or '/'} stands there twice or is the root: expected one a joint")
+                raise BadInput(
+                    f"joints: {namespace or '/'} is given twice or is the root: expected another namespace for each "
+                    "joint"
+                )
         for namespace in namespaces:
             self.joints.append(make_joint(namespace, self.values["source"], **options))
         names: dict[str, str] = {}

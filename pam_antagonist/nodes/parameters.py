@@ -113,7 +113,8 @@ SAFE_VOLTAGE = Parameter(
 SAFE_ACTION = Parameter(
     "safe_action",
     "hold",
-    "what safe means: hold keeps safe_voltage; vent goes on from there, slowly, to vent_voltage",
+    "what the valves get while no valid command comes: hold keeps safe_voltage; vent moves slowly from there to "
+    "vent_voltage",
     choices=("hold", "vent"),
 )
 VENT_VOLTAGE = Parameter("vent_voltage", [0.0, 0.0], "voltages at which both valves let the air out [V]", 0.0, 10.0)
@@ -121,8 +122,8 @@ VENT_RATE = Parameter("vent_rate", 1.0, "largest change of each voltage on the w
 SAFE_PRESSURE = Parameter(
     "safe_pressure",
     [0.0, 0.0],
-    "rig with regulators: absolute pressures that both are asked for while no valid command comes; 0: the middle of "
-    "their range [Pa]",
+    "rig with regulators: absolute pressures that both are commanded to hold while no valid command comes; 0: the "
+    "middle of their range [Pa]",
     0.0,
     2e6,
 )
@@ -151,7 +152,8 @@ VALVE_OWNER = (
     Parameter(
         "max_command_age",
         0.05,
-        "age of the sample that a command answers, beyond which the command is ignored [s]; stamp 0: not checked",
+        "a command is ignored if the sample that it answers is older than this [s]; a command with stamp 0 is not "
+        "checked",
         0.005,
         10.0,
     ),
@@ -160,23 +162,30 @@ VALVE_OWNER = (
     Parameter(
         "max_pressure_slew",
         2e7,
-        "rig with regulators: largest change of the pressure that one is asked for by commands [Pa/s]",
+        "rig with regulators: largest change of a regulator's pressure by commands [Pa/s]",
         1e3,
         1e10,
     ),
     Parameter(
         "max_pressure",
         [0.0, 0.0],
-        "absolute pressure of each muscle that stops the valves; 0: 1.1 times the rig's supply pressure [Pa]",
+        "absolute pressure of each muscle above which the valves stop; 0: 1.1 times the rig's supply pressure [Pa]",
         0.0,
         1e7,
     ),
     Parameter("over_pressure_time", 0.005, "time above max_pressure after which the valves stop [s]", 0.001, 1.0),
-    Parameter("missing_time", 0.02, "how long a pressure may be missing or not finite [s]", 0.001, 1.0),
+    Parameter(
+        "missing_time",
+        0.02,
+        "time for which a pressure may be missing or not finite before the valves stop [s]",
+        0.001,
+        1.0,
+    ),
     Parameter(
         "frozen_time",
         0.0,
-        "how long a pressure may keep the very same value [s]; 0: longer than its sensor's noise allows, at least 0.02",
+        "time for which a pressure may keep exactly the same value before the valves stop [s]; 0: computed from the "
+        "sensor's noise, at least 0.02",
         0.0,
         60.0,
     ),
@@ -201,12 +210,14 @@ def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
     """
     if pressure_sensors == "none" and rig.drive == "valve":
         raise BadInput(
-            f"pressure_sensors none: rig {rig.name} has valves, whose voltages do not tell the pressures; expected a "
-            "rig with pressure regulators (drive: regulator), or pressure_sensors measured"
+            f"pressure_sensors is none, but rig {rig.name} has valves, whose voltages do not determine the pressures; "
+            "expected a rig with pressure regulators (drive: regulator), or pressure_sensors: measured"
         )
 
 
-AUTOSTART = Parameter("autostart", True, "whether the node configures and activates itself")
+AUTOSTART = Parameter(
+    "autostart", True, "whether the node configures and activates itself; false: something else has to do it"
+)
 DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)
 
 

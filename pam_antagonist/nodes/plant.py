@@ -56,7 +56,7 @@ PARAMETERS = (
     Parameter(
         "pressure_sensors",
         "measured",
-        "none: publishes no pressures, as a joint whose regulators alone know them; for a rig with drive: regulator",
+        "none: publishes no pressures, like a joint without pressure sensors; for a rig with drive: regulator",
         choices=PRESSURE_SENSORS,
     ),
     Parameter(

@@ -146,7 +146,8 @@ class PlantNode(PamNode):
         if not -_JUMP_BACK * 1e9 <= now - self._next <= _JUMP * 1e9:
             self._jumps += 1
             self.get_logger().warning(
-                f"the clock is {(now - self._next) * 1e-9:+.3f} s off the samples: they go on from the clock"
+                f"the clock is {(now - self._next) * 1e-9:+.3f} s off the samples: the samples go on at the clock's "
+                "time"
             )
             self._next = now
         for _ in range(_BURST):

@@ -228,7 +228,7 @@ class ReferenceInput:
 
     def _when_lost(self) -> str:
         holds = self._node.values["reference_lost"] == "hold"
-        return "the angle is held that was estimated then" if holds else "safe voltages"
+        return "the angle estimated at that moment is held" if holds else "safe voltages"
 
 
 def _trajectory(points: Any, index: int, start_ns: int) -> Trajectory:

@@ -171,9 +171,12 @@ class ValvePort:
 
     def _on_clear(self, _request: Any, response: Any) -> Any:
         if not self.guard.stopped:
-            response.success, response.message = True, "was not stopped"
+            response.success, response.message = True, "there is no stop to clear"
         elif self.supervision.present:
-            response.success, response.message = False, f"still so: {self.supervision.present}"
+            response.success, response.message = (
+                False,
+                f"not cleared, since the cause is still present: {self.supervision.present}",
+            )
         else:
             response.success, response.message = True, f"cleared: {self.guard.clear()}"
             self.supervision.reset()

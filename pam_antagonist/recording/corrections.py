@@ -224,7 +224,7 @@ _HELP = {
     "flip_torque": "the torque meter counts in the other direction",
     "encoder_zero": "degrees by which the encoder reads too high",
     "torque_zero": "N m by which the torque meter reads too high",
-    "torque_scale": "reading of the torque meter over the torque",
+    "torque_scale": "reading of the torque meter divided by the torque",
     "delay_voltage": "milliseconds by which the stamps of the voltages are too early",
     "delay_angle": "milliseconds by which the stamps of the angle are too early",
     "delay_torque": "milliseconds by which the stamps of the torque are too early",

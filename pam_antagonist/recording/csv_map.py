@@ -43,7 +43,10 @@ class Layout(Strict):
     skip_lines: int = Field(default=0, ge=0, le=10_000, description="lines before the header")
     skip_after_header: int = Field(default=0, ge=0, le=10_000, description="lines between the header and the first row")
     comment: Optional[str] = Field(  # noqa: UP045
-        default="#", min_length=1, max_length=10, description="what lines begin with that are left out, or null"
+        default="#",
+        min_length=1,
+        max_length=10,
+        description="character with which comment lines begin, which are left out, or null",
     )
     encoding: str = Field(default="utf-8", description="how characters are encoded")
     missing: Tuple[Union[Name, StrictFloat], ...] = Field(default=(), description="cells that mean no value")  # noqa: UP006, UP007
@@ -59,7 +62,9 @@ class Time(Strict):
         None, ge=2.0, le=50_000.0, description="rate of an even grid to put the rows on [Hz]"
     )
     begin: float = Field(0.0, ge=0.0, description="seconds at the beginning that are left out")
-    end: Optional[float] = Field(None, gt=0.0, description="seconds from the first row on after which all is left out")  # noqa: UP045
+    end: Optional[float] = Field(  # noqa: UP045
+        None, gt=0.0, description="seconds after the first row from which on all rows are left out"
+    )
     out_of_order: Literal["refuse", "drop"] = Field(
         "refuse", description="what to do about rows that are not later than those before them"
     )
@@ -112,7 +117,7 @@ class Valve(Strict):
     """A column, or one voltage for the whole file; ``sealed`` says that no air passes."""
 
     column: Optional[Name] = Field(None, description="name of the column, or its number from 1")  # noqa: UP045
-    constant: Optional[float] = Field(None, description="voltage throughout, in the unit")  # noqa: UP045
+    constant: Optional[float] = Field(None, description="constant voltage, in the unit")  # noqa: UP045
     sealed: bool = Field(False, description="whether the chamber is closed, so that no air passes")
     unit: str
     scale: float = Field(1.0, description="factor, before the unit")

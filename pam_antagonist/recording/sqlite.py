@@ -74,7 +74,7 @@ def read_sqlite(file: Path, types: Collection[str]) -> list[RawTopic]:
             _check(database)
             return _read(database, types, size)
     except sqlite3.Error as exc:
-        why = "it is not what a rosbag2 database is" if "interrupt" in str(exc) else str(exc)
+        why = "it is not a rosbag2 database" if "interrupt" in str(exc) else str(exc)
         raise SqliteDamage(" ".join(why.split())) from None
 
 

@@ -172,7 +172,7 @@ def _read_file(
         if not magic.strip(b"\0") and packing_damage is None:
             if closed:
                 raise BadInput(f"{file}: is empty")
-            bag.issues.append(f"{file} holds nothing yet: the recording ended when it was begun")
+            bag.issues.append(f"{file} holds no messages: the recording ended right after its start")
             return []
         damage = packing_damage
         if magic.startswith(MCAP_MAGIC):

@@ -115,7 +115,7 @@ def _angle_sensor(recording: Recording, wanted: str) -> str:
         return "encoder" if any(len(item.angle_sensor) for item in recording.checkpoints) else "none"
     if wanted == "encoder" and recording.angle_sensor is None:
         raise BadInput(
-            f"{recording.path}: has no topic angle_sensor; record one (parameter angle_sensor: encoder of plant or "
+            f"{recording.path}: has no topic angle_sensor; record it (parameter angle_sensor: encoder of plant or "
             "bridge), or name it by --topic angle_sensor=/NAME"
         )
     return wanted

@@ -203,7 +203,9 @@ class RigIdentity:
         facts, words = content.get("facts"), [content.get(key) for key in ("node", "name", "fingerprint")]
         good = all(isinstance(word, str) and len(word) <= _LARGEST_NAME for word in words)
         if not (good and isinstance(facts, dict) and all(map(_usable, facts.values()))):
-            raise BadInput(f"rig: {text[:60]!r} tells of no rig: expected JSON with node, name, fingerprint and facts")
+            raise BadInput(
+                f"rig: {text[:60]!r} does not describe a rig: expected JSON with node, name, fingerprint and facts"
+            )
         node, name, digits = (_clean(str(word)) for word in words)
         return cls(name, digits, facts, node)
 

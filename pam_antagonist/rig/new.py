@@ -161,7 +161,7 @@ def starting_point(facts: Facts) -> Rig:
     rig = rig.replaced(priors=_rounded(rig.priors))
     complaint = unphysical(rig)
     if complaint:
-        raise BadInput(f"these values make no rig: {complaint}")
+        raise BadInput(f"these values together make an impossible rig: {complaint}")
     return rig
 
 

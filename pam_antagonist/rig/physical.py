@@ -76,8 +76,9 @@ def _bad_regulators(rig: Rig) -> str:
         return f"effects.{given[0]}: the rig has valves; expected drive: regulator with it" if given else ""
     if not all(rig.value(f"effects.regulator_lag.frequency_{i}") > 0.0 for i in (1, 2)):
         return (
-            "effects.regulator_lag is missing: how the regulators answer; expected, for such as 9 Hz with a damping "
-            "ratio of 0.33: regulator_lag: {frequency_1: 56.0, frequency_2: 56.0, damping: 0.33}"
+            "effects.regulator_lag is missing, which says how quickly the regulators follow; expected, for example "
+            "for 9 Hz and a damping ratio of 0.33, regulator_lag: {frequency_1: 56.0, frequency_2: 56.0, damping: "
+            "0.33}"
         )
     low, high = rig.command_limits
     if not low < high:
@@ -134,7 +135,8 @@ def _bad_effects(rig: Rig) -> str:
     pushes = rig.effects.get(DISTURBANCE, {})
     if "onset" in pushes and "prior" not in pushes:
         return (
-            f"effects.{DISTURBANCE}.onset: given without a prior, expected prior: how hard one pushes in N m, beside it"
+            f"effects.{DISTURBANCE}.onset is given without a prior: expected prior as well, the standard deviation of "
+            "the pushes in N m"
         )
     return ""
 

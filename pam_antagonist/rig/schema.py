@@ -187,8 +187,7 @@ class Sensors(Strict):
 
 
 NO_ENCODER = (
-    "rig {rig} says nothing of an encoder; "
-    "write into its file, in rad: encoder: {{std: 5.0e-4, step: 0.0, offset: 0.0}}"
+    "rig {rig} has no encoder in its file; write into it, in rad: encoder: {{std: 5.0e-4, step: 0.0, offset: 0.0}}"
 )
 """Message where an encoder is needed."""
 
@@ -198,7 +197,7 @@ class Encoder(Strict):
 
     std: float = Field(ge=0.0, lt=0.2, description="[rad]")
     step: float = Field(0.0, ge=0.0, lt=0.2, description="[rad], 0: none")
-    offset: float = Field(0.0, ge=-math.pi, le=math.pi, description="so much too high it reads [rad]")
+    offset: float = Field(0.0, ge=-math.pi, le=math.pi, description="by how much the encoder reads too high [rad]")
 
     @property
     def variance(self) -> float:
@@ -256,10 +255,10 @@ class Units(Strict):
     """Which units of a recording are what they are called."""
 
     pressure: Literal["pascal", "unknown"] = Field(
-        "pascal", description="unknown: gain and offset of the pressures are stand-ins"
+        "pascal", description="unknown: gain and offset of the recorded pressures are assumed"
     )
     force: Literal["newton", "per_inertia"] = Field(
-        "newton", description="per_inertia: joint.inertia is a stand-in, with which all torques scale"
+        "newton", description="per_inertia: joint.inertia is assumed, and all torques are proportional to it"
     )
 
 
@@ -280,7 +279,7 @@ class Rig(Strict):
     units: Units = Field(default_factory=lambda: Units(pressure="pascal", force="newton"))
     signals: Dict[str, float] = Field(  # noqa: UP006
         {},
-        description="further signals that effects go by, each with the value from which it counts [SI]",
+        description="further signals on which effects depend, each with its reference value [SI]",
     )
     geometry: Geometry
     muscle_1: Muscle

@@ -229,9 +229,9 @@ def test_a_checkpoint_holds_what_is_known_of_the_encoder() -> None:
 def test_bad_input_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="expected one of none, encoder"):
         Estimator(RIG, angle_sensor="imu")
-    with pytest.raises(BadInput, match="shin2022 says nothing of an encoder; write into its file"):
+    with pytest.raises(BadInput, match="shin2022 has no encoder in its file; write into it"):
         Estimator(PLAIN, angle_sensor="encoder")
     rig_file = tmp_path / "rig.yaml"
     rig_file.write_text("based_on: shin2022\nname: pushed\neffects: {external_torque: {noise: 0.1, onset: 5.5}}\n")
-    with pytest.raises(BadInput, match="given without a prior, expected prior"):
+    with pytest.raises(BadInput, match="is given without a prior: expected prior as well"):
         load_rig(rig_file)

@@ -128,7 +128,7 @@ def test_a_joint_with_regulators_does_without_pressure_sensors_and_one_with_valv
             {"pressure_sensors": "none", "pressure_1": None, "pressure_2": None},
             "pressure_sensors is none: expected regul",
         ),
-        ({"pressure_sensors": "none", **REGULATORS}, "pressure_1: pressure_sensors is none"),
+        ({"pressure_sensors": "none", **REGULATORS}, "pressure_1 is given, but pressure_sensors is none"),
     ],
 )
 def test_what_no_sensor_has_is_refused_in_one_line(tmp_path: Path, changes: dict[str, Any], words: str) -> None:

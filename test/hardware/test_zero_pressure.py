@@ -26,7 +26,7 @@ def test_offsets_at_rest_bring_the_pressures_to_the_atmospheres() -> None:
         ([(101.3e3, 101.3e3)] * 999, "999 samples so far"),
         ([(101.3e3, 140e3)] * 1000, "pressure 2 is .38700 Pa off the atmosphere"),
         ([(math.nan, 101.3e3)] * 1000, "pressure 1 is .nan Pa off"),
-        ([(91.3e3, 101.3e3), (111.3e3, 101.3e3)] * 500, "pressure 1 still moves"),
+        ([(91.3e3, 101.3e3), (111.3e3, 101.3e3)] * 500, "pressure 1 still changes"),
     ],
 )
 def test_what_is_not_at_rest_is_not_measured(pressures: list[tuple[float, float]], words: str) -> None:

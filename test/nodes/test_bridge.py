@@ -232,7 +232,7 @@ def test_missing_pressure_stops_the_valves_until_it_is_cleared(run: Run) -> None
     assert said and said[-1].level == b"\x02" and "pressure 1 is missing" in said[-1].message
     first, second = run.cleared
     assert first.success and "pressure 1 is missing" in first.message
-    assert second.message == "was not stopped"
+    assert second.message == "there is no stop to clear"
     assert any(row.voltage != SAFE for row in after if end + 2 * 10**8 < row.time_ns < run.killed_ns)
 
 

@@ -238,7 +238,7 @@ def test_another_joints_rig_file_stops_until_the_files_agree(node: Any, who: str
     assert f"the rig file of the {who} is another joint's: force of muscle 2" in health["commands"].message
     assert "(shin2022_as_printed (" in health["rig"].message and "here shin2022 (" in health["rig"].message
     good, why = clear(node)
-    assert not good and why.startswith(f"still so: the rig file of the {who}")
+    assert not good and why.startswith(f"not cleared, since the cause is still present: the rig file of the {who}")
 
     tell_rig(node, who, "shin2022")
     estimate(node, begin + 5 * MS, angle=0.1)

@@ -163,8 +163,8 @@ def test_stop_all_reaches_bridges_and_controllers_of_valves_that_are_owned_elsew
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-r", "__ns:=/arm"], "__ns:=/arm is for all nodes of the process"),
-        (["-p", "joints:=[a, a]", "-p", "joint_name:=x"], "/a stands there twice"),
+        (["-r", "__ns:=/arm"], "__ns:=/arm would rename all nodes of the process"),
+        (["-p", "joints:=[a, a]", "-p", "joint_name:=x"], "/a is given twice"),
         (["-p", "joints:=['/']"], "is the root"),
         (["-p", "joints:=[a, b]"], "/a and /b have one joint_name, 'joint'"),
         (["-p", "source:=plnat"], "one of plant, bridge, none"),

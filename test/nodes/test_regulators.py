@@ -156,7 +156,7 @@ def test_valves_are_not_driven_without_measured_pressures(nodes: list[Any]) -> N
 
     given = [Parameter("pressure_sensors", value="none")]
     for kind in (PlantNode, EstimatorNode, ControllerNode):
-        with pytest.raises(BadInput, match="rig shin2022 has valves, whose voltages do not tell the pressures"):
+        with pytest.raises(BadInput, match="rig shin2022 has valves, whose voltages do not determine the pressures"):
             nodes.append(kind(parameter_overrides=given))
 
 
@@ -167,5 +167,5 @@ def test_a_device_puts_out_voltages_that_ask_for_the_pressures() -> None:
     safe = converter.action(SafeAction((401.3e3, 341.3e3), (101.3e3, 101.3e3), 30e3))
     assert safe.hold == pytest.approx((5.0, 4.0)) and safe.vent == pytest.approx((0.0, 0.0))
     assert safe.rate == pytest.approx(0.5)
-    with pytest.raises(BadInput, match="calibration example says nothing of regulators"):
+    with pytest.raises(BadInput, match="calibration example has no regulators, but the rig has"):
         Converter(load_calibration("example")).suits("regulator")

@@ -167,7 +167,7 @@ def test_facts_that_another_version_does_not_tell_are_passed_over() -> None:
     ],
 )  # fmt: skip
 def test_other_texts_are_refused(text: str) -> None:
-    with pytest.raises(BadInput, match="tells of no rig"):
+    with pytest.raises(BadInput, match="does not describe a rig"):
         RigIdentity.read(text)
 
 
