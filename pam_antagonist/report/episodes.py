@@ -27,8 +27,8 @@ _WORDS = {
 }
 _BY_SIGNAL = {
     "friction_by_signal": "friction that grows with",
-    "load_by_signal": "a torque that goes with",
-    "strength_by_signal": "strength of the muscles that goes with",
+    "load_by_signal": "a torque that depends on",
+    "strength_by_signal": "strength of the muscles that depends on",
 }
 _DRIFT = 0.8
 """The rig drifts if the error of a model of the last episodes is less than this times that of all episodes."""

@@ -43,7 +43,7 @@ EFFECT = Effect(
         EffectParameter("velocity", "rad/s", 0.3, 0.01, 10.0, 0.3, "velocity over which the torque at rest fades", "v"),
     ),
     hooks={"coulomb_torque": extra_coulomb},
-    sentence="the joint's friction is of another kind (friction)",
+    sentence="the joint has friction that the model lacks (friction)",
     experiment="move the joint slowly and fast through the same angles at constant pressures",
     sealed=SealedJoint(
         part="balance",

@@ -73,7 +73,7 @@ EFFECT = Effect(
     experiment="turn the joint slowly to and fro at constant pressures and plot torque over angle",
     distinguished_by={
         "friction": "turn the joint by hand with both muscles vented: friction of the shaft stays, hysteresis of the "
-        "muscles goes with the pressure",
+        "muscles depends on the pressure",
         "creep": "turn the joint by the same way slowly and fast: hysteresis gives the same loop, creep does not",
     },
     # Both lengths change together, and so do both loops: the share of each muscle is not observable.

@@ -15,13 +15,13 @@ from pam_antagonist.model.effects.base import Effect, SealedJoint, along_signals
 
 EFFECT = Effect(
     name="load_by_signal",
-    meaning="A torque pulls on the joint that goes with something outside of it that was measured.",
+    meaning="A torque on the joint depends on something that was measured outside of it.",
     law="the torque on the joint gains the sum of c_k (s_k − s̄_k) over the further signals s_k",
     source="statics: the moment of a weight, or of a tendon, that something else moves",
-    signature="The joint rests elsewhere at some times, and those go with a signal of another joint.",
-    parameters=per_signal("slope", "N m/SI", -10.0, 10.0, 1e-7, "torque that goes with the signal", "c"),
+    signature="The joint rests elsewhere when a signal of another joint is higher or lower.",
+    parameters=per_signal("slope", "N m/SI", -10.0, 10.0, 1e-7, "torque for each unit of the signal", "c"),
     hooks={"joint_torque": along_signals},
-    sentence="a torque on the joint goes with a signal from outside of it (load_by_signal)",
+    sentence="a torque on the joint depends on a signal from outside of the joint (load_by_signal)",
     experiment="hold the joint's own pressures, and move the other joint slowly",
     distinguished_by={
         "friction_by_signal": "approach the same angle from both sides: friction holds on either side, a load pulls to "

@@ -40,7 +40,8 @@ EFFECT = Effect(
     sentence="something beside the muscles pulls at the joint (load_torque)",
     experiment="move the joint slowly through its range with the load taken off",
     distinguished_by={
-        "friction": "approach the same pressures from both sides: a load shifts both rest angles alike, friction apart",
+        "friction": "approach the same pressures from both sides: a load shifts both rest angles the same way, "
+        "friction moves them apart",
     },
     sealed=SealedJoint(
         part=None, reason="a constant torque or a spring looks like another force map or another stiffness"

@@ -33,13 +33,13 @@ def stronger(muscle_force, slope1, slope2, slope3, slope4, signal1, signal2, sig
 
 EFFECT = Effect(
     name="strength_by_signal",
-    meaning="The muscles are stronger or weaker with something that was measured beside the joint.",
+    meaning="The muscles' strength depends on something that was measured beside the joint, such as a temperature.",
     law="F_i becomes F_i (1 + the sum of g_k (s_k − s̄_k)) over the further signals s_k",
     source="first order of any dependence of the contraction force on a temperature or a supply pressure",
-    signature="Forces are wrong by a share, and the share goes with a signal.",
+    signature="Forces are wrong by a share, and the share depends on a signal.",
     parameters=per_signal("slope", "1/SI", -1.0, 1.0, 1e-6, "growth of the muscles' strength with the signal", "g"),
     hooks={"muscle_force": stronger},
-    sentence="the muscles' strength goes with a signal (strength_by_signal)",
+    sentence="the muscles' strength depends on a signal (strength_by_signal)",
     experiment="repeat the same motion while the signal has another value",
     distinguished_by={
         "load_by_signal": "raise both pressures: a load turns the joint less, a strength that changes turns it as "

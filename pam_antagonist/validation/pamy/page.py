@@ -51,7 +51,7 @@ lines that go on err more there. The rule of 1 % of what there was comes from a 
 ## What is not shown
 
 Torque in N m, areas and stiffness in N m/rad cannot be told without a torque or an inertia that is known. That
-friction goes with the other joint's pressures is a correlation in recordings of a policy, not an experiment: to hold
+friction depends on the other joint's pressures is a correlation in recordings of a policy, not an experiment: to hold
 that joint at two pressures would tell.
 """
 
