@@ -49,7 +49,11 @@ def parser() -> common.Parser:
     out.add_argument("--link", type=Path, metavar="PATH", help="link to the port, so that its name stays the same")
     out.add_argument("--seed", type=SEED, default=0, help="seed of all random numbers (default: 0)")
     out.add_argument(
-        "--mismatch", type=float, default=0.0, metavar="X", help="relative scatter of the parameters (default: 0)"
+        "--mismatch",
+        type=float,
+        default=0.0,
+        metavar="X",
+        help="relative deviation of the joint's parameters from the rig file (default: 0)",
     )
     out.add_argument("--no-noise", action="store_true", help="exact sensors")
     out.add_argument("--drift", type=float, default=0.0, metavar="PPM", help="error of its clock [ppm] (default: 0)")
@@ -58,13 +62,18 @@ def parser() -> common.Parser:
     )
     out.add_argument("--log", type=Path, metavar="FILE", help="CSV file of the voltages on the valves, row by change")
     out.add_argument(
-        "--fault", action="append", default=[], metavar="FAULT", help="what goes wrong, see below; several may be given"
+        "--fault",
+        action="append",
+        default=[],
+        metavar="FAULT",
+        help="a fault to make, see below; may be given several times",
     )
     out.add_argument(
         "--orders",
         type=Path,
         metavar="PIPE",
-        help="make this named pipe, and take faults from it meanwhile: lines +KIND[=VALUE] (begin) and -KIND (end)",
+        help="make this named pipe and read orders from it while running: lines +KIND[=VALUE] (begin a fault) and "
+        "-KIND (end it)",
     )
     out.add_argument("--flip", type=float, metavar="SHARE", help="the same as --fault flip=SHARE")
     out.add_argument("--drop", type=float, metavar="SHARE", help="the same as --fault drop=SHARE")

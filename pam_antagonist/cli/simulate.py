@@ -50,7 +50,11 @@ def parser() -> common.Parser:
     common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
     out.add_argument("--seed", type=SEED, default=0, help="seed of all random numbers (default: 0)")
     out.add_argument(
-        "--mismatch", type=float, default=0.0, metavar="X", help="relative scatter of the parameters (default: 0)"
+        "--mismatch",
+        type=float,
+        default=0.0,
+        metavar="X",
+        help="relative deviation of the joint's parameters from the rig file (default: 0)",
     )
     out.add_argument("--no-noise", action="store_true", help="exact sensors")
     return out

@@ -24,16 +24,18 @@ from pam_antagonist.validation.battery.outcomes import Outcome
 from pam_antagonist.validation.battery.plants import DURATION, RIG, Case
 
 _DESCRIPTION = """\
-Diagnose a battery of simulated joints and say how often the diagnosis was right.
+Let close_loop diagnose many simulated joints (a battery), and count how often the diagnosis was right.
 
-Each case is a free and a locked recording of a joint with one effect, two, none, or something that is in no catalogue.
-The effects are written in another form than the catalogue's. What they add to the most affected measurement ranges from
-half to 16 times the sensor's noise (RMS). The base parameters are scattered by a percent. Every share comes with its
-95 % interval. It is this package's own simulator: being right here is less than being right on a real joint.
+Each case is a free and a locked recording of a joint with one effect, with two, with none, or with an effect that is
+not in the catalogue. The effects are written in another form than the catalogue's. What they add to the most affected
+measurement ranges from half to 16 times the sensor's noise (RMS). The base parameters are scattered by a percent. Every
+share comes with its 95 % interval. It is this package's own simulator: being right here is less than being right on a
+real joint.
 
-One JSON a finished case in the folder --out, and summary.json with all figures: the same command again goes on where it
-was interrupted. Shards of one battery may run at the same time into one folder; the tables are of the cases that are
-finished. --remainders fits the catalogue's law to each form without noise and writes what it leaves as remainders.json.
+The folder --out gets a JSON file for each finished case, and summary.json with all figures. The same command again
+continues an interrupted run. Shards of one battery may run at the same time into one folder; the tables are of the
+cases that are finished. --remainders fits the catalogue's law to each form without noise, and writes the remaining
+error to remainders.json.
 Status: 0 whether or not the diagnosis was right, 2 bad input.
 """
 _EXAMPLES = """\
@@ -65,25 +67,33 @@ def parser() -> common.Parser:
         type=whole(0, 100_000),
         default=0,
         metavar="N",
-        help="further cases whose only fault is a zero or a clock",
+        help="further cases whose only fault is a wrong zero or clock (default: 0)",
     )
     out.add_argument(
         "--effect",
         metavar="NAME",
         help=f"all cases are of this effect, in its forms in turn, {LARGE:g} noises or more (default: all kinds)",
     )
-    out.add_argument("--seed", type=SEED, default=1, metavar="S", help="of the battery (default: 1)")
+    out.add_argument("--seed", type=SEED, default=1, metavar="S", help="seed of the battery (default: 1)")
     out.add_argument(
-        "--shard", type=_shard, default=(1, 1), metavar="I/K", help="every K-th case, from the I-th on (default: 1/1)"
+        "--shard",
+        type=_shard,
+        default=(1, 1),
+        metavar="I/K",
+        help="run only every K-th case, from the I-th on (default: 1/1)",
     )
     out.add_argument(
-        "--duration", type=float, default=DURATION, metavar="S", help=f"of a recording [s] (default: {DURATION:g})"
+        "--duration",
+        type=float,
+        default=DURATION,
+        metavar="S",
+        help=f"length of a recording [s] (default: {DURATION:g})",
     )
     out.add_argument("--jobs", type=JOBS, default=os.cpu_count() or 1, metavar="N", help="threads (default: all cores)")
     cluster.add_dask(out, "judge whole cases, one a worker's thread,")
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the tables as Markdown; FILE is replaced")
     out.add_argument(
-        "--remainders", action="store_true", help="work out how much of each form the catalogue's law cannot imitate"
+        "--remainders", action="store_true", help="compute how much of each form the catalogue's law cannot imitate"
     )
     common.add_new_json(out, "summary.json")
     out.add_argument("--bags", type=Path, metavar="DIR", help="write the recordings as bags and diagnose nothing")

@@ -59,7 +59,7 @@ def cases(
         BadInput: a negative seed, numbers of cases that make no battery, or an effect that has no forms.
     """
     if effect is not None and effect not in EFFECTS:
-        raise BadInput(f"battery: no forms of an effect {effect!r}; expected one of {', '.join(EFFECTS)}")
+        raise BadInput(f"battery: the effect {effect!r} has no forms here; expected one of {', '.join(EFFECTS)}")
     numbers = count, nothing, calibrations
     if seed < 0 or min(numbers) < 0 or count > NOTHING_FROM or sum(numbers) < 1:
         raise BadInput(

@@ -67,7 +67,7 @@ def measure(rig: str, before: Path, cases: Path) -> list[Figure]:
     parts = {f"{side}_cpu_s": value for side, value in total.items()}
     meaning = f"processor time of close_loop of all {len(folders)} cases against that of {before.name}"
     figures.append(Figure("close_loop_all", meaning, total["now"] / total["before"], "", None, "×", parts))
-    meaning += ", without what that did not do"
+    meaning += ", without the work that the earlier version did not do"
     same = (total["now"] - total["added"]) / total["before"]
     return [*figures, at_most("close_loop_same_work", meaning, same, _BOUND, "×", parts)]
 

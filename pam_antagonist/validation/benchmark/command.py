@@ -31,21 +31,21 @@ Measure what the package costs on this machine.
             and the round trip pressure -> command against that of a pipeline that passes messages through
 
   joints    six simulated joints in one process at 500 Hz, and at 1 kHz, with a recorder of all (needs ROS 2): losses,
-            memory, processor time; only where it is asked for by --only
+            memory, processor time; only by --only
   interaction  the pipeline with the torque from outside, the law through the model and the governor (needs ROS 2): the
             round trip against that of a pipeline that passes messages through; only by --only
   watch     the pipeline with the live page's process, in turns of some 10 s with a page open and without (needs
             ROS 2): the round trip with, against that without, and what the page takes of a core; only by --only
 
   before    close_loop and identify against those of an earlier checkout (--before), over recordings (--cases):
-            processor time, what close_loop does besides since 8e1972c apart, and whether the verdicts are the same;
-            only by --only
+            processor time (what close_loop does in addition since commit 8e1972c is not counted), and whether the
+            verdicts are the same; only by --only
   growth    replay, identify and close_loop against the length of recordings (--minutes) and their number
             (--recordings): processor time and memory; only by --only, and takes an hour with the defaults
 
-  --soak S  instead of all that: the pipeline for S seconds, with what grows, what is lost and what drifts (600 is a
-            good while); looks at every process once a second, and with --json FILE writes the series as a page beside
-            it (FILE with the suffix .html)
+  --soak S  none of these parts, but the pipeline for S seconds (600 is enough for most purposes): growth of memory,
+            lost messages and drift of the clocks. Every process is looked at once a second. With --json FILE the
+            series are written as a page beside it (FILE with the suffix .html)
 
 Every figure is a ratio of two things that were timed in turn, so that a busy machine slows both.
 Status: 0 whether or not a bound holds, 2 bad input.
@@ -58,7 +58,7 @@ _ALL = (*PARTS, "joints", "interaction", "watch", "before", "growth")
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("benchmark", _DESCRIPTION)
-    out.add_argument("--only", choices=_ALL, action="append", help="this part alone; may be given several times")
+    out.add_argument("--only", choices=_ALL, action="append", help="run this part alone; may be given several times")
     out.add_argument(
         "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
     )
@@ -84,7 +84,7 @@ def parser() -> common.Parser:
         help="numbers of recordings of --only growth (default: 2,8,32)",
     )  # fmt: skip
     out.add_argument(
-        "--soak", type=float, metavar="S", help="run the pipeline for so long, from 15 s on, and no other part"
+        "--soak", type=float, metavar="S", help="run the pipeline for this time [s], at least 15, and no other part"
     )
     common.add_new_json(out, "the figures")
     return out

@@ -48,17 +48,21 @@ examples:
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("control_laws", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("--only", choices=PARTS, action="append", help="this part alone; may be given several times")
+    out.add_argument("--only", choices=PARTS, action="append", help="run this part alone; may be given several times")
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="a rig of the size of shin2022 (the default)")
     out.add_argument(
-        "--seeds", type=whole(1, 100_000), default=20, metavar="N", help="joints: seeds 0 to N - 1 (default: 20)"
+        "--seeds",
+        type=whole(1, 100_000),
+        default=20,
+        metavar="N",
+        help="number of joints, with seeds 0 to N - 1 (default: 20)",
     )
     out.add_argument(
         "--references",
         type=whole(1, 100_000),
         default=1000,
         metavar="N",
-        help="references at random, of all joints (default: 1000)",
+        help="number of random references, of all joints together (default: 1000)",
     )
     out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="processes (default: 2)")
     out.add_argument("--out", type=Path, metavar="DIR", help="folder of report.html and report.json; a new one")

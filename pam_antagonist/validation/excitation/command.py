@@ -22,8 +22,9 @@ from pam_antagonist.simulation.plant import SCATTER_GROUPS, Plant
 
 _DESCRIPTION = """\
 Design an experiment for each of several simulated joints, and compare it with random steps of the same length over the
-same pressures. The design knows the rig file only; each joint's parameters differ from it. Compared are the parameters'
-standard errors, by the information at the joint's true parameters, and whether the joint stayed within the limits.
+same pressures. The design uses the rig file only; each joint's parameters differ from it. The command compares the
+parameters' standard errors, from the information at the joint's true parameters, and whether the joint stayed within
+the limits.
 """
 _EXAMPLES = """\
 examples:
@@ -35,10 +36,22 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("excitation", _DESCRIPTION, _EXAMPLES)
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
-    out.add_argument("--joints", type=whole(1, 1000), default=20, metavar="N", help="how many (default: 20)")
-    out.add_argument("--duration", type=float, default=30.0, metavar="S", help="of each experiment [s] (default: 30)")
-    out.add_argument("--mismatch", type=float, default=0.02, metavar="X", help="of the parameters (default: 0.02)")
-    out.add_argument("--seed", type=whole(0, 10**6), default=1, metavar="N", help="of the first joint (default: 1)")
+    out.add_argument(
+        "--joints", type=whole(1, 1000), default=20, metavar="N", help="number of simulated joints (default: 20)"
+    )
+    out.add_argument(
+        "--duration", type=float, default=30.0, metavar="S", help="length of each experiment [s] (default: 30)"
+    )
+    out.add_argument(
+        "--mismatch",
+        type=float,
+        default=0.02,
+        metavar="X",
+        help="relative deviation of the joints' parameters from the rig file (default: 0.02)",
+    )
+    out.add_argument(
+        "--seed", type=whole(0, 10**6), default=1, metavar="N", help="seed of the first joint (default: 1)"
+    )
     common.add_new_json(out, "the figures")
     return out
 

@@ -27,12 +27,13 @@ from pam_antagonist.validation.battery.draw import LARGE
 from pam_antagonist.validation.excitation.sizes import Sizes
 
 _DESCRIPTION = """\
-For each pair of effects that the catalogue lists as hard to tell apart: a simulated joint has the first effect at its
-usual size, or the second one at the size at which it imitates the first. A usual size below four noises of a sample is
-enlarged to these, since close_loop finds no smaller effects. Where the imitation is smaller, since the second effect
-hardly imitates the first, the joint has the second one at its own usual size. The joint's parameters differ from the
-rig file by 1 %. An experiment is designed under which both differ most, and close_loop gets its recording beside one of
-steps (20 s). Right is a verdict that names the true effect first.
+Test whether designed experiments distinguish the pairs of effects that the catalogue lists as easy to confuse.
+
+In each pair, a simulated joint has the first effect at its usual size, or the second one at the size at which it
+imitates the first. A usual size below four noises of a sample is enlarged to these, since close_loop finds no smaller
+effects. If the second effect hardly imitates the first, the joint has the second one at its own usual size. The joint's
+parameters differ from the rig file by 1 %. An experiment is designed under which both effects differ most. close_loop
+gets its recording, and one of steps (20 s). A verdict is right if it names the true effect first.
 """
 _EXAMPLES = """\
 examples:
@@ -46,13 +47,17 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("tell_apart", _DESCRIPTION, _EXAMPLES)
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
-    out.add_argument("--pair", action="append", metavar="A:B", help="these effects only; may be given several times")
+    out.add_argument(
+        "--pair", action="append", metavar="A:B", help="test this pair of effects only; may be given several times"
+    )
     out.add_argument("--seeds", type=whole(1, 100), default=10, metavar="N", help="joints for each pair (default: 10)")
     out.add_argument(
         "--without", action="append", default=[], choices=("angle", "torque"),
-        help="design without this sensor, and say which one would tell where none can; with --plan-only",
+        help="design without this sensor, and name a sensor that would decide if no experiment can; with --plan-only",
     )  # fmt: skip
-    out.add_argument("--plan-only", action="store_true", help="only what the designs promise, without close_loop")
+    out.add_argument(
+        "--plan-only", action="store_true", help="only print what the designs promise; do not run close_loop"
+    )
     common.add_new_json(out, "the figures")
     return out
 
@@ -182,7 +187,7 @@ def _line(one: dict[str, Any]) -> str:
     first, second = one["pair"]
     text = f"{first} or {second}: {percent(one['chance'])} in {one['seconds']:.0f} s"
     if one.get("instead"):
-        text += f"; what would tell: {'; '.join(one['instead'])}"
+        text += f"; this would decide: {'; '.join(one['instead'])}"
     if "truth" in one:
         text += f"; seed {one['seed']}: {one['truth']} is there, found {' '.join(one['found']) or 'none'}"
     return text

@@ -32,13 +32,15 @@ from pam_antagonist.validation.control.trials import settling
 from pam_antagonist.validation.excitation.sizes import Sizes
 
 _DESCRIPTION = """\
-For each effect of the catalogue that valves can show: a simulated joint has it, in a size of the battery (4, 8 or 16
-noises of a sample), in one muscle or one of its numbers by chance, and parameters 1 % off the rig file. commission
---unattended --source rehearsal takes it from the rig file to control. Counted are: the effect named first, the time
-that the joint was driven, whether the measured pressures and angles kept the limits, and whether the controller that
-came out settles: steps of 20 degrees on the same joint, by the estimate alone.
+Run commission on simulated joints, each with one effect of the catalogue that a joint with valves can show.
 
-DIR keeps a folder for each joint; what is there is not done again.
+The effect has a size of the battery (4, 8 or 16 noises of a sample), in one muscle or one of its numbers by chance. The
+joint's other parameters are 1 % off the rig file. commission --unattended --source rehearsal leads from the rig file to
+a controlled joint. The command reports the effect that was named first, the time that the joint was driven, and whether
+the measured pressures and angles kept the limits. It also reports whether the resulting controller settles: steps of 20
+degrees on the same joint, by the estimate alone.
+
+DIR keeps a folder for each joint. A joint that has a folder is not done again.
 """
 _EXAMPLES = """\
 examples:
@@ -74,9 +76,17 @@ _HALF, _HOLD_S = math.radians(10.0), 6.0
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("rehearse", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the joints; may exist")
+    out.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="folder of the results, one folder for each joint; may exist",
+    )
     out.add_argument("--rig", default="shin2022", metavar="RIG", help="the rig file (default: shin2022)")
-    out.add_argument("--effect", action="append", metavar="NAME", help="this one only; may be given several times")
+    out.add_argument(
+        "--effect", action="append", metavar="NAME", help="test this effect only; may be given several times"
+    )
     out.add_argument("--seeds", type=whole(1, 100), default=1, metavar="N", help="joints for each effect (default: 1)")
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the table as Markdown; FILE is replaced")
     common.add_new_json(out, "the figures")

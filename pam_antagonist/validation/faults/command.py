@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from pam_antagonist.validation.faults.fault import Fault
 
 _DESCRIPTION = """\
-Make every fault in a running pipeline, and tell what the valves did.
+Make every fault in a running pipeline, and report what the valves did.
 
 Device emulator, bridge, estimator and controller run as processes at the rig's sample rate, in a ROS domain of their
-own. Each fault is made, ended, and looked at until control is back: whether the valves had safe voltages within 50 ms
-(by the device's own log), what /diagnostics said, and what came back by itself. All of them take about three minutes,
-for which the machine should have nothing else to do.
+own. Each fault is made and ended, and the pipeline is watched until control is back. The command reports whether the
+valves had safe voltages within 50 ms (by the device's own log), what /diagnostics said, and what came back by itself.
+All faults take about three minutes. The machine should have nothing else to do in that time.
 Status: 0 if everything came out as expected, 1 if something did not, 2 bad input.
 """
 _EXAMPLES = """\
@@ -36,9 +36,9 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("faults", _DESCRIPTION, _EXAMPLES)
     out.add_argument(
-        "--only", action="append", metavar="NAME", help="this fault alone; may be given several times (see --list)"
+        "--only", action="append", metavar="NAME", help="make this fault alone; may be given several times (see --list)"
     )
-    out.add_argument("--list", action="store_true", help="list the faults, and make none")
+    out.add_argument("--list", action="store_true", help="list the faults and make none")
     out.add_argument(
         "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
     )

@@ -27,10 +27,11 @@ from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig, load_rig
 
 _DESCRIPTION = """\
-What can be known of angle and torque from outside within a second, at best: by pressures alone, with an encoder
-(0.03 deg), and with the angle of an IMU (1 deg); at rest, and swung by hand by 0.6 N m at 2 Hz; valves open, or
-chambers sealed with a charge that nobody knows. From the
-empirical observability Gramian of the model, friction included; errors of the model are not.
+Compute how well angle and torque from outside can be known after one second, at best.
+
+Sensors: pressures alone, with an encoder (0.03 deg), and with the angle of an IMU (1 deg). Motion: at rest, and swung
+by hand by 0.6 N m at 2 Hz. Chambers: valves open, or sealed with an unknown charge. The standard deviations come from
+the empirical observability Gramian of the model. Friction is included; errors of the model are not.
 """
 _EXAMPLES = """\
 examples:
@@ -49,12 +50,16 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("observability", _DESCRIPTION, _EXAMPLES)
     out.add_argument(
-        "--rig", default="shin2022_external_torque", metavar="RIG", help="default: shin2022_external_torque"
+        "--rig",
+        default="shin2022_external_torque",
+        metavar="RIG",
+        help="the rig file (default: shin2022_external_torque)",
     )
     common.add_new_json(out, "the figures")
     out.add_argument(
         "--maps", type=Path, metavar="DIR",
-        help="write torque.png and angle.png as well: the same over more angles, beside what the filter claims",
+        help="write torque.png and angle.png as well: the same over more angles, beside the filter's own standard "
+        "deviations",
     )  # fmt: skip
     return out
 

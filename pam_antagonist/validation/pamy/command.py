@@ -26,10 +26,10 @@ from pam_antagonist.rig import load_rig
 from pam_antagonist.validation.pamy import baselines, page
 
 _DESCRIPTION = """\
-What close_loop makes of the measured arm, beside models without physics, with its drift and its regulators.
+Apply close_loop to the recording of a real arm, compare it with models without physics, and show drift and regulators.
 
-FILE is the CSV of docs/pamy.md, which is not part of this package. Other files with the same columns do as well.
-Writes DIR/report.html and DIR/report.json, and with --docs the page. It takes some minutes.
+FILE is the CSV of docs/pamy.md, which is not part of this package. Other files with the same columns can be
+used as well. Writes DIR/report.html and DIR/report.json, and with --docs the page. It takes some minutes.
 """
 _EXAMPLES = """\
 examples:

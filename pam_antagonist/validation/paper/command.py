@@ -49,7 +49,12 @@ def parser() -> common.Parser:
     add = out.add_argument
     add("--out", required=True, type=Path, metavar="DIR", help="folder of the report; a new one")
     add(
-        "--only", nargs="+", action="extend", choices=tuple(EXPERIMENTS), metavar="NAME", help="these experiments alone"
+        "--only",
+        nargs="+",
+        action="extend",
+        choices=tuple(EXPERIMENTS),
+        metavar="NAME",
+        help="run these experiments alone",
     )
     add("--seed", type=SEED, default=0, metavar="N", help="first seed of the virtual rigs (default: 0)")
     add("--seeds", type=whole(1, 1000), default=20, metavar="N", help="how many virtual rigs (default: 20)")

@@ -39,13 +39,20 @@ def parser() -> common.Parser:
         help="a rig with the state external_torque and an encoder (default: shin2022_external_torque)",
     )  # fmt: skip
     out.add_argument(
-        "--seeds", type=whole(1, 10_000), default=10, metavar="N", help="joints: seeds 0 to N - 1 (default: 10)"
+        "--seeds",
+        type=whole(1, 10_000),
+        default=10,
+        metavar="N",
+        help="number of joints, with seeds 0 to N - 1 (default: 10)",
     )
     out.add_argument(
-        "--seconds", type=real(4.0, 3600.0), default=20.0, metavar="S", help="of each course (default: 20)"
+        "--seconds", type=real(4.0, 3600.0), default=20.0, metavar="S", help="length of each run [s] (default: 20)"
     )
     out.add_argument(
-        "--quiet-hours", type=float, metavar="H", help="in which nobody pushes, in all (default: seeds times seconds)"
+        "--quiet-hours",
+        type=float,
+        metavar="H",
+        help="total time of runs in which nobody pushes [h] (default: seeds times seconds)",
     )
     out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="processes (default: 2)")
     common.add_new_json(out, "the figures")

@@ -179,7 +179,7 @@ def test_a_battery_of_one_effect_takes_its_forms_in_turn() -> None:
     assert {case.kind for case in battery} == {"single"}
     assert sorted(case.form[0] for case in battery) == sorted(3 * forms)
     assert {case.sizes[0] for case in battery} == {level for level in LEVELS if level >= LARGE}
-    with pytest.raises(BadInput, match="no forms of an effect 'frictoin'; expected one of hysteresis"):
+    with pytest.raises(BadInput, match="the effect 'frictoin' has no forms here; expected one of hysteresis"):
         cases(1, 1, effect="frictoin")
 
 
