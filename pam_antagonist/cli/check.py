@@ -87,5 +87,5 @@ def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> st
         lines.append(terminal.marked(text if text.endswith("?") else f"{text}.", _MARKS[finding.status]))
     options = checked.corrections.options()
     if options:
-        lines.append(f"With these options every command reads it corrected: {' '.join(options)}")
+        lines.append(f"With these options every command corrects this recording: {' '.join(options)}")
     return "\n".join(lines)

@@ -39,7 +39,7 @@ DIR/report.json.
 The simulated joint differs a little from the rig file (--mismatch), as a real one does. It is a simulator all the
 same: only a recording of a real joint shows how well a real joint does (see replay).
 
-Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 else.
+Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed.
 """
 _EXAMPLES = """\
 examples:

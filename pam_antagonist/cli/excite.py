@@ -33,8 +33,8 @@ largest determinant of the parameters' information (D-optimal), for all paramete
 within the limits with a margin of three standard deviations, by the uncertainties that the rig file declares.
 
 With --tell-apart the experiment distinguishes the effect that close_loop found from the effects that explain the data
-as well. It is as short as possible, --duration at most. The command prints how likely the experiment decides. If that
-is not likely, the command prints what else would decide.
+as well. It is as short as possible, --duration at most. The command prints the probability that the experiment
+decides. If that is below a half, the command prints what else would decide.
 
 --source says what owns the valves: plant starts a simulated joint, bridge starts a bridge to hardware, and none starts
 nothing, since such a node runs already. No controller may run at the same time: only one node may command the valves.
@@ -42,7 +42,7 @@ Ctrl-C ends the experiment at any time: the valves then get their safe voltages.
 beyond a limit, the experiment ends by itself, with the joint at rest.
 
 DIR holds voltages.csv (what is planned, for simulate --profile as well), plan.json and the bag.
-Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 else.
+Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed.
 """
 _EXAMPLES = """\
 examples:
@@ -58,7 +58,13 @@ def parser() -> common.Parser:
     out = common.Parser("excite", _DESCRIPTION, _EXAMPLES)
     common.add_rig(out)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of plan and bag; a new one")
-    out.add_argument("--duration", type=float, default=60.0, metavar="S", help="length [s] (default: 60)")
+    out.add_argument(
+        "--duration",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="length of the experiment [s]; with --tell-apart, the longest one (default: 60)",
+    )
     common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
     add_limits(out)
     out.add_argument("--seed", type=SEED, default=0, metavar="N", help="seed of the search (default: 0)")

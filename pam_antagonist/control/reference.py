@@ -99,7 +99,10 @@ class Trajectory:
         velocities: Sequence[float] = (),
     ) -> None:
         if not seconds or len(values) != len(seconds) or len(velocities) not in (0, len(seconds)):
-            raise BadInput(f"trajectory of {len(seconds)} times, {len(values)} values, {len(velocities)} velocities")
+            raise BadInput(
+                f"trajectory of {len(seconds)} times, {len(values)} values, {len(velocities)} velocities: expected as "
+                "many of each"
+            )
         if not all(map(math.isfinite, (*seconds, *values, *velocities))):
             raise BadInput("trajectory with a value that is not finite")
         if seconds[0] < 0.0 or any(b <= a for a, b in zip(seconds, seconds[1:], strict=False)):

@@ -101,9 +101,9 @@ class PipelineClient:
 
     def missing(self) -> str:
         """Topics without messages or subscribers, in words; empty when the pipeline is complete."""
-        parts = [f"nothing on {TOPICS[topic].relative}" for topic in self._topics if self.latest(topic) is None]
+        parts = [f"no message on {TOPICS[topic].relative}" for topic in self._topics if self.latest(topic) is None]
         if self.listeners < _SUBSCRIBERS:
-            parts.append(f"nobody listens to {TOPICS[self._published].relative}")
+            parts.append(f"no node subscribes to {TOPICS[self._published].relative}")
         return ", ".join(parts)
 
     def _publish(self, message: Any) -> None:

@@ -304,7 +304,11 @@ class ControllerNode(PamNode):
         elif jumps:
             output = Health(Level.WARN, "the stamps jumped backwards: started again")
         elif astray:
-            output = Health(Level.ERROR, "the valves do not get what is commanded: stopped, or not the only commander")
+            output = Health(
+                Level.ERROR,
+                "the valves do not get what is commanded: the node that owns them is stopped, or it obeys another "
+                "commander",
+            )
         elif self._heard_ns is None:
             output = Health(Level.WARN, "no estimate has come yet")
         elif self._silent:

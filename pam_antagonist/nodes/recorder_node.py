@@ -173,7 +173,7 @@ class RecorderNode(PamNode):
         width = max(map(len, self._counts))
         for topic, count in self._counts.items():
             missing = self._gaps[topic].missing
-            print(f"  {topic.ljust(width)}  {count:9d}" + (f"  {missing} more never came" if missing else ""))
+            print(f"  {topic.ljust(width)}  {count:9d}" + (f"  {missing} more were not received" if missing else ""))
         if self._bag.dropped:
             print(f"  {self._bag.dropped} messages were dropped, because the disk did not keep up")
 

@@ -95,5 +95,5 @@ class RigWatch:
             names = " and ".join(sorted(other.node for other in others))
             return Health(Level.OK, f"the same joint; {names} with other values than the controller", values)
         if not self._others:
-            return Health(Level.OK, "no other node has told its rig yet", values)
+            return Health(Level.OK, "no other node has published its rig yet", values)
         return Health(Level.OK, "the same for all", values)

@@ -206,7 +206,7 @@ def _resampled(name: str, grid: Stamps, stamp_ns: Stamps, values: Floats) -> Flo
 def _resampling_issue(stamp_ns: Stamps, rate: float) -> str:
     before = 1e9 / float(np.median(np.diff(stamp_ns)))
     text = f"resampled from about {before:.4g} to {rate:g} Hz by interpolation; gaps of over five rows stay empty"
-    return text + ("; no filter before, faster motion is folded in" if rate < 0.8 * before else "")
+    return text + ("; there is no filter before it, so faster motion is aliased" if rate < 0.8 * before else "")
 
 
 def _or_none(label: str, values: Floats, issues: list[str]) -> Floats | None:

@@ -42,9 +42,9 @@ def read_information(folder: Path, name: str = NAME) -> dict[str, Any] | None:
     except KeyError as error:
         raise BadInput(f"{file}: not the metadata of a rosbag2, entry {error} is missing") from None
     except (TypeError, IndexError):
-        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry is not what it should be") from None
+        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry has an unexpected type or value") from None
     if not isinstance(information, dict):
-        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry is not what it should be")
+        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry has an unexpected type or value")
     return information
 
 
@@ -88,7 +88,7 @@ def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
         raise BadInput(f"{where}: not the metadata of a rosbag2, entry 'relative_file_paths' is missing")
     listed = information["relative_file_paths"]
     if not isinstance(listed, list) or not all(isinstance(name, str) and Path(name).name for name in listed):
-        raise BadInput(f"{where}: not the metadata of a rosbag2, an entry is not what it should be")
+        raise BadInput(f"{where}: not the metadata of a rosbag2, an entry has an unexpected type or value")
     if not listed:
         raise BadInput(f"{where}: names no message files under relative_file_paths")
     names = [Path(name).name for name in listed]  # rosbag2 itself once wrote the folder's name in front
@@ -112,7 +112,9 @@ def type_digests(folder: Path, information: Mapping[str, Any]) -> dict[tuple[str
     except KeyError as error:
         raise BadInput(f"{folder / NAME}: not the metadata of a rosbag2, entry {error} is missing") from None
     except (TypeError, AttributeError):
-        raise BadInput(f"{folder / NAME}: not the metadata of a rosbag2, an entry is not what it should be") from None
+        raise BadInput(
+            f"{folder / NAME}: not the metadata of a rosbag2, an entry has an unexpected type or value"
+        ) from None
 
 
 def _digests(information: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:

@@ -108,7 +108,7 @@ def _read(database: sqlite3.Connection, types: Collection[str], size: int) -> li
         f"SELECT id, name, type, serialization_format, {digest} FROM topics"
     ):
         if not isinstance(key, int) or not all(isinstance(text, str) for text in (topic, msgtype, encoding)):
-            raise SqliteDamage("a row of its table 'topics' is not what it should be")
+            raise SqliteDamage("a row of its table 'topics' has an unexpected type or value")
         channel = Channel(topic, msgtype, encoding, definitions.get(msgtype, ""), str(digest_text or ""))
         collectors[key] = Collector(channel, msgtype in types)
     times: dict[int, list[int]] = {key: [] for key in collectors}
@@ -117,7 +117,7 @@ def _read(database: sqlite3.Connection, types: Collection[str], size: int) -> li
     for key, log_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"):
         collector = collectors.get(key) if isinstance(key, int) else None
         if collector is None or not isinstance(log_ns, int) or not isinstance(data, bytes) or log_ns < 0:
-            raise SqliteDamage("a row of its table 'messages' is not what it should be")
+            raise SqliteDamage("a row of its table 'messages' has an unexpected type or value")
         total += len(data) + 1
         if total > size:
             raise SqliteDamage("its messages are larger than the file")

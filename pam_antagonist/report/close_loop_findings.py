@@ -80,9 +80,9 @@ def calibration_findings(report: CloseLoopReport) -> tuple[Finding, ...]:
     if not report.calibration:
         return ()
     what = "; ".join(item.sentence for item in report.calibration)
-    text = f"{what[0].upper()}{what[1:]}. To correct that, give every command `{' '.join(report.corrections)}`"
+    text = f"{what[0].upper()}{what[1:]}. To correct that, add `{' '.join(report.corrections)}` to every command"
     rig = "An extended rig file has it already: then the options are not needed."
-    return (Finding("warn", f"{text} beside the recordings. {rig}"),)
+    return (Finding("warn", f"{text} that reads these recordings. {rig}"),)
 
 
 def _title(name: str) -> str:

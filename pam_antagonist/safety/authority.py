@@ -19,7 +19,7 @@ class Verdict(Enum):
     """Decision about a command."""
 
     ACCEPTED = "accepted"
-    LISTENING = "its publisher has not been heard alone for long enough"
+    LISTENING = "its publisher has not been the only one for long enough"
     REFUSED = "from a second commander"
     UNCLEAR = "two commanders, and nothing says which of them is the right one"
 

@@ -267,7 +267,7 @@ def test_what_is_no_rig_is_passed_over(node: Any) -> None:
         node._rigs._on_rig(String(data=text))
     tell_rig(node, "controller", "sealed_joint")  # its own name: an earlier life's
     assert node._rigs.present == "" and not node.stopped
-    assert node.health(1)["rig"].message == "no other node has told its rig yet"
+    assert node.health(1)["rig"].message == "no other node has published its rig yet"
 
 
 def test_a_stiffness_takes_the_law_through_the_model_and_says_so(node: Any) -> None:

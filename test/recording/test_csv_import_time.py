@@ -101,7 +101,7 @@ def test_uneven_rows_are_resampled_where_the_map_says_so(lab: Lab) -> None:
     assert recording.voltage[:, 0] == pytest.approx(4 + 0.01 * np.array(following))
     said = " | ".join(recording.issues)
     assert "resampled from about 100 to 50 Hz by interpolation" in said
-    assert "faster motion is folded in" in said
+    assert "there is no filter before it, so faster motion is aliased" in said
 
 
 def test_resampling_leaves_gaps_empty(lab: Lab) -> None:
