@@ -56,7 +56,7 @@ def delay_of_voltages(
         weights.append(float(alone @ alone) / max(float(left @ left), 1e-12))
         shares.append(1.0 - float(left @ left) / max(float(base @ base), 1e-12))
     if not delays:
-        return [Finding("untested", "delays: the pressures do not move, so they are not tested")], now
+        return [Finding("untested", "delays are not tested, since the pressures do not move")], now
     delay = float(np.average(delays, weights=weights))
     apart = float(np.ptp(delays)) / 2.0
     if abs(delay) < max(_LATE, 2.0 * apart) or min(shares) < _LATE_SHARE:

@@ -300,7 +300,7 @@ class Commission:
             assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
         except BadInput as error:
             # An effect that acts on the free joint only lets both recordings look like two joints.
-            return {"said": f"not identified, since the model does not fit; close_loop looks for the reason: {error}"}
+            return {"said": f"not identified, since the model does not fit ({error}); close_loop looks for the reason"}
         result.save(self._record.result("identified"), figures=False)
         return {
             "said": f"{len(result.rig.directions)} uncertain directions are left",

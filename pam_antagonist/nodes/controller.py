@@ -149,7 +149,7 @@ PARAMETERS = (
     Parameter(
         "start_enabled",
         True,
-        "whether the controller sends commands as soon as it is active; false: only after a call of ~/enable",
+        "whether the controller sends commands as soon as it is active, without a call of ~/enable",
     ),
     # One degree beyond the stop of the paper's joint, which a correct estimate does not reach.
     Parameter(

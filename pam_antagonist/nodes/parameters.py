@@ -216,7 +216,7 @@ def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
 
 
 AUTOSTART = Parameter(
-    "autostart", True, "whether the node configures and activates itself; false: something else has to do it"
+    "autostart", True, "whether the node configures and activates itself, without a lifecycle manager"
 )
 DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)
 

@@ -146,7 +146,8 @@ class ReferenceInput:
         mode, index = self._array
         if index >= len(message.data):
             self.references.refuse(
-                f"commands has {len(message.data)} numbers, but this joint's has index {index} (parameter commands_index, from 0)",
+                f"commands has {len(message.data)} numbers, but this joint's has index {index} (parameter "
+                "commands_index, from 0)",
                 mode,
             )
         elif not math.isnan(message.data[index]):

@@ -96,7 +96,10 @@ def measure(rig: Rig, angles: Sequence[float] = (0.0, 10.0)) -> list[dict[str, A
     """
     prior = rig.value(f"effects.{DISTURBANCE}.prior")
     if prior >= UNBOUNDED:
-        raise BadInput(f"rig {rig.name}: expected effects: external_torque: with a prior in its file")
+        raise BadInput(
+            f"rig {rig.name}: expected effects: external_torque: with a prior in its file, as in "
+            "shin2022_external_torque"
+        )
     still = {"noise": 1e-6, "prior": prior}  # a torque that stays for the second
     out = []
     for sealed in (False, True):

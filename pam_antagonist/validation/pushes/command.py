@@ -67,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> int:
     hours = arguments.quiet_hours
     if hours is not None and not 0.001 <= hours <= 1000.0:
-        raise BadInput(f"--quiet-hours {hours:g}: expected 0.001 to 1000")
+        raise BadInput(f"--quiet-hours {hours:g}: expected 0.001 to 1000 h")
     results = measure(arguments.rig, arguments.seeds, arguments.seconds, arguments.jobs, hours)
     common.show(terminal.table(_table(results), indent=""), results, arguments.json)
     return common.DONE
@@ -93,7 +93,10 @@ def measure(rig_name: str, seeds: int, seconds: float, jobs: int, quiet_hours: f
 
     rig = load_rig(rig_name)
     if "external_torque" not in rig.effects:
-        raise BadInput(f"rig {rig.name} does not have the state: write effects: external_torque: into its file")
+        raise BadInput(
+            f"rig {rig.name} does not have the state external_torque: write it under effects in the rig file, as in "
+            "shin2022_external_torque"
+        )
     if rig.encoder is None:
         raise BadInput(NO_ENCODER.format(rig=rig.name))
     calm = seeds if quiet_hours is None else math.ceil(quiet_hours * 3600.0 / (seconds - 1.0))
