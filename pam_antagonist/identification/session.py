@@ -221,7 +221,7 @@ def _chosen_parameters(rig: Rig, trials: Sequence[Trial], options: Options) -> t
     names = ", ".join(item.name for item in kept)
     return kept, [
         f"No recording has a measured angle or torque: pressures alone determine {names} only; all others stay as "
-        "configured. To determine these, record the angle of a free joint and the torque of a locked one."
+        "configured. To determine the others, record the angle of a free joint and the torque of a locked one."
     ]
 
 

@@ -212,7 +212,7 @@ def test_pressures_alone_say_so(rig, recorded, kept) -> None:
     assert np.isfinite(found.share)
     decided = next(line for line in found.warnings if "innovations" in line)
     evidence = float(decided.rsplit("(", 1)[1].split(")")[0])
-    assert evidence > 6.0 and "speak for" in decided
+    assert evidence > 6.0 and "innovations support" in decided
 
 
 def test_innovations_that_do_not_agree_have_the_last_word(rig, recorded, kept, monkeypatch) -> None:
