@@ -137,7 +137,7 @@ def test_a_report_says_what_to_do_next(rig, leaking) -> None:
     assert warnings.guessed_curves(guessed, ["leak", "friction"])[0].count("leak") == 1
     assert not warnings.guessed_curves(rig, ["leak"]) and not warnings.guessed_curves(guessed, ["friction"])
     nothing = dataclasses.replace(found, verdict="unexplained", effects=())
-    assert "go on with rig_extended.yaml: it is shin2022 with its parameters fitted" in nothing.report.next_steps[-1]
+    assert "use rig_extended.yaml: it is shin2022 with its parameters fitted" in nothing.report.next_steps[-1]
     errors = dataclasses.replace(found.errors, extended=found.errors.as_configured)
     as_bad = dataclasses.replace(nothing, errors=errors)
     assert as_bad.report.next_steps[-1].startswith("Next: keep the rig file of shin2022")

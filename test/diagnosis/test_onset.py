@@ -80,7 +80,9 @@ def test_several_changes_are_told_with_their_times(quiet) -> None:
     first, second = change_point.parts_above_noise(changed, fitted)
     assert (*first, *second) == pytest.approx((14.0, 15.0, 18.0, np.inf), abs=0.1)
     (said,) = warnings.changes({"locked": (first, second)})
-    assert said.startswith("locked: something begins at 14.0 s and ends at 15.0 s, then begins at 18.0 s; outside of")
+    assert said.startswith(
+        "locked: something that the model lacks begins at 14.0 s and ends at 15.0 s, then begins at 18.0 s; outside of"
+    )
 
 
 def test_a_recording_at_its_noise_has_no_onset(quiet) -> None:
