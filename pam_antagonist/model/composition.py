@@ -20,12 +20,13 @@ To read the generated module: ``python -m pam_antagonist.model.composition``.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib
 import inspect
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -269,6 +270,24 @@ def source_text(effects: Mapping[str, Effect]) -> str:
     constants = "\n".join(f"{name} = {index}" for name, index in sorted(writer.constants.items()))
     imports = "\n".join(sorted(writer.imports))
     return f"{_HEADER}{imports}\n\n{constants}\n\n\n" + "\n\n\n".join(writer.functions) + "\n"
+
+
+def remembered(what: str, generate: Callable[[], str]) -> str:
+    """A text that follows from the code of the kernels alone: generated once, then read from the kernels' folder.
+
+    Args:
+        what: name of its file.
+        generate: gives the text.
+    """
+    file = cache_dir() / f"{what}.txt"
+    with contextlib.suppress(OSError):
+        return file.read_text(encoding="utf-8")
+    text = generate()
+    draft = file.with_name(f"{what}.{os.getpid()}.tmp")
+    with contextlib.suppress(OSError):
+        draft.write_text(text, encoding="utf-8")
+        os.replace(draft, file)
+    return text
 
 
 def imported(text: str, what: str) -> ModuleType:

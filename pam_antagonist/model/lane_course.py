@@ -9,7 +9,7 @@ from pam_antagonist._jit import in_place
 from pam_antagonist.model import composition, dynamics, integration, lane_form
 from pam_antagonist.model.lane_values import CHUNK, LANES, item, put
 
-TEXT = lane_form.lane_module((integration.rk4_step_within, dynamics.torque))
+TEXT = composition.remembered("lanes", lambda: lane_form.lane_module((integration.rk4_step_within, dynamics.torque)))
 """Source of the module with the lane form of the equations."""
 _form = composition.imported(TEXT, "lanes")
 rk4_step, _torque = _form.rk4_step_within, _form.torque

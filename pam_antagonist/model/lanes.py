@@ -77,7 +77,7 @@ def step(plain: bool) -> Any:
     if FEWEST > LANES:
         return None
     if plain:
-        text = lane_form.lane_module((integration.plain_step,))
+        text = composition.remembered("plain_lanes", lambda: lane_form.lane_module((integration.plain_step,)))
         return composition.imported(text, "plain_lanes").plain_step
     try:
         return importlib.import_module("pam_antagonist.model.lane_course").rk4_step

@@ -125,7 +125,7 @@ def test_recordings_that_no_model_fits_are_left_to_close_loop(
     ("instead", "words"),
     [
         (("a third pressure sensor at muscle 1 (97%)",), "this would: a third pressure sensor at muscle 1 (97%)"),
-        ((), "nor does a further sensor or a lock"),
+        ((), "nor does another sensor or a lock"),
     ],
 )
 def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named(
@@ -145,7 +145,7 @@ def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named
     commands = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"]
     assert commission.main(commands) == 0
     (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("apart: ")]
-    assert "leak or valve_offset: would be decided with a chance of 12%. No motion within the limits" in said
+    assert "leak or valve_offset: the probability of a decision is 12%. No motion within the limits" in said
     assert words in said and said.endswith("The joint was not driven")
     assert asked == [[0, 1, 2, 3]] and not (out / "apart_1").exists()
     assert "leak" in load_rig(str(out / "rig.yaml")).effects

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.model import dynamics, equilibrium, integration, lane_course, lane_form, lane_values, lanes, numeric
+from pam_antagonist.model import (
+    composition,
+    dynamics,
+    equilibrium,
+    integration,
+    lane_course,
+    lane_form,
+    lane_values,
+    lanes,
+    numeric,
+)
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig.load import load_rig
@@ -118,10 +128,10 @@ def test_what_has_no_lane_form_is_refused_with_its_place(function) -> None:
 
 
 def test_an_effect_without_lane_form_leaves_the_models_to_run_one_by_one(p0, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(_: object) -> str:
+    def refuse(*_: object) -> str:
         raise lane_form.NoLaneForm("an effect with a while")
 
-    monkeypatch.setattr(lane_form, "lane_module", refuse)
+    monkeypatch.setattr(composition, "remembered", refuse)
     monkeypatch.delitem(sys.modules, "pam_antagonist.model.lane_course", raising=False)
     lanes._side_by_side.cache_clear()
     try:
