@@ -20,6 +20,7 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.external_torque import NEVER, UNBOUNDED
+from pam_antagonist.model.subsonic import TERMS
 
 _DIGITS = 16
 _LAST_OLD_EFFECT = "slack"
@@ -115,7 +116,11 @@ def settings_hash(settings: Settings) -> str:
     sets = settings.parameter_sets
     # Unused newer entries are left out of the hash, so that old checkpoints remain valid.
     unused = [index for index, value in _NEW_PARAMETERS.items() if np.all(sets[:, index] == value)]
-    content["parameter_sets"] = np.delete(sets, unused, axis=1)
+    # The polynomial of the subsonic flow follows from the heat ratio; once its exponent had a place in the vector.
+    k = sets[:, par.HEAT_RATIO]
+    dropped = [*unused, *range(par.SUBSONIC, par.SUBSONIC + TERMS)]
+    place = par.PULLEY - sum(index < par.PULLEY for index in dropped)
+    content["parameter_sets"] = np.insert(np.delete(sets, dropped, axis=1), place, (k - 1.0) / k, axis=1)
     if settings.angle_noise == 0.0:
         for name in ("angle_noise", "angle_offset", "angle_step"):
             del content[name]

@@ -40,6 +40,8 @@ STARTS = 3
 """Start values: the angle and both pressures."""
 _LONG_STEPS = (10e-3, 4e-3, 2e-3)
 """[s] Steps in which derivatives are simulated, the longest first that goes the model's way."""
+_OF_A_LAG = 0.5
+"""Longer steps are shorter than this share of each lag, so that they follow it."""
 _ASTRAY = 0.5
 """A simulation in longer steps goes the model's way if no channel is off by more than so many noises (RMS)."""
 _TITLES = (
@@ -262,7 +264,10 @@ class ValveDriven(Experiment):
         known = self._coarse.get(point)
         if known is None or known[0] is not residual:
             found = self._part, residual
+            lags = small_signal_lags(self.parameters(point))
             for coarse in self.in_long_steps:
+                if np.any((lags > 0.0) & (coarse.step >= _OF_A_LAG * lags)):
+                    continue
                 here = self._coarse_residual(point, coarse)
                 if self.goes_its_way(here - residual):
                     found = coarse, here

@@ -117,7 +117,8 @@ def test_recordings_that_no_model_fits_are_left_to_close_loop(
     words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
     assert commission.main(words) == status
     said = capsys.readouterr()
-    assert "identify: left to close_loop" in said.out and "are not recordings of one rig" in said.out
+    assert "identify: not identified, since the model does not fit" in said.out
+    assert "are not recordings of one rig" in said.out
     assert ("no model fits the joint" in said.err) == bool(status)
 
 
@@ -165,7 +166,7 @@ def test_a_joint_that_goes_farther_than_its_model_gets_advice_that_helps(
     words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
     assert commission.main(words) == 1
     said = " ".join(capsys.readouterr().err.split())
-    assert "free: it ended after" in said and "beyond the limit of 0.0 deg" in said
+    assert "free: the experiment ended early, after" in said and "beyond the limit of 0.0 deg" in said
     assert "a larger uncertainty in the rig file" in said and "a wider limit, if the rig allows it" in said
     assert "pressures nearer to each other (--min-pressure, --max-pressure)" in said and "tighter limits" not in said
 

@@ -92,7 +92,7 @@ def test_what_the_directions_of_a_rig_file_do_not_name_is_as_uncertain_as_before
     open_maps = rig.replaced(uncertainty={})
     one = open_maps.replaced(directions={"valve": {"valve_1.inflow_area": 1e-10}})
     for unknown in (open_maps, one):
-        with pytest.raises(BadInput, match="expected wider limits, or a rig file that is known better"):
+        with pytest.raises(BadInput, match="expected wider limits, or a rig file with smaller uncertainties"):
             designed(unknown, Limits.of(rig), 6.0)
 
 

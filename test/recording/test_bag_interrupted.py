@@ -216,7 +216,7 @@ def test_the_next_file_was_begun_and_holds_nothing(tmp_path: Path) -> None:
         (tmp_path / "bag" / f"bag_{bag.files}.mcap").write_bytes(content)
         recording = read_bag(tmp_path / "bag")
         rig.assert_same(recording)
-        assert any(f"bag_{bag.files}.mcap holds nothing yet" in issue for issue in recording.issues)
+        assert any(f"bag_{bag.files}.mcap holds no messages" in issue for issue in recording.issues)
 
 
 def test_every_flush_reaches_the_disk_with_whole_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
