@@ -36,8 +36,8 @@ options:
   --namespace /NS   record the joint in this namespace (default: that of this node); may be given several times
 
 subscribes:  pressure_1, pressure_2, valve_state, valve_command, pressure_state, pressure_command, joint_estimate,
-             joint_states, reference, measured/joint_states, measured/external_torque, rig, filter_checkpoint,
-             /diagnostics
+             joint_states, reference, angle_sensor, external_torque, measured/joint_states, measured/external_torque,
+             rig, filter_checkpoint, /diagnostics
 """
 
 PARAMETERS: tuple[Parameter, ...] = ()

@@ -57,7 +57,7 @@ class RecorderNode(PamNode):
         self._counts: dict[str, int] = {}
         self._gaps: dict[str, Gaps] = {}
         self._reason: str | None = None  # why nothing more can be written
-        self._finished = False
+        self._ended = False
         self._rate, self._bytes_rate = Rate(), Rate()
         self._lost_before = 0
         self._since = time.monotonic()
@@ -70,7 +70,7 @@ class RecorderNode(PamNode):
     def configure(self) -> None:
         """Make the bag."""
         self._bag = BagWriter(self._path, limits=self._options.limits, durable=True, backlog=_BACKLOG)
-        self._finished = False
+        self._ended = False
         for name, topic in self._wanted():
             self._bag.add_topic(name, topic.type)
             self._counts[name] = 0
@@ -110,7 +110,7 @@ class RecorderNode(PamNode):
     @override
     def cleanup(self) -> None:
         """Finish the bag; another bag needs another folder, so another recorder."""
-        self._finish()
+        self._end_bag()
 
     @property
     def lost(self) -> int:
@@ -155,13 +155,12 @@ class RecorderNode(PamNode):
             self._diagnose()  # the last message of this node
         elif self._topics:
             self._collect()
-        self._finish()
+        self._end_bag()
 
-    @override
-    def _finish(self) -> None:
-        if self._finished or not self._counts:
+    def _end_bag(self) -> None:
+        if self._ended or not self._counts:
             return
-        self._finished = True
+        self._ended = True
         try:
             self._bag.close()
         except OSError as error:

@@ -152,10 +152,8 @@ def _find(path: Path, layout: Layout, head: _Head, quantity: str, column: Name) 
             raise BadInput(f"{path}: {quantity} is column {column}, and the file has {width} ({known})")
         return column - 1
     assert names is not None  # a map without a header has numbers only
-    if names.count(column.strip()) > 1:
-        raise BadInput(
-            f"{path}: {quantity}: {names.count(column)} columns are named {column!r}, expected one; give its number"
-        )
+    if (named := names.count(column.strip())) > 1:
+        raise BadInput(f"{path}: {quantity}: {named} columns are named {column!r}, expected one; give its number")
     if column.strip() in names:
         return names.index(column.strip())
     raise array_files.no_column(path, quantity, column, names)

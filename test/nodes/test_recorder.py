@@ -104,6 +104,20 @@ def test_a_killed_recorder_leaves_its_files(recording: tuple[Any, Process], tmp_
     assert list(kept.pressure[: len(kept) - 1, 0]) == [4e5 + k for k in range(len(kept) - 1)]
 
 
+def test_a_recorder_that_is_shut_down_by_its_service_ends_with_a_whole_bag(
+    recording: tuple[Any, Process], tmp_path: Path
+) -> None:
+    from pam_antagonist.recording import read_bag
+
+    probe, process = recording
+    publish(probe, 0, 300)
+    probe.wait(0.3)
+    assert probe.transition("recorder", "shutdown")
+    assert process.popen.wait(10.0) == 0
+    kept = read_bag(tmp_path / "bag")
+    assert len(kept) >= 299 and not any("not closed" in issue for issue in kept.issues)
+
+
 def test_what_never_came_is_counted(recording: tuple[Any, Process], tmp_path: Path) -> None:
     """While the recorder is stopped for longer than its queues are deep, it cannot but lose messages.
 
