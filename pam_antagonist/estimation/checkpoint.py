@@ -116,7 +116,7 @@ def settings_hash(settings: Settings) -> str:
     sets = settings.parameter_sets
     # Unused newer entries are left out of the hash, so that old checkpoints remain valid.
     unused = [index for index, value in _NEW_PARAMETERS.items() if np.all(sets[:, index] == value)]
-    # The polynomial of the subsonic flow follows from the heat ratio; once its exponent had a place in the vector.
+    # The polynomial of the subsonic flow follows from the heat ratio. Old hashes have the flow's exponent in its place.
     k = sets[:, par.HEAT_RATIO]
     dropped = [*unused, *range(par.SUBSONIC, par.SUBSONIC + TERMS)]
     place = par.PULLEY - sum(index < par.PULLEY for index in dropped)

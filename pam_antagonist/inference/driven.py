@@ -89,7 +89,7 @@ class Driven(ABC):
 
     @cached_property
     def _line(self) -> tuple[Floats, Floats]:
-        """Their values in the rig file (M,), and their change in each direction (K, M)."""
+        """Values of these parameters in the rig file (M,), and their change in each direction (K, M)."""
         start = list(start_values(self.rig, self.directions).values())
         change = [[direction.changes.get(name, 0.0) for name in self._moved] for direction in self.directions]
         return np.array(start), np.array(change).reshape(len(self.directions), len(start))

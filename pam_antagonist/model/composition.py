@@ -273,7 +273,7 @@ def source_text(effects: Mapping[str, Effect]) -> str:
 
 
 def remembered(what: str, generate: Callable[[], str]) -> str:
-    """A text that follows from the code of the kernels alone: generated once, then read from the kernels' folder.
+    """A text that depends on the code of the kernels only. It is generated once, then read from the kernels' folder.
 
     Args:
         what: name of its file.
