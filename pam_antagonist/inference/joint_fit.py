@@ -13,13 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.joint_problem import JointProblem, stacked
+from pam_antagonist.inference.joint_problem import JointProblem
 from pam_antagonist.inference.likelihood import correlation_length
-from pam_antagonist.inference.spread import USUAL_SPREAD, Deviations, Local, Variation, most_likely_spread
+from pam_antagonist.inference.normal_equations import Local
+from pam_antagonist.inference.spread import USUAL_SPREAD, Deviations, Variation, most_likely_spread
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial
+from pam_antagonist.inference.trust_region import Evaluated, minimise
 from pam_antagonist.inference.valve_driven import STARTS
 from pam_antagonist.rig import Rig
 
@@ -82,7 +83,7 @@ class JointFit:
 
     def own_values(self, index: int) -> dict[str, float]:
         """The parameters of one trial, its deviations included."""
-        return self.problem.values(self.problem.map(index) @ self.theta)
+        return self.problem.values(self.problem.local(self.theta, index))
 
     def own_covariance(self, index: int) -> Floats:
         """Covariance of the parameters of one trial (F, F), in units of the prior."""
@@ -149,27 +150,24 @@ def joint_fit(
     cost, gain, slopes = np.inf, 0.0, _Slopes()
     for number in range(rounds):
         # The first rounds start far from the solution: there a robust loss reduces the weight of large residuals.
-        theta, cost = _minimise(problem, theta, weights, "soft_l1" if number < rounds - 1 else "linear", slopes)
+        theta, cost = _minimise(problem, theta, weights, number < rounds - 1, slopes)
         weights = _weights(problem, problem.residuals(theta))
         if spread is not None and deviations is not None:
             before = spread
-            spread, gain = most_likely_spread(_locals(problem, theta, weights, slopes), deviations)
+            spread, gain = most_likely_spread(_locals(problem, theta, weights, slopes)[0], deviations)
             problem = problem.with_between(spread * deviations.shape)
             theta = _rescaled(problem, theta, before / spread)
         if progress:
             progress(f"round {number + 1} of {rounds}")
     # The covariance needs exact derivatives at the solution.
-    parts = _locals(problem, theta, weights, _Slopes(exact=True))
-    information = np.eye(problem.size)
-    for index, part in enumerate(parts):
-        seen = problem.map(index)
-        information += seen.T @ part.information @ seen
+    parts, memory = _locals(problem, theta, weights, _Slopes(exact=True))
+    information, _ = problem.arrow(parts).whole()
     return JointFit(
         problem,
         theta,
         np.asarray(np.linalg.inv(information), dtype=np.float64),
         tuple(weights),
-        tuple(part.memory for part in parts),
+        tuple(memory),
         cost,
         spread,
         gain,
@@ -189,7 +187,7 @@ class _Slopes:
 
     def at(self, problem: JointProblem, theta: Floats, near: float = _NEAR) -> list[Floats]:
         """Derivatives by the local parameters of each trial, as :meth:`JointProblem.local_jacobians`."""
-        seen = [problem.map(index) @ theta for index in range(len(problem.trials))]
+        seen = [problem.local(theta, index) for index in range(len(problem.trials))]
         still_valid = self._parts and all(
             np.max(np.abs(old - new)) <= near for old, new in zip(self._seen, seen, strict=True)
         )
@@ -201,23 +199,32 @@ class _Slopes:
 
 
 def _minimise(
-    problem: JointProblem, theta: Floats, weights: Sequence[Floats], loss: str, slopes: _Slopes
+    problem: JointProblem, theta: Floats, weights: Sequence[Floats], robust: bool, slopes: _Slopes
 ) -> tuple[Floats, float]:
-    def jacobian(t: Floats) -> Floats:
-        return stacked(slopes.at(problem, t), weights, np.eye(problem.size), problem.maps)
+    """The most probable vector with known weights, and half the sum of its squared residuals and of the prior's.
 
-    low, high = problem.bounds()
-    solution = least_squares(
-        lambda t: stacked(problem.residuals(t), weights, t),
-        np.clip(theta, low, high),
-        jac=jacobian,
-        bounds=(low, high),
-        loss=loss,
-        xtol=1e-5,
-        ftol=1e-5,
-        max_nfev=15,
-    )
-    return solution.x, float(solution.cost)
+    A robust loss, 2 √(1 + r²) − 2 in place of r², reduces the weight of large residuals.
+    """
+
+    def evaluate(t: Floats) -> Evaluated:
+        parts = [np.nan_to_num(part / weight) for part, weight in zip(problem.residuals(t), weights, strict=True)]
+        sums = [float(np.sum(2.0 * np.sqrt(1.0 + part**2) - 2.0 if robust else part**2)) for part in parts]
+
+        def equations() -> tuple[Floats, Floats]:
+            out = []
+            for part, slope, weight in zip(parts, slopes.at(problem, t), weights, strict=True):
+                counted = 1.0 / np.sqrt(1.0 + part**2) if robust else np.ones_like(part)
+                # The gradient of the loss, and its curvature where that of the residual itself is left out.
+                j = np.nan_to_num(slope / weight[:, None]).reshape(-1, slope.shape[2])
+                pull = -j.T @ (counted * part).ravel()
+                j *= np.sqrt(counted.ravel() ** 3)[:, None]
+                out.append(Local(j.T @ j, pull))
+            information, pull = problem.arrow(out).whole()
+            return information, pull - t
+
+        return Evaluated(0.5 * (sum(sums) + float(t @ t)), equations)
+
+    return minimise(evaluate, theta, *problem.bounds())
 
 
 def _rescaled(problem: JointProblem, theta: Floats, factor: Floats) -> Floats:
@@ -264,18 +271,21 @@ def _weights(problem: JointProblem, residuals: Sequence[Floats]) -> list[Floats]
     return [np.array([pooled[channel] for channel in problem.counted(trial)]) for trial in problem.trials]
 
 
-def _locals(problem: JointProblem, theta: Floats, weights: Sequence[Floats], slopes: _Slopes) -> list[Local]:
-    """Information of each trial about its local parameters, near the fit."""
-    out = []
+def _locals(
+    problem: JointProblem, theta: Floats, weights: Sequence[Floats], slopes: _Slopes
+) -> tuple[list[Local], list[Floats]]:
+    """Each trial's information about its local values, near the fit, and its channels' blocks per independent one."""
+    out, memory = [], []
     residuals, jacobians = problem.residuals(theta), slopes.at(problem, theta)
     for index, (residual, jacobian, weight) in enumerate(zip(residuals, jacobians, weights, strict=True)):
         slow = np.array([correlation_length(column) for column in residual.T])
         scale = weight * np.sqrt(slow)
         j = np.nan_to_num(jacobian / scale[:, None]).reshape(-1, jacobian.shape[2])
         r = np.nan_to_num(residual / scale).ravel()
-        seen = problem.map(index) @ theta
-        out.append(Local(j.T @ j, j.T @ (j @ seen - r), slow))
-    return out
+        seen = problem.local(theta, index)
+        out.append(Local(j.T @ j, j.T @ (j @ seen - r)))
+        memory.append(slow)
+    return out, memory
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference.free_parameters import FreeParameter
 from pam_antagonist.inference.free_run import Run, predict, predict_each
 from pam_antagonist.inference.long_steps import stride_blocks
+from pam_antagonist.inference.normal_equations import Arrow, Local
 from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import CHANNELS, Trial
 from pam_antagonist.inference.valve_driven import STARTS, ValveDriven
@@ -97,10 +98,16 @@ class JointProblem:
         out[count:, last - STARTS : last] = np.eye(STARTS)
         return out
 
-    @property
-    def maps(self) -> list[Floats]:
-        """Matrices to the local values of each trial, see :meth:`map`."""
-        return [self.map(index) for index in range(len(self.trials))]
+    def local(self, theta: Floats, index: int) -> Floats:
+        """Local values (F + 3,) of a trial at a fitted vector."""
+        count = len(self.free)
+        own = theta[count + index * self._own :][: self._own]
+        common = theta[:count] if self.between is None else theta[:count] + self.between @ own[:-STARTS]
+        return np.concatenate([common, own[-STARTS:]])
+
+    def arrow(self, parts: Sequence[Local]) -> Arrow:
+        """Normal equations of the fitted vector from the information of each trial about its local values."""
+        return Arrow.of(parts, self.between, len(self.free))
 
     def values(self, theta: Floats) -> dict[str, float]:
         """Parameter values at a fitted vector, or at the local values of a trial."""
@@ -132,7 +139,7 @@ class JointProblem:
 
     def predict(self, theta: Floats, index: int) -> Floats:
         """Prediction of one trial (N, 4) at a fitted vector."""
-        return self.predict_local(self.map(index) @ theta, index)
+        return self.predict_local(self.local(theta, index), index)
 
     def counted(self, trial: Trial) -> list[int]:
         """Channels of a trial that are compared."""
@@ -156,7 +163,7 @@ class JointProblem:
             theta: fitted vector (size,).
             exact: whether to use the steps of the residual.
         """
-        seen = [self.map(index) @ theta for index in range(len(self.trials))]
+        seen = [self.local(theta, index) for index in range(len(self.trials))]
         trials = self.trials if exact else [self._in_longest_steps(part, index) for index, part in enumerate(seen)]
         width = len(self.free) + STARTS
         steps = _STEP * np.eye(width)
@@ -197,35 +204,6 @@ class JointProblem:
                 if experiment.goes_its_way(self._means(local, index, steps)[:, channels] - exact):
                     return steps
         return experiment.trial
-
-
-def stacked(
-    parts: Sequence[Floats], weights: Sequence[Floats], prior: Floats, maps: Sequence[Floats] | None = None
-) -> Floats:
-    """Residuals (B, C) or Jacobians (B, C, K) of all trials, and the prior's, as one array (R,) or (R, S).
-
-    It is written in place: for half an hour of recordings, each copy takes hundreds of megabytes.
-
-    Args:
-        parts: one array a trial, (B, C) or (B, C, K).
-        weights: for each trial the standard deviation of its channels (C,), by which they are divided.
-        prior: last rows (S,) or (S, S).
-        maps: matrix of each trial from the fitted vector to its local values (K, S), for Jacobians by local values.
-
-    Returns:
-        All rows, one after the other; missing values (NaN) become 0.
-    """
-    out = np.empty((sum(part.shape[0] * part.shape[1] for part in parts) + len(prior), *prior.shape[1:]))
-    begin = 0
-    for index, (part, weight) in enumerate(zip(parts, weights, strict=True)):
-        values = part if maps is None else part @ maps[index]
-        rows = values.shape[0] * values.shape[1]
-        place = out[begin : begin + rows].reshape(values.shape)
-        np.divide(values, weight.reshape(-1, *[1] * (values.ndim - 2)), out=place)
-        np.nan_to_num(place, copy=False)
-        begin += rows
-    out[begin:] = prior
-    return out
 
 
 def step_directions(rig: Rig, free: Sequence[FreeParameter]) -> Floats:

@@ -18,7 +18,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
 from pam_antagonist.inference.joint_fit import JointFit
-from pam_antagonist.inference.joint_problem import stacked
+from pam_antagonist.inference.normal_equations import Local
 from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
@@ -94,14 +94,21 @@ def shared_profiles(
     """
     problem = found.problem
     weights = [w * np.sqrt(m) for w, m in zip(found.weights, found.memory, strict=True)]
-    prior = np.eye(problem.size)
-    jacobian = stacked(problem.local_jacobians(found.theta), weights, prior, problem.maps)
-    information = jacobian.T @ jacobian
+    slopes = [
+        np.nan_to_num(slope / weight[:, None]).reshape(-1, slope.shape[2])
+        for slope, weight in zip(problem.local_jacobians(found.theta), weights, strict=True)
+    ]
+    squares = [slope.T @ slope for slope in slopes]
+    information, _ = problem.arrow([Local(square, square[0]) for square in squares]).whole()
     place = {item.name: k for k, item in enumerate(problem.free)}
 
-    def cost(theta: Floats) -> tuple[Floats, float]:
-        residual = stacked(problem.residuals(theta), weights, theta)
-        return residual, 0.5 * float(residual @ residual)
+    def residuals(theta: Floats) -> tuple[list[Floats], float]:
+        parts = [np.nan_to_num(r / w).ravel() for r, w in zip(problem.residuals(theta), weights, strict=True)]
+        return parts, 0.5 * (sum(float(part @ part) for part in parts) + float(theta @ theta))
+
+    def gradient(theta: Floats, parts: Sequence[Floats]) -> Floats:
+        pulls = [Local(square, r @ j) for square, r, j in zip(squares, parts, slopes, strict=True)]
+        return problem.arrow(pulls).whole()[1] + theta
 
     def held(k: int, position: float) -> float:
         std = float(np.sqrt(found.full[k, k]))
@@ -111,12 +118,12 @@ def shared_profiles(
         factor = cho_factor(information[np.ix_(others, others)])
         best = np.inf
         for _ in range(_STEPS):
-            residual, now = cost(theta)
+            parts, now = residuals(theta)
             best = min(best, now)
-            theta[others] -= cho_solve(factor, (residual @ jacobian)[others])
-        return min(best, cost(theta)[1])
+            theta[others] -= cho_solve(factor, gradient(theta, parts)[others])
+        return min(best, residuals(theta)[1])
 
-    base = cost(found.theta)[1]
+    base = residuals(found.theta)[1]
     out = []
     for name in names:
         k = place[name]

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from pam_antagonist.inference.free_parameters import LINEAR_FORCE, Direction, FreeParameter
+from pam_antagonist.inference.normal_equations import Arrow, Local
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import Rig
 
@@ -119,21 +120,6 @@ def deviations(ways: Sequence[Variation], free: Sequence[FreeParameter]) -> Devi
     return Deviations(shape, np.array([groups.index(way.group) for way in ways], dtype=np.int64))
 
 
-@dataclass(frozen=True, eq=False)
-class Local:
-    """Information of one trial about its K local values: free parameters, then its start.
-
-    Attributes:
-        information: JᵀJ of its weighted residuals (K, K).
-        pull: Jᵀ(J θ − r) (K,), the right-hand side of its normal equations.
-        memory: by channel, number of blocks per independent one.
-    """
-
-    information: Floats
-    pull: Floats
-    memory: Floats
-
-
 def log_evidence(trials: Sequence[Local], between: Floats) -> float:
     """Log Z of a spread, up to a constant.
 
@@ -141,20 +127,7 @@ def log_evidence(trials: Sequence[Local], between: Floats) -> float:
         trials: information of each.
         between: change of the free parameters (F, G) by deviations of one standard deviation.
     """
-    count, ways = between.shape
-    starts = len(trials[0].information) - count
-    size = count + len(trials) * (ways + starts)
-    information, pull = np.eye(size), np.zeros(size)
-    for index, trial in enumerate(trials):
-        seen = np.zeros((count + starts, size))
-        first = count + index * (ways + starts)
-        seen[:count, :count] = np.eye(count)
-        seen[:count, first : first + ways] = between
-        seen[count:, first + ways : first + ways + starts] = np.eye(starts)
-        information += seen.T @ trial.information @ seen
-        pull += seen.T @ trial.pull
-    _, volume = np.linalg.slogdet(information)
-    return float(0.5 * pull @ np.linalg.solve(information, pull) - 0.5 * volume)
+    return Arrow.of(trials, between, len(between)).log_evidence()
 
 
 def most_likely_spread(trials: Sequence[Local], deviations: Deviations) -> tuple[Floats, float]:

@@ -86,7 +86,7 @@ def test_the_jacobian_is_the_slope_of_the_residuals() -> None:
     up[0] += 0.01
     down[0] -= 0.01
     slope = (task.residuals(up)[1] - task.residuals(down)[1]) / 0.02
-    moves = task.local_jacobians(theta)[1] @ task.maps[1]
+    moves = task.local_jacobians(theta)[1] @ task.map(1)
     assert np.allclose(moves[:, :, 0], slope, rtol=0.05, atol=0.02 * np.abs(slope).max())
 
 

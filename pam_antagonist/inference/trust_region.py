@@ -1,0 +1,92 @@
+"""The minimum of a sum of squares within bounds, by Gauss-Newton steps in a trust region.
+
+scipy's routine takes the Jacobian of all recordings as one matrix. Each recording adds rows and columns to it, so that
+time grows with the third power of their number, and memory with the second. Here the cost gives its normal equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+Floats = NDArray[np.float64]
+
+_EVALUATIONS = 15
+_TOLERANCE = 1e-5
+"""The search ends with a step that gains less than this share of the cost, or is shorter than this share of the
+point."""
+_TRUSTED, _DOUBTFUL = 0.75, 0.25
+"""Shares of the promised gain from which on the region grows, and below which it shrinks."""
+_LEAST = 1e-12
+"""Least radius."""
+
+
+class Evaluated(NamedTuple):
+    """The cost at a point.
+
+    Attributes:
+        cost: to be minimised.
+        equations: its normal equations there: information (S, S) and the negative gradient (S,).
+    """
+
+    cost: float
+    equations: Callable[[], tuple[Floats, Floats]]
+
+
+def minimise(
+    evaluate: Callable[[Floats], Evaluated], start: Floats, low: Floats, high: Floats, evaluations: int = _EVALUATIONS
+) -> tuple[Floats, float]:
+    """The point and cost of a minimum within bounds.
+
+    Args:
+        evaluate: the cost at a point.
+        start: where to begin (S,).
+        low: lower bounds (S,).
+        high: upper bounds (S,).
+        evaluations: how often the cost may be computed.
+    """
+    point = np.clip(start, low, high)
+    now = evaluate(point)
+    radius = max(float(np.linalg.norm(point)), 1.0)
+    information, pull = now.equations()
+    for _ in range(evaluations - 1):
+        free = ~(((point <= low) & (pull < 0.0)) | ((point >= high) & (pull > 0.0)))
+        step = np.zeros(len(point))
+        step[free] = _within(information[np.ix_(free, free)], pull[free], radius)
+        step = np.clip(point + step, low, high) - point
+        length = float(np.linalg.norm(step))
+        promised = float(pull @ step - 0.5 * step @ information @ step)
+        tried = evaluate(point + step)
+        gain = now.cost - tried.cost if np.isfinite(tried.cost) else -np.inf
+        if gain <= 0.0 or gain < _DOUBTFUL * promised:
+            radius = 0.25 * length
+        elif gain > _TRUSTED * promised and length > 0.95 * radius:
+            radius *= 2.0
+        small = length < _TOLERANCE * (_TOLERANCE + float(np.linalg.norm(point)))
+        little = abs(gain) < _TOLERANCE * now.cost and gain >= _DOUBTFUL * promised
+        if gain > 0.0:
+            point, now = point + step, tried
+        if small or little or radius < _LEAST:
+            break
+        if gain > 0.0:
+            information, pull = now.equations()
+    return point, now.cost
+
+
+def _within(information: Floats, pull: Floats, radius: float) -> Floats:
+    """The best step that is not longer than the radius, by damping (Moré and Sorensen 1983)."""
+    damping, step = 0.0, np.zeros(len(pull))
+    for _ in range(20):
+        factor = cho_factor(information + damping * np.eye(len(pull)), lower=True)
+        step = cho_solve(factor, pull)
+        length = float(np.linalg.norm(step))
+        if length <= (1.0 if damping == 0.0 else 1.05) * radius:
+            break
+        # Newton's step for 1/length = 1/radius, which is nearly linear in the damping.
+        inner = float(step @ cho_solve(factor, step))
+        damping = max(damping + length**2 / inner * (length / radius - 1.0), 0.0)
+    return np.asarray(step)
