@@ -154,29 +154,30 @@ class JointProblem:
         ]
 
     def local_jacobians(self, theta: Floats, exact: bool = False) -> list[Floats]:
-        """Derivatives of :meth:`residuals` by the local values, one array (B, counted channels, F + 3) a trial.
+        """:meth:`local_jacobian` of every trial at a fitted vector (size,)."""
+        return [self.local_jacobian(self.local(theta, index), index, exact) for index in range(len(self.trials))]
+
+    def local_jacobian(self, local: Floats, index: int, exact: bool = False) -> Floats:
+        """Derivatives of a trial's :meth:`residuals` by its local values (B, counted channels, F + 3).
 
         For a fit, derivatives may use longer integration steps than the residual, as long as the model's course stays
         the same. Standard errors need exact derivatives.
 
         Args:
-            theta: fitted vector (size,).
+            local: local values of the trial (F + 3,).
+            index: of the trial.
             exact: whether to use the steps of the residual.
         """
-        seen = [self.local(theta, index) for index in range(len(self.trials))]
-        trials = self.trials if exact else [self._in_longest_steps(part, index) for index, part in enumerate(seen)]
+        trial = self.trials[index]
+        simulated = trial if exact else self._in_longest_steps(local, index)
         width = len(self.free) + STARTS
         steps = _STEP * np.eye(width)
         steps[: len(self.free), : len(self.free)] = self._steps
-        back = np.linalg.inv(steps)
-
-        def columns(index: int) -> Floats:
-            moved = [seen[index] + sign * steps[:, k] for k in range(width) for sign in (1.0, -1.0)]
-            means = self._means_each(moved, index, trials[index])
-            sides = zip(means[::2], means[1::2], strict=True)
-            return np.stack([(up - down)[:, self.counted(self.trials[index])] / 2.0 for up, down in sides], axis=2)
-
-        return [columns(index) @ back for index in range(len(self.trials))]
+        moved = [local + sign * steps[:, k] for k in range(width) for sign in (1.0, -1.0)]
+        means = self._means_each(moved, index, simulated)
+        sides = zip(means[::2], means[1::2], strict=True)
+        columns = np.stack([(up - down)[:, self.counted(trial)] / 2.0 for up, down in sides], axis=2)
+        return np.asarray(columns @ np.linalg.inv(steps))
 
     def _means(self, local: Floats, index: int, steps: Trial) -> Floats:
         """Block means (B, 4) of the prediction of one trial, simulated with the steps of ``steps``."""

@@ -38,27 +38,33 @@ class Evaluated(NamedTuple):
 
 
 def minimise(
-    evaluate: Callable[[Floats], Evaluated], start: Floats, low: Floats, high: Floats, evaluations: int = _EVALUATIONS
+    evaluate: Callable[[Floats], Evaluated],
+    start: Floats,
+    low: Floats,
+    high: Floats,
+    weight: Floats,
+    evaluations: int = _EVALUATIONS,
 ) -> tuple[Floats, float]:
     """The point and cost of a minimum within bounds.
 
     Args:
-        evaluate: the cost at a point.
+        evaluate: the cost at a point (S,).
         start: where to begin (S,).
         low: lower bounds (S,).
         high: upper bounds (S,).
+        weight: of each value (S,); the length of a step is that of the weighted values.
         evaluations: how often the cost may be computed.
     """
     point = np.clip(start, low, high)
     now = evaluate(point)
-    radius = max(float(np.linalg.norm(point)), 1.0)
+    radius = max(float(np.linalg.norm(weight * point)), 1.0)
     information, pull = now.equations()
     for _ in range(evaluations - 1):
         free = ~(((point <= low) & (pull < 0.0)) | ((point >= high) & (pull > 0.0)))
         step = np.zeros(len(point))
-        step[free] = _within(information[np.ix_(free, free)], pull[free], radius)
+        step[free] = _within(information[np.ix_(free, free)], pull[free], weight[free], radius)
         step = np.clip(point + step, low, high) - point
-        length = float(np.linalg.norm(step))
+        length = float(np.linalg.norm(weight * step))
         promised = float(pull @ step - 0.5 * step @ information @ step)
         tried = evaluate(point + step)
         gain = now.cost - tried.cost if np.isfinite(tried.cost) else -np.inf
@@ -66,7 +72,7 @@ def minimise(
             radius = 0.25 * length
         elif gain > _TRUSTED * promised and length > 0.95 * radius:
             radius *= 2.0
-        small = length < _TOLERANCE * (_TOLERANCE + float(np.linalg.norm(point)))
+        small = length < _TOLERANCE * (_TOLERANCE + float(np.linalg.norm(weight * point)))
         little = abs(gain) < _TOLERANCE * now.cost and gain >= _DOUBTFUL * promised
         if gain > 0.0:
             point, now = point + step, tried
@@ -77,16 +83,16 @@ def minimise(
     return point, now.cost
 
 
-def _within(information: Floats, pull: Floats, radius: float) -> Floats:
+def _within(information: Floats, pull: Floats, weight: Floats, radius: float) -> Floats:
     """The best step that is not longer than the radius, by damping (Moré and Sorensen 1983)."""
     damping, step = 0.0, np.zeros(len(pull))
     for _ in range(20):
-        factor = cho_factor(information + damping * np.eye(len(pull)), lower=True)
+        factor = cho_factor(information + np.diag(damping * weight**2), lower=True)
         step = cho_solve(factor, pull)
-        length = float(np.linalg.norm(step))
+        length = float(np.linalg.norm(weight * step))
         if length <= (1.0 if damping == 0.0 else 1.05) * radius:
             break
         # Newton's step for 1/length = 1/radius, which is nearly linear in the damping.
-        inner = float(step @ cho_solve(factor, step))
-        damping = max(damping + length**2 / inner * (length / radius - 1.0), 0.0)
+        squared = weight**2 * step
+        damping += length**2 / float(squared @ cho_solve(factor, squared)) * (length / radius - 1.0)
     return np.asarray(step)

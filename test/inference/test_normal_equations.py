@@ -69,7 +69,7 @@ def evaluated(point: np.ndarray) -> Evaluated:
 )
 def test_the_minimum_is_that_of_scipy(low: list[float], high: list[float]) -> None:
     start = np.array([1.0, 0.2, 0.6])
-    found, cost = minimise(evaluated, start, np.array(low), np.array(high), evaluations=60)
+    found, cost = minimise(evaluated, start, np.array(low), np.array(high), np.ones(3), evaluations=60)
     known = least_squares(curve, start, bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-12)
     assert cost == pytest.approx(float(known.cost), rel=1e-4)
     assert found == pytest.approx(known.x, abs=3e-3)
@@ -80,7 +80,9 @@ def test_a_step_to_where_the_cost_is_no_number_is_not_taken() -> None:
     def walled(point: np.ndarray) -> Evaluated:
         return evaluated(point) if point[1] < 1.0 else Evaluated(float("nan"), evaluated(point).equations)
 
-    found, cost = minimise(walled, np.array([1.0, 0.2, 0.6]), np.full(3, -9.0), np.full(3, 9.0), evaluations=60)
+    found, cost = minimise(
+        walled, np.array([1.0, 0.2, 0.6]), np.full(3, -9.0), np.full(3, 9.0), np.ones(3), evaluations=60
+    )
     assert found[1] < 1.0
     assert cost < evaluated(np.array([1.0, 0.2, 0.6])).cost
     assert np.isfinite(cost)

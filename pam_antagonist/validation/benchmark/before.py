@@ -1,4 +1,4 @@
-"""``close_loop`` and ``identify`` of this code against those of an earlier checkout, by processor time.
+"""``close_loop``, ``identify`` and ``battery`` of this code against an earlier checkout's, by processor time.
 
 What ``close_loop`` does besides what commit 8e1972c did is measured apart (:mod:`added`).
 """
@@ -19,6 +19,8 @@ from pam_antagonist.validation.benchmark.spent import Spent, spent
 _BOUND = 0.4
 IDENTIFIED = "nominal"
 """Name of the case that is identified as well."""
+_JOINTS, _SEED = 8, 5
+"""Cases of the battery, and its seed."""
 
 
 def measure(rig: str, before: Path, cases: Path) -> list[Figure]:
@@ -69,7 +71,23 @@ def measure(rig: str, before: Path, cases: Path) -> list[Figure]:
     figures.append(Figure("close_loop_all", meaning, total["now"] / total["before"], "", None, "×", parts))
     meaning += ", without the work that the earlier version did not do"
     same = (total["now"] - total["added"]) / total["before"]
-    return [*figures, at_most("close_loop_same_work", meaning, same, _BOUND, "×", parts)]
+    figures.append(at_most("close_loop_same_work", meaning, same, _BOUND, "×", parts))
+    return [*figures, _battery(before)]
+
+
+def _battery(before: Path) -> Figure:
+    """The time of a case of the battery; earlier versions draw other cases from the same seed."""
+    with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as scratch:
+        old, new = (
+            spent(
+                "battery", "--out", str(Path(scratch) / str(checkout is None)), "--count", str(_JOINTS), "--seed",
+                str(_SEED), checkout=checkout,
+            )
+            for checkout in (before, None)
+        )  # fmt: skip
+    parts = {"before_cpu_s": old.cpu_s / _JOINTS, "now_cpu_s": new.cpu_s / _JOINTS}
+    meaning = f"processor time of battery for each of {_JOINTS} cases against that of {before.name} for as many"
+    return at_most("battery", meaning, new.cpu_s / old.cpu_s, _BOUND, "×", parts)
 
 
 def _bags(case: Path) -> list[str]:

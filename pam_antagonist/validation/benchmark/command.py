@@ -39,9 +39,10 @@ Measure what the package costs on this machine.
 
   before    close_loop and identify against those of an earlier checkout (--before), over recordings (--cases):
             processor time (what close_loop does in addition since commit 8e1972c is not counted), and whether the
-            verdicts are the same; only by --only
+            verdicts are the same; battery, for each case; only by --only
   growth    replay, identify and close_loop against the length of recordings (--minutes) and their number
-            (--recordings): processor time and memory; only by --only, and takes an hour with the defaults
+            (--recordings): processor time and memory; only by --only, and takes half an hour with the defaults
+  busy      identify and close_loop beside a busy process for each core, against alone: processor time; only by --only
 
   --soak S  none of these parts, but the pipeline for S seconds (600 is enough for most purposes): growth of memory,
             lost messages and drift of the clocks. Every process is looked at once a second. With --json FILE the
@@ -52,7 +53,7 @@ Status: 0 whether or not a bound holds, 2 bad input.
 """
 PARTS = ("kernels", "replay", "pipeline")
 """What is measured unless something else is asked for."""
-_ALL = (*PARTS, "joints", "interaction", "watch", "before", "growth")
+_ALL = (*PARTS, "joints", "interaction", "watch", "before", "growth", "busy")
 
 
 def parser() -> common.Parser:
@@ -136,6 +137,7 @@ def _measured(part: str, arguments: argparse.Namespace, rig: Rig) -> list[Figure
         "watch": (arguments.rig, arguments.duration),
         "before": (arguments.rig, arguments.before, arguments.cases),
         "growth": (arguments.rig, arguments.minutes, arguments.recordings),
+        "busy": (arguments.rig,),
     }
     name = {"replay": "offline"}.get(part, part)
     module = import_module(f"pam_antagonist.validation.benchmark.{name}")

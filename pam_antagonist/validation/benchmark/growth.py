@@ -32,8 +32,8 @@ def measure(rig: str, minutes: Sequence[int], recordings: Sequence[int]) -> list
     figures = []
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as name:
         folder = Path(name)
-        lengths = {length: [_bag(rig, folder, length, seed) for seed in (1, 2)] for length in minutes}
-        several = [_bag(rig, folder, 1, seed) for seed in range(1, max(recordings) + 1)]
+        lengths = {length: [recorded(rig, folder, length, seed) for seed in (1, 2)] for length in minutes}
+        several = [recorded(rig, folder, 1, seed) for seed in range(1, max(recordings) + 1)]
         _spent("close_loop", several[:2], rig, folder / "first")
         for command in _COMMANDS:
             by_length = {
@@ -50,8 +50,15 @@ def measure(rig: str, minutes: Sequence[int], recordings: Sequence[int]) -> list
     return figures
 
 
-def _bag(rig: str, folder: Path, minutes: int, seed: int) -> Path:
-    """A simulated recording, every other one of a locked joint, all of one rig."""
+def recorded(rig: str, folder: Path, minutes: int, seed: int) -> Path:
+    """A simulated recording, every other one of a locked joint, all of one rig.
+
+    Args:
+        rig: name or path.
+        folder: where it is written, if it is not there.
+        minutes: its length [min].
+        seed: of its noise and voltages; the joint is locked where it is even.
+    """
     bag = folder / f"bag_{minutes}_{seed}"
     if not bag.exists():
         joint = "locked" if seed % 2 == 0 else "free"

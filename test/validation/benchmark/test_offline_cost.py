@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from pam_antagonist.api.simulate import simulate
 from pam_antagonist.errors import BadInput
 from pam_antagonist.validation.benchmark import added, before, growth
+from pam_antagonist.validation.benchmark import busy as busy_part
 from pam_antagonist.validation.benchmark import command as benchmark
 from pam_antagonist.validation.benchmark.spent import Spent, spent
 
@@ -46,6 +49,8 @@ def test_verdicts_and_times_of_two_checkouts_are_compared(tmp_path: Path, monkey
 
     def run(*arguments: str, checkout: Path | None = None) -> Spent:
         out = Path(arguments[arguments.index("--out") + 1])
+        if arguments[0] == "battery":
+            return Spent(cpu_s=8.0 if checkout is None else 32.0, wall_s=5.0, peak_mb=100.0)
         ran.append((arguments[0], Path(arguments[1]).parent.name, checkout is None))
         effects = [{"name": "leak"}] if "case_leak" in arguments[1] and checkout is None else []
         out.mkdir()
@@ -56,7 +61,9 @@ def test_verdicts_and_times_of_two_checkouts_are_compared(tmp_path: Path, monkey
     monkeypatch.setattr(added, "parts", lambda bags, rig: {"splits": 1.0, "calibrations": 2.0})
     figures = {found.name: found for found in before.measure("shin2022", tmp_path / "earlier", tmp_path / "cases")}
     cases = {"close_loop_case_leak", "close_loop_nominal", "identify_nominal"}
-    assert set(figures) == {*cases, "close_loop_all", "close_loop_same_work"}
+    assert set(figures) == {*cases, "close_loop_all", "close_loop_same_work", "battery"}
+    assert figures["battery"].value == 0.25
+    assert figures["battery"].parts == {"before_cpu_s": 4.0, "now_cpu_s": 1.0}, "of one case of eight"
     assert figures["close_loop_all"].value == 0.25
     assert figures["close_loop_all"].parts == {"before_cpu_s": 80.0, "now_cpu_s": 20.0, "added_cpu_s": 6.0}
     assert figures["close_loop_same_work"].value == 14.0 / 80.0
@@ -70,6 +77,27 @@ def test_parts_of_close_loop_are_told_apart() -> None:
     found = added.parts([recording], "shin2022")
     assert found["calibrations"] > 0.0
     assert found["joints that stick"] == 0.0, "a joint that is held sticks all the time"
+
+
+def test_a_command_beside_other_work_is_compared_with_itself_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The commands themselves are replaced; the other work is real, and ends with the command."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Seen(subprocess.Popen):  # type: ignore[type-arg]
+        def __init__(self, *arguments: object, **options: object) -> None:
+            super().__init__(*arguments, **options)  # type: ignore[call-overload]
+            started.append(self)
+
+    def run(*arguments: str, checkout: Path | None = None) -> Spent:
+        busy = [process for process in started if process.poll() is None]
+        return Spent(cpu_s=12.0 if len(busy) == os.cpu_count() else 10.0, wall_s=5.0, peak_mb=100.0)
+
+    monkeypatch.setattr(busy_part.subprocess, "Popen", Seen)
+    monkeypatch.setattr(busy_part, "spent", run)
+    monkeypatch.setattr(growth, "spent", run)
+    figures = {found.name: found for found in busy_part.measure("shin2022")}
+    assert {name: found.value for name, found in figures.items()} == {"close_loop_beside": 1.2, "identify_beside": 1.2}
+    assert started and all(process.poll() is not None for process in started)
 
 
 def test_growth_is_the_exponent_between_the_smallest_and_the_largest() -> None:
