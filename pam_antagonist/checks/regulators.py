@@ -42,7 +42,7 @@ def commands(recording: Recording, rig: Rig) -> list[Finding]:
     if share > _SATURATED:
         text = (
             f"commands lie beyond the regulators' range, {low / 1e3:.0f} to {high / 1e3:.0f} kPa absolute, in "
-            f"{100 * share:.0f} % of the samples: are these gauge pressures, or is regulator_limits wrong"
+            f"{100 * share:.0f} % of the samples: are these gauge pressures, or is regulator_limits wrong?"
         )
         out.append(Finding("doubtful", text))
     return out or [Finding("good", "the commanded pressures lie within the regulators' range")]

@@ -248,5 +248,5 @@ def fits(corrected: Recording, model: Prediction) -> list[Finding]:
     left = np.sqrt(np.nanmean((corrected.pressure[model.rows] - model.pressure) ** 2, axis=0))
     text = f"the model, driven by the voltages, is {left[0] / 1e3:.1f} and {left[1] / 1e3:.1f} kPa off (RMS)"
     if np.max(left) > FAR_OFF:
-        return [Finding("doubtful", f"{text}: is this a recording of this rig")]
+        return [Finding("doubtful", f"{text}: is this a recording of this rig?")]
     return [Finding("good", text)]

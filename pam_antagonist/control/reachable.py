@@ -16,6 +16,7 @@ from pam_antagonist.control.command import Mode
 from pam_antagonist.control.model_law import Seen, wanted_pressures
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.equilibrium import largest_angle
 
 _OUT_OF_REACH = 1e-5
 """[N m] An angle with a larger missing torque is out of reach; above the tolerance of the solution."""
@@ -58,7 +59,7 @@ class Reachable:
     def __init__(self, p: np.ndarray, box: Box) -> None:
         self._p, self._box = p, box
         self._x, self._held = np.zeros(int(p[par.STATES])), np.full(2, 5.0)
-        bound = min(float(p[par.STOP]), math.pi / 3.0)
+        bound = float(largest_angle(p))
         grid = np.linspace(-bound, bound, _GRID)
         within = [angle for angle in grid if self.at_angle(float(angle)).reached]
         # If the joint rests nowhere without friction, the angle with the least missing torque counts.

@@ -28,6 +28,7 @@ import numpy as np
 
 from pam_antagonist._jit import in_place, merged
 from pam_antagonist.estimation import push, ukf
+from pam_antagonist.estimation.stamps import PATIENCE
 from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND, VELOCITY
 
@@ -41,8 +42,6 @@ MEMORY = 20
 """Numbers in the memory of an encoder: the verdict, the jump [rad], rejected readings in a row, the time without a
 reading [s], and the sums that the verdict needs (products of E, M and V; ``_STILL``: of spans with equal readings)."""
 
-PATIENCE = 20
-"""Largest number of rejected readings in a row, as for the pressures."""
 _FASTEST = 30.0
 """[rad/s] At this velocity a joint would cross its whole range in 30 ms."""
 _NOISE = 8.0

@@ -50,11 +50,8 @@ from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 from pam_antagonist.model.parameters import SLOT_OF
 
-PATIENCE = 20
-"""Largest number of rejected samples in a row, at any sample rate; with more, the filter is taken to be wrong."""
-
 _NO_FLAGS, _ANGLE_MISSING, _ANGLE_REFUSED = np.int64(0), np.int64(NO_ANGLE), np.int64(OUTLIER)
-_VERDICT, _WITHOUT = encoder.VERDICT, encoder.WITHOUT
+_VERDICT, _WITHOUT, _PATIENCE = encoder.VERDICT, encoder.WITHOUT, stamps.PATIENCE
 (
     _PROCESSED, _PREDICTED_ONLY, _MISSING, _OUTLIERS, _LATE, _DUPLICATES, _GAPS, _REPAIRS, _RESTARTS, _ANGLES_USED,
     _ANGLES_REFUSED,
@@ -263,7 +260,7 @@ def _gate(y, finite_1, finite_2, memory, settings):
         clock[REJECTED] = 0
         return use_1, use_2, False
     clock[REJECTED] += 1
-    if clock[REJECTED] > PATIENCE:
+    if clock[REJECTED] > _PATIENCE:
         return finite_1, finite_2, False
     return use_1, use_2, True
 

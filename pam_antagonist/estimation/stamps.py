@@ -15,6 +15,8 @@ RESTART_AFTER_NS = 500_000_000
 """[ns] If a stamp is older than the last one by more, the clock was set back; otherwise the sample is late."""
 LONGEST_GAP_NS = 1_000_000_000
 """[ns] The filter does not predict over a longer gap."""
+PATIENCE = 20
+"""Largest number of rejected samples in a row, at any sample rate; with more, the filter is taken to be wrong."""
 _FAR = 1.75
 """Samples are missing in an interval of so many own periods, if the own period is not the nominal one."""
 _NEAR = 0.25

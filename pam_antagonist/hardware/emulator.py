@@ -251,25 +251,28 @@ class Emulator:
         self.ticks += 1
 
     def _plan(self, now_us: int) -> bool:
-        """Begin and end faults, whose time counts from the first command; returns whether the device restarts."""
+        """Begin and end faults, whose time counts from the first command; returns whether the device restarts.
+
+        A stalled device waits here; faults begin and end during a stall as well.
+        """
         if self._first_command_s is None:
             return False
-        begun, ended = self._faults.at(time.monotonic() - self._first_command_s)
-        for kind in ended:
-            self._log.event(now_us, f"-{kind}")
-            self._frozen.clear()
-            if kind == "unplug":
-                self._port = self._open_port()
-        for kind in begun:
-            self._log.event(now_us, f"+{kind}")
-            if kind == "unplug":
-                self.close()
-        if "stall" in begun:
-            while self._faults.has("stall"):
-                time.sleep(1e-3)
-                ended = self._faults.at(time.monotonic() - self._first_command_s)[1]
-            self._log.event(now_us, "-stall")
-        return "restart" in begun
+        restarts = False
+        while True:
+            begun, ended = self._faults.at(time.monotonic() - self._first_command_s)
+            for kind in ended:
+                self._log.event(now_us, f"-{kind}")
+                self._frozen.clear()
+                if kind == "unplug":
+                    self._port = self._open_port()
+            for kind in begun:
+                self._log.event(now_us, f"+{kind}")
+                if kind == "unplug":
+                    self.close()
+            restarts = restarts or "restart" in begun
+            if not self._faults.has("stall"):
+                return restarts
+            time.sleep(1e-3)
 
     def _shown(self, channel: int, reading: float) -> float:
         """Reading of a pressure sensor with its faults."""

@@ -19,12 +19,10 @@ from pam_antagonist.identification.static_volume import COEFFICIENTS as VOLUME_C
 from pam_antagonist.identification.static_volume import VolumeFit, fit_volume
 from pam_antagonist.model import muscle
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.physical import unphysical
+from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
 
 Floats = NDArray[np.float64]
 
-_RANGE_WITHOUT_STOP = math.radians(25.0)
-"""[rad] Range over which a rig without a stop is checked, as for rig files."""
 _OFFSET = {"linear": "w2", "hildebrandt": "c4", "sarosi": "c6", "polynomial": "c1"}
 """The coefficient of each form that is a force offset, which is uncertain in a rig by default."""
 _FEW_LENGTHS, _FEW_PRESSURES = 4, 4
@@ -69,7 +67,7 @@ def with_length(rig: Rig, length: float) -> Rig:
 def reach(rig: Rig) -> Reach:
     """Lengths and pressures that a rig's muscles get to, by the model's geometry."""
     p = rig.parameters()
-    bound = rig.joint.stop if rig.joint.stop is not None else _RANGE_WITHOUT_STOP
+    bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
     lengths = [muscle.length(0, muscle.leverage(angle, p)[0], p) for angle in (-bound, bound)]
     return Reach(min(lengths), max(lengths), rig.atmosphere.pressure, rig.supply.pressure)
 

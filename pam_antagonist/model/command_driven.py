@@ -6,17 +6,16 @@ muscles have their measured volumes, and the result tests the model of the regul
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from pam_antagonist._jit import kernel
+from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
 from pam_antagonist.model.integration import STAGES
 from pam_antagonist.model.parameters import FRICTION_STEP
 
 _rk4_step, _initial_state = integration.rk4_step_within, equilibrium.initial_state
+_substeps_of = inlined(integration.substeps_of)
 
 
 @kernel
@@ -47,7 +46,7 @@ def pressures(first, start, time, command, angle, p, longest):
         for k in range(begin + 1, first[e + 1]):
             u[:] = command[k]
             dt = time[k] - time[k - 1]
-            steps = max(1, math.ceil(dt / longest - 0.1))
+            steps = _substeps_of(dt, longest)
             p[FRICTION_STEP] = dt / steps
             moved = angle[k] - angle[k - 1]
             x[VELOCITY] = moved / dt

@@ -18,6 +18,19 @@ _open_rate, _valve_flow, _torque = flow.open_rate, flow.valve_flow, dynamics.tor
 _joint_torque, _muscle_steady = composition.joint_torque, composition.muscle_steady
 _joint_steady = composition.joint_steady
 
+_LARGEST_WITHOUT_STOP = math.pi / 3.0
+"""[rad] Without a stop, the search for an angle of rest still needs an end."""
+
+
+@inlined
+def largest_angle(p):
+    """Largest angle at which a joint may rest, to both sides [rad]: its stop, or 60° without one.
+
+    Args:
+        p: parameter vector (m,).
+    """
+    return p[STOP] if p[STOP] < math.inf else _LARGEST_WITHOUT_STOP
+
 
 @inlined
 def pull(x, p, effects=True):
@@ -35,9 +48,9 @@ def pull(x, p, effects=True):
 
 @kernel
 def rest_angle(pressure_1, pressure_2, p, effects=True):
-    """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within the stop.
+    """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within :func:`largest_angle`.
 
-    A balance beyond the stop or beyond ±60° gives the nearer of these bounds.
+    A balance beyond it gives the nearer bound.
 
     Args:
         pressure_1: P_1 [Pa].
@@ -45,7 +58,7 @@ def rest_angle(pressure_1, pressure_2, p, effects=True):
         p: parameter vector (m,).
         effects: None where the rig is known to be plain.
     """
-    high = min(p[STOP], math.pi / 3.0)
+    high = largest_angle(p)
     low = -high
     x = np.array([low, 0.0, pressure_1, pressure_2])
     if pull(x, p, effects) <= 0.0:
@@ -93,7 +106,7 @@ def start_angle(pressure_1, pressure_2, p, effects=True):
     if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
         return rest_angle(pressure_1, pressure_2, p, effects)
     ratio = pressure_1 / pressure_2
-    high = min(p[STOP], math.pi / 3.0)
+    high = largest_angle(p)
     low = -high
     # Muscle 1 gets shorter and wider as the angle grows, muscle 2 longer and narrower.
     for _ in range(60):

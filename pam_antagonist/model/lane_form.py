@@ -230,7 +230,8 @@ class _Function:
         condition, before = self.expression(node.test)
         yield from before
         if self.is_shared(node.test):
-            # Both branches start with the same names. Names set in either are known after them.
+            # Both branches start with the same names. Names set in either are known after them: all lanes went the
+            # same way, and as in the source, nothing uses a name that was not set on it.
             known, shared = set(self.known), set(self.shared)
             body = self.block(node.body, active)
             known_then, shared_then = self.known, self.shared
@@ -375,6 +376,9 @@ class _Expression(ast.NodeTransformer):
     @override
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id in self.of.locals:
+            if node.id not in self.of.known:
+                # A later branch may have overwritten it in the lanes of an earlier one.
+                raise self.of.refusal(node, f"{node.id!r} is used after branches of single lanes that set it")
             return node
         return _name(self.of.module.named(node.id, self.of.function))
 

@@ -6,17 +6,16 @@ So only the equations of force, friction and motion act, with all their effects.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from pam_antagonist._jit import kernel
+from pam_antagonist._jit import inlined, kernel
 from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
 from pam_antagonist.model.integration import STAGES
 from pam_antagonist.model.parameters import FRICTION_STEP, POLYTROPIC_VOLUME, SIGNAL, VALVE, VALVE_SIZE
 
 _rk4_step, _initial_state = integration.rk4_step_within, equilibrium.initial_state
+_substeps_of = inlined(integration.substeps_of)
 
 
 @kernel
@@ -51,7 +50,7 @@ def angles(first, start, time, pressure, signals, p, longest):
         out[begin] = x[ANGLE]
         for k in range(begin + 1, first[e + 1]):
             dt = time[k] - time[k - 1]
-            steps = max(1, math.ceil(dt / longest - 0.1))
+            steps = _substeps_of(dt, longest)
             h = dt / steps
             p[FRICTION_STEP] = h
             for s in range(steps):

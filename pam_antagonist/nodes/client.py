@@ -29,6 +29,7 @@ _SUBSCRIBERS = 2
 """Expected subscribers of a client's topic: the node that obeys, and the recorder."""
 _TICK = 0.004  # between two commands [s]; the valves take the last one until then
 _PROGRESS_PERIOD = 0.2  # between two reports of progress [s]
+_ESTIMATE: Mapping[str, type] = {"joint_estimate": JointEstimate}
 _Self = TypeVar("_Self", bound="PipelineClient")
 
 
@@ -118,11 +119,14 @@ class VoltageClient(PipelineClient):
 
     Args:
         namespace: of the pipeline.
+        name: of the node.
+        subscribed: logical name of a topic -> message type.
     """
 
-    def __init__(self, namespace: str = DEFAULT_NAMESPACE) -> None:
-        published = ("valve_command", ValveCommand, qos.COMMAND)
-        super().__init__("drive", namespace, {"joint_estimate": JointEstimate}, published)
+    def __init__(
+        self, namespace: str = DEFAULT_NAMESPACE, name: str = "drive", subscribed: Mapping[str, type] = _ESTIMATE
+    ) -> None:
+        super().__init__(name, namespace, subscribed, ("valve_command", ValveCommand, qos.COMMAND))
 
     def send(self, voltage: NDArray[np.float64]) -> None:
         """Command two voltages [V] now."""

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import FluidPressure, JointState
 from typing_extensions import override
 
-from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.client import PipelineClient
+from pam_antagonist.nodes.client import VoltageClient
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 from pam_antagonist.safety.lookout import RETREAT, TICK, Lookout
-from pam_antagonist_msgs.msg import ValveCommand
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +21,7 @@ _PROGRESS_S = 0.2
 _PRESSURES = ("pressure_1", "pressure_2")
 
 
-class DriveClient(PipelineClient):
+class DriveClient(VoltageClient):
     """Commands valve voltages in a pipeline without a controller, and watches the sensors.
 
     Args:
@@ -32,11 +30,7 @@ class DriveClient(PipelineClient):
 
     def __init__(self, namespace: str = DEFAULT_NAMESPACE) -> None:
         subscribed = {**dict.fromkeys(_PRESSURES, FluidPressure), "measured_joint_states": JointState}
-        super().__init__("excite", namespace, subscribed, ("valve_command", ValveCommand, qos.COMMAND))
-
-    def send(self, voltage: Floats) -> None:
-        """Command two voltages [V] now."""
-        self._publish(ValveCommand(voltage=[float(value) for value in voltage]))
+        super().__init__(namespace, "excite", subscribed)
 
     def now_ns(self) -> int:
         """Time of the clock that stamps samples [ns]."""

@@ -1,8 +1,21 @@
-"""Counts lost messages by their sequence numbers (without ROS)."""
+"""Sequence numbers of messages, and lost messages by their gaps (without ROS)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
+
+_MOST_NUMBER = 2**63  # a larger number means that the middleware gives none
+
+
+def number_of(information: Mapping[str, Any]) -> int | None:
+    """Number of a message at its publisher, from 1; None where the middleware gives none.
+
+    Args:
+        information: of the middleware on the message.
+    """
+    number: int | None = information.get("publication_sequence_number")
+    return number if number is not None and 0 < number < _MOST_NUMBER else None
 
 
 class Gaps:
@@ -26,8 +39,8 @@ class Gaps:
         self.countable = True
 
     def add(self, number: int | None) -> None:
-        """Take the number of a message, in the order of reception; None where the middleware gives none."""
-        if number is None or number <= 0 or not self.countable:
+        """Take the :func:`number_of` a message, in the order of reception."""
+        if number is None or not self.countable:
             return
         last, self._last = self._last, number
         if last is None or number == last + 1:

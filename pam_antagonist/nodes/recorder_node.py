@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.gaps import Gaps
+from pam_antagonist.nodes.gaps import Gaps, number_of
 from pam_antagonist.nodes.health import Health, Level, Rate
 from pam_antagonist.nodes.node import PamNode, take
 from pam_antagonist.nodes.recorder import PARAMETERS, Options
@@ -122,7 +122,7 @@ class RecorderNode(PamNode):
             items = []
             gaps = self._gaps[name]
             for data, about in take(subscription):
-                gaps.add(about.get("publication_sequence_number"))
+                gaps.add(number_of(about))
                 items.append((name, about["received_timestamp"] or time.time_ns(), data))
             try:
                 self._counts[name] += self._bag.write_many(items)

@@ -15,14 +15,13 @@ from trajectory_msgs.msg import JointTrajectory
 from pam_antagonist.control import Mode, Nearest, References, Rules, Trajectory
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.gaps import number_of
 from pam_antagonist.nodes.health import Health, Level
 from pam_antagonist.nodes.node import PamNode, take
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.safety import ReferenceOwner
 from pam_antagonist_msgs.msg import JointReference
 
-_NUMBER = "publication_sequence_number"
-_MOST_NUMBER = 2**63  # a larger number means that the middleware gives none
 _LOOK = 0.005  # [s] time between two reads of references
 _REPEAT_NS = 20_000_000  # [ns] time between two repeated references for a bag
 MODES = {"angle": Mode.ANGLE, "torque": Mode.TORQUE}
@@ -62,7 +61,7 @@ class ReferenceInput:
         self._array = (MODES[values["commands_mode"]], int(values["commands_index"]))
         self._kind, self._topic, self._accept = self._interface()
         self._owner = ReferenceOwner()
-        self._refused_before = self._lost_before = 0
+        self._refused_before = 0
         self._logged = ""
         self._heard_ns: int | None = None
         self._repeated_ns = 0
@@ -90,11 +89,8 @@ class ReferenceInput:
     def poll(self) -> None:
         """Read the messages that have come."""
         for data, info in take(self._subscription):
-            sequence = info.get(_NUMBER)
-            if sequence is not None and not 0 < sequence < _MOST_NUMBER:
-                sequence = None
             now = time.monotonic_ns()
-            if self._owner.admit(sequence, self._subscription.get_publisher_count(), now):
+            if self._owner.admit(number_of(info), self._subscription.get_publisher_count(), now):
                 self._accept(deserialize_message(data, self._kind))
                 self._heard_ns = now
                 self._log(self.references.complaint or self.references.limited)

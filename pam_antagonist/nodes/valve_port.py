@@ -25,6 +25,7 @@ from std_srvs.srv import Trigger
 
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.commanded import drive_of
+from pam_antagonist.nodes.gaps import number_of
 from pam_antagonist.nodes.health import Health, Level, Rate
 from pam_antagonist.nodes.node import PamNode, take
 from pam_antagonist.rig import Rig
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
 
 _SUPPLY_MARGIN = 1.1  # valves cannot exceed the supply pressure; a fast motion may compress the air by a tenth
-_NUMBER = "publication_sequence_number"
-_MOST_NUMBER = 2**63  # a larger number means that the middleware gives none
 
 
 class ValvePort:
@@ -103,7 +102,7 @@ class ValvePort:
         if self._subscription is None:
             return
         for data, info in take(self._subscription):
-            self.accept(data, now_ns, info.get(_NUMBER), self._subscription.get_publisher_count())
+            self.accept(data, now_ns, number_of(info), self._subscription.get_publisher_count())
 
     def accept(self, data: bytes, now_ns: int, sequence: int | None = None, publishers: int = 1) -> Verdict:
         """Take one command, serialised; see :meth:`ValveGuard.command`.
@@ -115,8 +114,6 @@ class ValvePort:
             publishers: number of publishers of commands.
         """
         stamp_ns, first, second = self._unpack(data)
-        if sequence is not None and sequence > _MOST_NUMBER:
-            sequence = None
         was_stopped, refused = self.guard.stopped, self.guard.authority.refused
         late = stamp_ns > 0 and self._node.now_ns() - stamp_ns > self._max_age
         verdict = self.guard.command((first, second), now_ns, sequence, publishers, late)

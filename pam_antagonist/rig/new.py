@@ -29,7 +29,7 @@ import numpy as np
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import orifice
 from pam_antagonist.rig.parts import MusclePart, RegulatorPart, ValvePart
-from pam_antagonist.rig.physical import unphysical
+from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
 from pam_antagonist.rig.schema import Rig
 from pam_antagonist.strict_yaml import validated
 
@@ -40,7 +40,6 @@ _THREAD_ANGLE = math.radians(25.0)
 """Angle between threads and axis without pressure, for which the braid's force at ε = 0 agrees with data sheets."""
 _MOST_STRETCH = 0.05
 """[-] Largest stretch that data sheets allow."""
-_RANGE_WITHOUT_STOP = math.radians(25.0)
 _LITRES_A_MINUTE = 1.189e-3 / 60.0
 """[kg/s] Mass flow of 1 l/min of air at 20 °C and 1 bar, the reference of ISO 6358."""
 _NOMINAL = 7e5, 6e5
@@ -113,7 +112,7 @@ class Facts:
 
     def travel(self) -> tuple[float, float]:
         """Shortest and longest length of a muscle within the joint's range [m]."""
-        bound = _RANGE_WITHOUT_STOP if self.stop is None else self.stop
+        bound = RANGE_WITHOUT_STOP if self.stop is None else self.stop
         reach = self.radius * (math.sin(bound) if self.kind == "lever" else bound)
         return self.length - reach, self.length + reach
 

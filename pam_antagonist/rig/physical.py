@@ -15,7 +15,8 @@ from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.rig.schema import Rig
 
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
-_RANGE_WITHOUT_STOP = math.radians(25.0)
+RANGE_WITHOUT_STOP = math.radians(25.0)
+"""[rad] Range of the angle, to both sides, over which a joint without a stop is checked."""
 _QUICKEST = 0.5 * par.LONGEST_STEP
 """[s] Least time constant, for any sample period: a Runge-Kutta step diverges beyond 2.8 time constants."""
 _FAINT, _MORE = 1.0, 10.0
@@ -89,7 +90,7 @@ def _bad_regulators(rig: Rig) -> str:
 def _bad_muscles(rig: Rig) -> str:
     """Check volume and force map over the joint's range, with the functions of the model."""
     p = rig.parameters()
-    bound = rig.joint.stop if rig.joint.stop is not None else _RANGE_WITHOUT_STOP
+    bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
     for i, name in enumerate(("muscle_1", "muscle_2")):
         for angle in (-bound, 0.0, bound):
             travel, _, _ = muscle.leverage(angle, p)

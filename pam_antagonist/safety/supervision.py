@@ -12,9 +12,8 @@ import math
 from collections import deque
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.filter import PATIENCE
 from pam_antagonist.estimation.memory import MISSING_PRESSURE_1, MISSING_PRESSURE_2, OUTLIER
-from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
+from pam_antagonist.estimation.stamps import PATIENCE, RESTART_AFTER_NS
 
 _CHANCE = 1e-15  # probability, for each sample, that a good sensor counts as frozen: once in 30,000 years at 1 kHz
 _SHARE = 0.15  # of the samples; with innovations twice as large as expected, 18 % are out of bounds

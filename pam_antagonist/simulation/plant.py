@@ -162,22 +162,18 @@ class Plant:
         """
         self._p = par.changed(self._p, values)
 
-    def _measured(self, value: float, std: float, step: float) -> float:
+    def _measured(self, value: float, std: float, step: float, rng: np.random.Generator) -> float:
         if not self._noise:
             return value
-        value += std * self._rng.standard_normal()
+        value += std * rng.standard_normal()
         return round(value / step) * step if step > 0.0 else value
 
     def _encoded(self) -> float:
         """Reading of the rig's encoder; its noise has a random generator of its own."""
         if self._encoder is None:
             return math.nan
-        std, step, offset = self._encoder.std, self._encoder.step, self._encoder.offset
-        value = float(self._x[0]) + offset
-        if not self._noise:
-            return value
-        value += std * self._encoder_rng.standard_normal()
-        return round(value / step) * step if step > 0.0 else value
+        value = float(self._x[0]) + self._encoder.offset
+        return self._measured(value, self._encoder.std, self._encoder.step, self._encoder_rng)
 
     def step(self, voltage: tuple[float, float] | np.ndarray, external_torque: float = 0.0) -> PlantSample:
         """Advance one sample period.
@@ -202,15 +198,15 @@ class Plant:
             self._begun = True
         for _ in range(self._substeps):
             integration.rk4_step(self._x, self._u, self._p, self._dt, self._x)
-        sensors = self._sensors
+        sensors, rng = self._sensors, self._rng
         readings = [sensor.reading(i, self._x[2 + i], self._p) for i in (0, 1)]
         return PlantSample(
             pressure=np.array(
-                [self._measured(shown, sensors.pressure_std, sensors.pressure_step) for shown in readings]
+                [self._measured(shown, sensors.pressure_std, sensors.pressure_step, rng) for shown in readings]
             ),
             voltage=self._u[:2].copy(),
-            angle=self._measured(self._x[0], sensors.angle_std, sensors.angle_step),
-            torque=self._measured(dynamics.torque(self._x, self._p), sensors.torque_std, sensors.torque_step),
+            angle=self._measured(self._x[0], sensors.angle_std, sensors.angle_step, rng),
+            torque=self._measured(dynamics.torque(self._x, self._p), sensors.torque_std, sensors.torque_step, rng),
             encoder=self._encoded(),
             truth=self._x.copy(),
         )

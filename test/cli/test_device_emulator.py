@@ -144,3 +144,35 @@ def test_a_host_finds_a_device_with_a_joint_behind_the_link(
     assert rows[0] == ["time_ns", "device_us", "event", "voltage_1", "voltage_2", "safe"]
     assert [row[2] for row in rows if row[2] not in ("event", "voltage")] == ["+stop", "-stop"]
     assert rows[-1][3:] == ["5.0", "5.25", "1"]
+
+
+@pytest.mark.realtime
+def test_faults_that_begin_or_end_during_a_stall_are_not_lost(
+    tmp_path: Path, started: Callable[[list[str]], subprocess.Popen[str]]
+) -> None:
+    link, log = tmp_path / "device", tmp_path / "log.csv"
+    command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
+    command += ["--link", str(link), "--log", str(log), "--first-us", str(2**31)]
+    for fault in ("unplug@0.1-0.5", "stall@0.3-1.2", "stop@0.7-0.9", "restart@1"):
+        command += ["--fault", fault]
+    emulator = started(command)
+    assert emulator.stdout is not None
+    emulator.stdout.readline()
+    device = SerialDevice(lambda: SerialTransport(str(link)))
+    device.start(SafeAction((5.0, 5.25)))
+    with pytest.raises(DeviceLost):
+        while True:
+            device.samples(0.05)
+            device.command((6.0, 5.0))
+    device.close()
+    end = time.monotonic() + 5.0
+    while not link.exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(1.0)
+    emulator.send_signal(signal.SIGTERM)
+    emulator.communicate(timeout=10.0)
+    rows = [line.split(",") for line in log.read_text().splitlines()[1:]]
+    events = ["+unplug", "+stall", "-unplug", "+stop", "-stop", "+restart", "-stall"]
+    assert [row[2] for row in rows if row[2] != "voltage"] == events
+    # A restarted device counts from 0, with the safe voltages of power-on.
+    assert int(rows[-1][1]) < 2**31 and rows[-1][2:] == ["voltage", "5.5", "5.5", "1"]

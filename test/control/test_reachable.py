@@ -28,6 +28,13 @@ def test_the_ends_are_where_the_joint_rests_at_the_extreme_pressures(reach):
     assert reach.angles == pytest.approx((low, high), abs=1e-4)
 
 
+def test_a_joint_with_a_far_stop_reaches_beyond_60_degrees():
+    p = load_rig("shin2022").parameters(changes={"joint.stop": math.radians(80.0), "geometry.radius": 0.01})
+    high = equilibrium.rest_angle(BOX.highest, BOX.lowest, p)
+    assert high > math.radians(65.0)
+    assert Reachable(p, BOX).angles[1] == pytest.approx(high, abs=1e-4)
+
+
 def test_no_pressures_in_the_box_rest_outside_of_the_set(reach):
     rng = np.random.default_rng(1)
     for _ in range(300):

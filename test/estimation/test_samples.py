@@ -8,8 +8,9 @@ from recordings import PERIOD_NS, trial
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.estimation.filter import PATIENCE, process_all
+from pam_antagonist.estimation.filter import process_all
 from pam_antagonist.estimation.memory import GAP, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER
+from pam_antagonist.estimation.stamps import PATIENCE
 from pam_antagonist.rig import load_rig
 
 RIG = load_rig("shin2022")

@@ -81,7 +81,7 @@ def test_a_good_recording_is_good(recording: Recording) -> None:
     [
         (lambda r: replace(r, voltage=r.voltage * 1e-5), "wrong", "the commanded pressures are in bar"),
         (lambda r: replace(r, pressure=r.voltage), "wrong", "pressure_1 is what regulator 1 was asked for"),
-        (lambda r: replace(r, voltage=r.voltage + 200e3), "doubtful", "commands lie beyond the regulators' range"),
+        (lambda r: replace(r, voltage=r.voltage + 200e3), "doubtful", "or is regulator_limits wrong?"),
         (lambda r: replace(r, pressure=r.pressure[:, ::-1]), "wrong", "the pressure lines are exchanged"),
         (lambda r: replace(r, pressure=r.pressure - 101.3e3), "wrong", "these are gauge pressures"),
         (lambda r: replace(r, angle=-r.angle), "wrong", "the encoder counts the wrong way round"),

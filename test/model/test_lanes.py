@@ -116,12 +116,25 @@ def _with_while(p, value):
     return value
 
 
+@in_place
+def _set_in_some_lanes(p, value):
+    if value > 2.0:
+        factor = 2.0
+    if value < 1.0:
+        factor = 3.0
+    if value > 2.0 or value < 1.0:
+        return factor * value
+    return value
+
+
 @pytest.mark.parametrize(("features", "width"), [("+avx2,+avx512f", (8, 3)), ("+avx,+avx2", (4, 2)), ("+sse2", (4, 5))])
 def test_a_processor_without_wide_instructions_runs_models_one_by_one(features: str, width: tuple[int, int]) -> None:
     assert lane_values.width(features) == width
 
 
-@pytest.mark.parametrize("function", [_first_above, _with_while], ids=["break", "while"])
+@pytest.mark.parametrize(
+    "function", [_first_above, _with_while, _set_in_some_lanes], ids=["break", "while", "set in some lanes"]
+)
 def test_what_has_no_lane_form_is_refused_with_its_place(function) -> None:
     with pytest.raises(lane_form.NoLaneForm, match=f"{function.py_func.__name__}, line"):
         lane_form.lane_module((function,))

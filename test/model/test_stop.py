@@ -9,7 +9,8 @@ import pytest
 import transcription as paper
 from states import steps
 
-from pam_antagonist.model import integration
+from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import load_rig
 
 STOP = math.radians(25.0)
@@ -84,3 +85,21 @@ def test_null_stop_is_none(printed):
     state = [0.5, 1.0, 450e3, 450e3]
     expected = paper.runge_kutta(paper.AS_PRINTED, state, (5.5, 5.5), PERIOD)
     assert steps(state, free, 1)[-1] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_joint_with_a_far_stop_rests_beyond_60_degrees():
+    rig = load_rig("shin2022")
+    joint = rig.joint.replaced(stop=math.radians(80.0), stiffness=0.0)
+    p = rig.replaced(geometry=rig.geometry.replaced(radius=0.01), joint=joint).parameters()
+    angle = equilibrium.rest_angle(700e3, 300e3, p)
+    assert math.radians(65.0) < angle < math.radians(75.0)
+    assert dynamics.torque(np.array([angle, 0.0, 700e3, 300e3]), p) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_sealed_joint_with_a_far_stop_starts_beyond_60_degrees():
+    rig = load_rig("sealed_joint")
+    p = rig.replaced(joint=rig.joint.replaced(stop=math.radians(80.0))).parameters()
+    pressures = [equilibrium.closed_pressure(i, math.radians(70.0), p) for i in (0, 1)]
+    assert equilibrium.start_angle(*pressures, p) == pytest.approx(math.radians(70.0))
+    p[par.STOP] = math.inf
+    assert equilibrium.start_angle(*pressures, p) == pytest.approx(math.radians(60.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pam_antagonist.nodes.gaps import Gaps
+from pam_antagonist.nodes.gaps import Gaps, number_of
 
 
 def fed(numbers: list[int | None], publishers: int = 1) -> Gaps:
@@ -27,7 +27,10 @@ def test_several_publishers_cannot_be_counted() -> None:
 
 
 def test_a_middleware_without_numbers() -> None:
-    assert fed([None, None, 0, 0]).missing == 0
+    assert fed([None, None]).missing == 0
+    for information in ({}, {"publication_sequence_number": 0}, {"publication_sequence_number": 2**64 - 1}):
+        assert number_of(information) is None
+    assert number_of({"publication_sequence_number": 1}) == 1
 
 
 def test_the_graph_is_asked_for_gaps_only() -> None:
