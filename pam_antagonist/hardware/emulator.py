@@ -182,6 +182,7 @@ class Emulator:
         self._port: Port | None = open_port()
         self._frozen: dict[int, float] = {}
         self._first_command_s: float | None = None
+        self._stopping: Callable[[], bool] = lambda: False
         self.ticks = 0
         self.missed = 0
 
@@ -192,6 +193,7 @@ class Emulator:
 
     def run(self, stopping: Callable[[], bool]) -> None:
         """Sample in real time until ``stopping`` returns true."""
+        self._stopping = stopping
         period = self._firmware.settings.period_us * 1e-6 / (1.0 + self._clock.drift)
         start = time.monotonic()
         index = 0  # of the last sample; missed samples count
@@ -253,7 +255,7 @@ class Emulator:
     def _plan(self, now_us: int) -> bool:
         """Begin and end faults, whose time counts from the first command; returns whether the device restarts.
 
-        A stalled device waits here; faults begin and end during a stall as well.
+        A stalled device waits here until the stall or the emulator ends; other faults begin and end meanwhile.
         """
         if self._first_command_s is None:
             return False
@@ -270,7 +272,7 @@ class Emulator:
                 if kind == "unplug":
                     self.close()
             restarts = restarts or "restart" in begun
-            if not self._faults.has("stall"):
+            if not self._faults.has("stall") or self._stopping():
                 return restarts
             time.sleep(1e-3)
 

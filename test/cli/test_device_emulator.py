@@ -147,6 +147,28 @@ def test_a_host_finds_a_device_with_a_joint_behind_the_link(
 
 
 @pytest.mark.realtime
+def test_an_emulator_ends_during_a_stall_without_an_end(
+    tmp_path: Path, started: Callable[[list[str]], subprocess.Popen[str]]
+) -> None:
+    link, log = tmp_path / "device", tmp_path / "log.csv"
+    command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
+    emulator = started([*command, "--link", str(link), "--log", str(log), "--fault", "stall@0.1"])
+    assert emulator.stdout is not None
+    emulator.stdout.readline()
+    device = SerialDevice(lambda: SerialTransport(str(link)))
+    device.start(SafeAction((5.0, 5.25)))
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        device.samples(0.05)
+        device.command((6.0, 5.0))
+    device.close()
+    emulator.send_signal(signal.SIGTERM)
+    emulator.communicate(timeout=10.0)
+    assert emulator.returncode == 0
+    assert ",+stall," in log.read_text()
+
+
+@pytest.mark.realtime
 def test_faults_that_begin_or_end_during_a_stall_are_not_lost(
     tmp_path: Path, started: Callable[[list[str]], subprocess.Popen[str]]
 ) -> None:
