@@ -207,9 +207,9 @@ def _minimise(
         parts = [np.nan_to_num(part / weight) for part, weight in zip(problem.residuals(t), weights, strict=True)]
         sums = [float(np.sum(2.0 * np.sqrt(1.0 + part**2) - 2.0 if robust else part**2)) for part in parts]
 
-        def equations() -> tuple[Floats, Floats]:
+        def equations(renew: bool) -> tuple[Floats, Floats]:
             out = []
-            for part, slope, weight in zip(parts, slopes.at(problem, t), weights, strict=True):
+            for part, slope, weight in zip(parts, slopes.at(problem, t, 0.0 if renew else _NEAR), weights, strict=True):
                 counted = 1.0 / np.sqrt(1.0 + part**2) if robust else np.ones_like(part)
                 # The gradient of the loss, and its curvature where that of the residual itself is left out.
                 j = np.nan_to_num(slope / weight[:, None]).reshape(-1, slope.shape[2])

@@ -30,11 +30,12 @@ class Evaluated(NamedTuple):
 
     Attributes:
         cost: to be minimised.
-        equations: its normal equations there: information (S, S) and the negative gradient (S,).
+        equations: gives its normal equations there: information (S, S) and the negative gradient (S,). Its argument
+            says whether derivatives from nearby do not suffice.
     """
 
     cost: float
-    equations: Callable[[], tuple[Floats, Floats]]
+    equations: Callable[[bool], tuple[Floats, Floats]]
 
 
 def minimise(
@@ -58,7 +59,8 @@ def minimise(
     point = np.clip(start, low, high)
     now = evaluate(point)
     radius = max(float(np.linalg.norm(weight * point)), 1.0)
-    information, pull = now.equations()
+    information, pull = now.equations(False)
+    renewed = False
     for _ in range(evaluations - 1):
         free = ~(((point <= low) & (pull < 0.0)) | ((point >= high) & (pull > 0.0)))
         step = np.zeros(len(point))
@@ -68,6 +70,11 @@ def minimise(
         promised = float(pull @ step - 0.5 * step @ information @ step)
         tried = evaluate(point + step)
         gain = now.cost - tried.cost if np.isfinite(tried.cost) else -np.inf
+        if gain <= 0.0 and not renewed:
+            renewed, before = True, pull
+            information, pull = now.equations(True)
+            if not np.array_equal(before, pull):
+                continue
         if gain <= 0.0 or gain < _DOUBTFUL * promised:
             radius = 0.25 * length
         elif gain > _TRUSTED * promised and length > 0.95 * radius:
@@ -79,7 +86,8 @@ def minimise(
         if small or little or radius < _LEAST:
             break
         if gain > 0.0:
-            information, pull = now.equations()
+            information, pull = now.equations(False)
+            renewed = False
     return point, now.cost
 
 

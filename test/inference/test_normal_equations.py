@@ -55,7 +55,7 @@ def curve(point: np.ndarray) -> np.ndarray:
 def evaluated(point: np.ndarray) -> Evaluated:
     residual = curve(point)
 
-    def equations() -> tuple[np.ndarray, np.ndarray]:
+    def equations(_: bool) -> tuple[np.ndarray, np.ndarray]:
         slope = np.stack([(curve(point + step) - curve(point - step)) / 2e-6 for step in 1e-6 * np.eye(3)], axis=1)
         return slope.T @ slope, -slope.T @ residual
 
