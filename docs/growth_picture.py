@@ -14,6 +14,7 @@ import numpy as np
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
 COMMANDS = {"replay": "#0072b2", "identify": "#d55e00", "close_loop": "#009e73"}
 SIZES = {"minutes": "length of each recording [min]", "recordings": "recordings of a minute"}
@@ -50,14 +51,22 @@ def main() -> None:
             memory.loglog(sizes, megabytes / 1e3, "o-", color=color, label=command)
         if head is not None:
             # In proportion to the data.
-            time.loglog(head, 10.0 * head / head[0], ":", color="0.6", label="as the data")
+            time.loglog(head, 10.0 * head / head[0], ":", color="0.6", label="in proportion to the data")
             memory.axhline(4.0, color="0.6", linestyle="--")
+            for one in (time, memory):
+                one.set_xticks(head, [str(size) for size in head])
+                one.xaxis.set_minor_formatter(NullFormatter())
         memory.set_xlabel(label)
     axes[0, 0].set_ylabel("processor time [s]")
     axes[1, 0].set_ylabel("most memory [GB]")
     axes[0, 0].legend(frameon=False)
     for one in axes.flat:
         one.grid(visible=True, which="major", alpha=0.3)
+        one.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        one.yaxis.set_minor_formatter(NullFormatter())
+    for one in axes[1]:
+        one.set_ylim(0.2, 5.0)
+        one.set_yticks([0.2, 0.5, 1.0, 2.0, 4.0])
     drawn.savefig(Path(__file__).with_name("growth.png"))
 
 
