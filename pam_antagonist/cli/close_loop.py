@@ -11,21 +11,22 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pam_antagonist import __version__
-from pam_antagonist.api import episodes
-from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.first_start import FITS, compile_first
 from pam_antagonist.cli.numbers import JOBS, SEED, real
 from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, planned, said_by
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
-from pam_antagonist.recording import Recording, bag_hash, bag_name, corrections
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.recording import corrections
+
+if TYPE_CHECKING:
+    from pam_antagonist.api.diagnose import DiagnoseResult
+    from pam_antagonist.diagnosis.checkpoint import Checkpoint
+    from pam_antagonist.recording import Recording
+    from pam_antagonist.rig import Rig
 
 _DESCRIPTION = """\
 Trace what the model of a rig lacks to a physical effect, add it, and report the error before and after.
@@ -95,6 +96,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
+    from pam_antagonist.api import episodes
+    from pam_antagonist.cli.first_start import FITS, compile_first
+    from pam_antagonist.diagnosis.checkpoint import Checkpoint
+    from pam_antagonist.recording import bag_hash, bag_name
+    from pam_antagonist.rig import load_rig
+
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
     rig = load_rig(arguments.rig, regulators=True)
@@ -148,6 +155,8 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
 
 def _of_episodes(arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording]) -> int:
     """Diagnose a joint with pressure regulators in many short episodes."""
+    from pam_antagonist.api import episodes
+
     cluster.refuse_for_episodes(arguments.dask)
     fitted, kept = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
     found = episodes.diagnosed(
@@ -199,6 +208,8 @@ def _diagnosed(
     share: float,
     store: Checkpoint,
 ) -> DiagnoseResult:
+    from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
+
     plan = SEALED_CLOSE_LOOP if rig.valves.sealed else CLOSE_LOOP
     with planned("close_loop", [*fitted, *held_out], plan) as progress:
         found = diagnose(

@@ -7,8 +7,6 @@ import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from joblib import parallel_config
-
 from pam_antagonist import __version__
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
@@ -55,6 +53,8 @@ def connected(address: str | None) -> Iterator[None]:
     if address is None:
         yield
         return
+    from joblib import parallel_config
+
     with needs("dask", "--dask"):
         import distributed
     try:

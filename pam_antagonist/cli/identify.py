@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from pam_antagonist.api import episodes
-from pam_antagonist.api.identify import IdentifyResult, identify
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.first_start import FITS, compile_first
 from pam_antagonist.cli.numbers import JOBS, SEED, real, whole
 from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, planned, said_by
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import Recording
-from pam_antagonist.report import terminal
-from pam_antagonist.rig import Rig, load_rig
+
+if TYPE_CHECKING:
+    from pam_antagonist.recording import Recording
+    from pam_antagonist.rig import Rig
 
 _DESCRIPTION = """\
 Identify a rig from its recordings: parameters with error bars, sensor noise, filter tuning.
@@ -69,6 +68,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from pam_antagonist.api import episodes
+    from pam_antagonist.api.identify import IdentifyResult, identify
+    from pam_antagonist.cli.first_start import FITS, compile_first
+    from pam_antagonist.report import terminal
+    from pam_antagonist.rig import load_rig
+
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
     rig = load_rig(arguments.rig, regulators=True)
@@ -104,6 +109,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _of_episodes(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[Recording]) -> int:
     """Identify a joint with pressure regulators from many short episodes."""
+    from pam_antagonist.api.identify import identify
+
     cluster.refuse_for_episodes(arguments.dask)
     for name in ("free", "freeze"):
         if getattr(arguments, name):

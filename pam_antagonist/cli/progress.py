@@ -16,9 +16,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.recording import Recording
+if TYPE_CHECKING:
+    from pam_antagonist.recording import Recording
 
 _DELAY = 2.0
 """What takes less than this [s] shows no bar."""

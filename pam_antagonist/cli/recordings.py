@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from pam_antagonist.checks import SHORTEST, check_recording
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
-from pam_antagonist.recording import Recording, bag_hash, corrections, read_bag
-from pam_antagonist.rig import Rig
+from pam_antagonist.recording import corrections
+
+if TYPE_CHECKING:
+    from pam_antagonist.recording import Recording
+    from pam_antagonist.rig import Rig
 
 
 def add_bags(parser: argparse.ArgumentParser) -> None:
@@ -60,6 +63,8 @@ def refuse_wrong(recording: Recording, rig: Rig, arguments: argparse.Namespace) 
     Raises:
         BadInput: what is wrong, and what to type.
     """
+    from pam_antagonist.checks import SHORTEST, check_recording
+
     if arguments.no_check or recording.duration_s < SHORTEST or recording.drive != rig.drive:
         return
     checked = check_recording(recording, rig, arguments.joint, arguments.lock_angle)
@@ -82,6 +87,8 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
     Raises:
         BadInput: a bag that cannot be read, or the same one twice, or a recording that is certainly wrong.
     """
+    from pam_antagonist.recording import bag_hash, read_bag
+
     names = common.topics(arguments)
     bags = [*arguments.bags, *further]
     recordings = [

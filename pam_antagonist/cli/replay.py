@@ -6,17 +6,17 @@ import argparse
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from pam_antagonist.api.replay import ReplayResult, replay
 from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.first_start import REPLAY, compile_first
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import SeveralJoints, corrections, read_bag
-from pam_antagonist.replays.table import check_estimate
-from pam_antagonist.report.replay import write_report
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.recording import corrections
+
+if TYPE_CHECKING:
+    from pam_antagonist.api.replay import ReplayResult
+    from pam_antagonist.rig import Rig
 
 _DESCRIPTION = """\
 Run recordings through the estimator again and report its errors.
@@ -85,6 +85,11 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from pam_antagonist.cli.first_start import REPLAY, compile_first
+    from pam_antagonist.replays.table import check_estimate
+    from pam_antagonist.report.replay import write_report
+    from pam_antagonist.rig import load_rig
+
     common.check_output(arguments.out)
     if arguments.save is not None:
         if len(arguments.bags) > 1:
@@ -118,6 +123,8 @@ def _replays(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Nam
     Raises:
         BadInput: several joints where one is wanted.
     """
+    from pam_antagonist.recording import SeveralJoints
+
     try:
         yield _replay(bag, names, arguments.namespace, rig, arguments)
     except SeveralJoints as found:
@@ -130,6 +137,9 @@ def _replays(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Nam
 def _replay(
     bag: Path, names: dict[str, str], namespace: str | None, rig: Rig, arguments: argparse.Namespace
 ) -> ReplayResult:
+    from pam_antagonist.api.replay import replay
+    from pam_antagonist.recording import read_bag
+
     begin = time.perf_counter()
     recording = read_bag(
         bag,

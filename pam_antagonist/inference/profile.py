@@ -98,8 +98,8 @@ def shared_profiles(
         np.nan_to_num(slope / weight[:, None]).reshape(-1, slope.shape[2])
         for slope, weight in zip(problem.local_jacobians(found.theta), weights, strict=True)
     ]
-    squares = [slope.T @ slope for slope in slopes]
-    information, _ = problem.arrow([Local(square, square[0]) for square in squares]).whole()
+    parts = [Local(slope.T @ slope, np.zeros(slope.shape[1])) for slope in slopes]
+    information, _ = problem.arrow(parts).whole()
     place = {item.name: k for k, item in enumerate(problem.free)}
 
     def residuals(theta: Floats) -> tuple[list[Floats], float]:
@@ -107,8 +107,8 @@ def shared_profiles(
         return parts, 0.5 * (sum(float(part @ part) for part in parts) + float(theta @ theta))
 
     def gradient(theta: Floats, parts: Sequence[Floats]) -> Floats:
-        pulls = [Local(square, r @ j) for square, r, j in zip(squares, parts, slopes, strict=True)]
-        return problem.arrow(pulls).whole()[1] + theta
+        pulls = [problem.map(k).T @ (r @ j) for k, (r, j) in enumerate(zip(parts, slopes, strict=True))]
+        return np.asarray(sum(pulls, theta))
 
     def held(k: int, position: float) -> float:
         std = float(np.sqrt(found.full[k, k]))
