@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from pam_antagonist.api.check import CheckResult, check
 from pam_antagonist.cli import common
-from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import add_options, from_options
 from pam_antagonist.report import terminal
 from pam_antagonist.report.assumption import in_first_lines
-from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.strict_json import dumps
+
+if TYPE_CHECKING:
+    from pam_antagonist.api.check import CheckResult
+    from pam_antagonist.recording import Recording
+    from pam_antagonist.rig import Rig
 
 _DESCRIPTION = """\
 Check recordings before anything is computed from them (seconds).
@@ -57,6 +60,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _main(arguments: argparse.Namespace) -> int:
+    from pam_antagonist.api.check import check
+    from pam_antagonist.recording import read_bag
+    from pam_antagonist.rig import load_rig
+
     rig = load_rig(arguments.rig, regulators=True)
     lock_angle = common.lock_angle(arguments)
     results = {}
