@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
 from pam_antagonist.recording.corrections import add_options, from_options
-from pam_antagonist.report import terminal
-from pam_antagonist.report.assumption import in_first_lines
 from pam_antagonist.strict_json import dumps
 
 if TYPE_CHECKING:
@@ -62,6 +60,8 @@ def main(argv: list[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.check import check
     from pam_antagonist.recording import read_bag
+    from pam_antagonist.report import terminal
+    from pam_antagonist.report.assumption import in_first_lines
     from pam_antagonist.rig import load_rig
 
     rig = load_rig(arguments.rig, regulators=True)
@@ -86,6 +86,8 @@ def _main(arguments: argparse.Namespace) -> int:
 
 
 def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> str:
+    from pam_antagonist.report import terminal
+
     lines = [f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}"]
     for finding in checked.findings:
         text = finding.text
