@@ -9,17 +9,16 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.cli.rehearsal import rehearse
-from pam_antagonist.design import Limits, Plan, standard_errors
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
-from pam_antagonist.recording.notes import write_notes
-from pam_antagonist.rig import Rig, load_rig
+
+if TYPE_CHECKING:
+    from pam_antagonist.design import Limits, Plan
+    from pam_antagonist.rig import Rig
 
 SOURCES = ("plant", "bridge", "none", "rehearsal")
 SIMULATED = ("plant", "rehearsal")
@@ -83,6 +82,8 @@ class Owner:
         Args:
             plan: whose limits it keeps as well.
         """
+        from pam_antagonist.nodes.processes import ros_arguments
+
         low, high = plan.limits.pressure
         given: dict[str, object] = {
             "rig": self.rig,
@@ -140,6 +141,8 @@ def limits_of(arguments: argparse.Namespace, rig: Rig) -> Limits:
     Raises:
         BadInput: limits that the rig cannot have.
     """
+    from pam_antagonist.design import Limits
+
     usual = Limits.of(rig)
     low, high = (
         default if given is None else given * _KPA
@@ -184,6 +187,8 @@ def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
     Returns:
         The content of ``plan.json``.
     """
+    from pam_antagonist.design import standard_errors
+
     changes = np.flatnonzero(np.any(np.diff(plan.voltage, axis=0) != 0.0, axis=1)) + 1
     rows = [0, *changes, len(plan.voltage) - 1]
     lines = [f"{k * plan.period:.6g},{plan.voltage[k, 0]:.4f},{plan.voltage[k, 1]:.4f}" for k in rows]
@@ -218,6 +223,8 @@ def stay_apart(owner: Owner) -> None:
         return
     # A domain of its own keeps two experiments, or an experiment and a rig, from hearing each other.
     if "ROS_DOMAIN_ID" not in os.environ:
+        from pam_antagonist.nodes.processes import free_domain
+
         os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
@@ -233,7 +240,12 @@ def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
     Raises:
         ProcessFailed: a node ended or does not start.
     """
+    from pam_antagonist.recording.notes import write_notes
+
     if owner.source == "rehearsal":
+        from pam_antagonist.cli.rehearsal import rehearse
+        from pam_antagonist.rig import load_rig
+
         rig = load_rig(owner.rig)
         begun_ns, ended = rehearse(rig, plan, owner.seed, owner.mismatch, out / "bag")
     else:
@@ -246,6 +258,7 @@ def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
 def _through_nodes(owner: Owner, plan: Plan, out: Path) -> tuple[int, str]:
     """Stamp at which the plan began [ns], and in words why it ended early; empty where it did not."""
     from pam_antagonist.nodes.drive import DriveClient
+    from pam_antagonist.nodes.processes import Processes
 
     stay_apart(owner)
     rest, ready = np.array(plan.rest), 0.5 * (plan.pressure + plan.limits.pressure[1])

@@ -8,22 +8,18 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.cli import common
 from pam_antagonist.cli.driving import Owner, add_limits, add_source, drive, limits_of, write_plan
 from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.design import SHORTEST, Limits, Plan, designed
-from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.trial import CHANNELS
-from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.nodes.processes import ProcessFailed
 from pam_antagonist.optional import needs_ros
-from pam_antagonist.report import terminal
-from pam_antagonist.report.table import Table, number, percent
-from pam_antagonist.rig import Rig, load_rig
+
+if TYPE_CHECKING:
+    from pam_antagonist.design import Limits, Plan
+    from pam_antagonist.rig import Rig
 
 _DESCRIPTION = """\
 Design an experiment that determines the parameters of a rig well, drive the joint with it and record it.
@@ -87,6 +83,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _main(arguments: argparse.Namespace) -> int:
+    from pam_antagonist.design import SHORTEST, designed
+    from pam_antagonist.rig import load_rig
+
     if not SHORTEST <= arguments.duration <= 3600.0:
         raise BadInput(f"--duration {arguments.duration:g}: expected {SHORTEST:g} to 3600 s")
     owner = Owner.of(arguments, arguments.rig)
@@ -121,6 +120,9 @@ def _between(
     arguments: argparse.Namespace, rig: Rig, limits: Limits, angle: float, advance: Callable[[float], None]
 ) -> tuple[Plan, str]:
     """The experiment that tells a found effect from its rivals, and in words what it promises."""
+    from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
+    from pam_antagonist.inference.trial import CHANNELS
+
     found, effect, rivals = undecided(arguments.tell_apart)
     extended = found.replaced(sensors=rig.sensors, valves=rig.valves)
     channels = [k for k, name in enumerate(CHANNELS) if name not in arguments.without]
@@ -147,6 +149,9 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
     Raises:
         BadInput: no such folder, or nothing in it is undecided.
     """
+    from pam_antagonist.model.effects import CATALOGUE
+    from pam_antagonist.rig import load_rig
+
     try:
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
         effects = [str(effect["name"]) for effect in report["effects"]]
@@ -168,6 +173,8 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
 
 
 def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path) -> int:
+    from pam_antagonist.nodes.processes import ProcessFailed
+
     try:
         ended = drive(owner, plan, out).ended
     except ProcessFailed as error:
@@ -185,6 +192,9 @@ def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path) 
 
 
 def _summary(document: dict[str, Any]) -> str:
+    from pam_antagonist.report import terminal
+    from pam_antagonist.report.table import Table, number, percent
+
     limits = document["limits"]
     low, high = (value / 1e3 for value in limits["pressure_pa"])
     rows = [(name, percent(share)) for name, share in document["standard_errors"].items()]

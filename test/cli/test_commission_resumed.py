@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from pam_antagonist.cli import commission
+from pam_antagonist.cli import commission, commission_steps
 from pam_antagonist.design import Plan
 from pam_antagonist.design.apart import Verdict
 from pam_antagonist.design.first_fill import first_fill
@@ -46,7 +46,7 @@ class Stopped:
 @pytest.fixture
 def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
     """Commissioning with quick designs and findings; air goes in by the rehearsal as ever."""
-    out, driven = Stopped(), commission.drive
+    out, driven = Stopped(), commission_steps.drive
 
     def drive(owner: Any, plan: Plan, folder: Path) -> Any:
         result = driven(owner, plan, folder)
@@ -65,9 +65,11 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
         sentence = f"a leak, by {len(bags)} recordings"
         return Found(verdict="effect", effects=[SimpleNamespace(name="leak")], ambiguous_with=rivals, sentence=sentence)
 
-    monkeypatch.setattr(commission, "drive", drive)
-    monkeypatch.setattr(commission, "designed", lambda rig, limits, s, joint="free", *more, **k: short(joint))
-    monkeypatch.setattr(commission, "told_apart", lambda *given, **k: Verdict(short(), 0.97, {"valve_offset": 0.97}))
+    monkeypatch.setattr(commission_steps, "drive", drive)
+    monkeypatch.setattr(commission_steps, "designed", lambda rig, limits, s, joint="free", *more, **k: short(joint))
+    monkeypatch.setattr(
+        commission_steps, "told_apart", lambda *given, **k: Verdict(short(), 0.97, {"valve_offset": 0.97})
+    )
     monkeypatch.setattr("pam_antagonist.api.identify.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=()))
     monkeypatch.setattr("pam_antagonist.api.diagnose.diagnose", diagnose)
     return out
@@ -88,7 +90,7 @@ def test_each_step_goes_on_after_ctrl_c(stopped: Stopped, tmp_path: Path, capsys
     # The last step is stopped twice: in its recording, and in its diagnosis, which needs the recording anew.
     assert stopped.calls == {**dict.fromkeys(kinds, 2), "apart": 3}
     steps = json.loads((out / "state.json").read_text())["steps"]
-    assert list(steps) == list(commission.STEPS) and all(step["done"] for step in steps.values())
+    assert list(steps) == list(commission_steps.STEPS) and all(step["done"] for step in steps.values())
     assert steps["wiring"]["rig_s"] == pytest.approx(19.0) and steps["free"]["bag"] == "free_2/bag"
     assert "leak" in load_rig(str(out / "rig.yaml")).effects
     gains = yaml.safe_load((out / "parameters.yaml").read_text())["/**/controller"]["ros__parameters"]
@@ -140,8 +142,8 @@ def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named
         return Verdict(short(), 0.12, {"valve_offset": 0.12})
 
     stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "identified", "found"), 1))
-    monkeypatch.setattr(commission, "told_apart", told_apart)
-    monkeypatch.setattr(commission, "instead_of", lambda *given: instead)
+    monkeypatch.setattr(commission_steps, "told_apart", told_apart)
+    monkeypatch.setattr(commission_steps, "instead_of", lambda *given: instead)
     out = tmp_path / "new"
     commands = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"]
     assert commission.main(commands) == 0
@@ -162,7 +164,7 @@ def test_a_joint_that_goes_farther_than_its_model_gets_advice_that_helps(
         return replace(plan, limits=replace(plan.limits, angle=1e-7))
 
     stopped.calls.update(dict.fromkeys(("wiring", "free"), 1))
-    monkeypatch.setattr(commission, "designed", narrow)
+    monkeypatch.setattr(commission_steps, "designed", narrow)
     words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
     assert commission.main(words) == 1
     said = " ".join(capsys.readouterr().err.split())

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.cli import commission
+from pam_antagonist.cli import commission, commission_steps
 from pam_antagonist.nodes.processes import Processes
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
@@ -45,7 +45,7 @@ def test_a_fault_of_the_wiring_is_named_at_once(tmp_path: Path, domain: None) ->
 def test_steps_that_are_done_are_not_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "commissioned"
     out.mkdir()
-    steps = {name: {"done": True, "said": f"{name} was fine"} for name in commission.STEPS}
+    steps = {name: {"done": True, "said": f"{name} was fine"} for name in commission_steps.STEPS}
     (out / "state.json").write_text(json.dumps({"rig": "shin2022", "steps": steps}))
     assert commission.main(["--rig", "shin2022", "--out", str(out), "--unattended"]) == 0
     said = capsys.readouterr().out

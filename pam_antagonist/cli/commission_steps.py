@@ -1,0 +1,303 @@
+"""The steps of a commissioning: each drives the joint or learns from recordings, and notes what came of it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from pam_antagonist.cli.commission_record import Record
+from pam_antagonist.cli.driving import Driven, Owner, drive, limits_of, stay_apart, write_plan
+from pam_antagonist.cli.progress import counted
+from pam_antagonist.design import Plan, designed
+from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
+from pam_antagonist.design.first_fill import dead_sensors, faults, first_fill, turns_visibly
+from pam_antagonist.design.loop_gains import loop_gains
+from pam_antagonist.design.optimal import steady_voltage
+from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.program import typed
+from pam_antagonist.recording import read_bag
+from pam_antagonist.report.commission import Step, write_report
+from pam_antagonist.rig import Rig, load_rig
+
+_LOCKED_S = 26.0
+"""[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
+STEPS = ("wiring", "free", "locked", "identify", "close_loop", "apart", "gains")
+_LATEST_NS = 500_000_000
+_BEYOND = """\
+The joint goes farther than its model says. What helps:
+  - a larger uncertainty in the rig file, so that the experiment keeps more distance from the limits
+  - a wider limit, if the rig allows it (--max-angle, --max-pressure)
+  - for the angle: pressures nearer to each other (--min-pressure, --max-pressure)
+A tighter limit ends the experiment as well."""
+"""What a design keeps away from a limit grows and shrinks with the limit."""
+Floats = NDArray[np.float64]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+class StepFailed(Exception):
+    """A step found a fault, or ended early. The message is what to do, in a sentence or more."""
+
+
+class Commission:
+    """A commissioning, and what of it is done.
+
+    Args:
+        arguments: of the command.
+
+    Raises:
+        BadInput: a folder that is of another rig, or of no commissioning.
+    """
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments = arguments
+        self._out: Path = arguments.out
+        self._rig = load_rig(arguments.rig)
+        self._limits = limits_of(arguments, self._rig)
+        self._say: Callable[[str, float | None], None] = lambda text, seconds: None
+        self._owner = Owner.of(arguments, arguments.plant or arguments.rig)
+        self._record = Record(self._out, self._rig.name)
+
+    @contextmanager
+    def announced(self) -> Iterator[None]:
+        """Say meanwhile on ``/diagnostics`` which step it is at, where there is ROS."""
+        if self._owner.source == "rehearsal":
+            yield
+            return
+        from pam_antagonist.nodes.announcer import Announcer
+
+        stay_apart(self._owner)
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        print(f"to watch it in the browser: ROS_DOMAIN_ID={domain} {typed('watch')}", flush=True)
+        with Announcer("commission") as announcer:
+            self._say = announcer.say
+            yield
+
+    def step(self, name: str) -> None:
+        """Do a step, unless it is done.
+
+        Args:
+            name: one of :data:`STEPS`.
+
+        Raises:
+            StepFailed: it found a fault, or ended early.
+        """
+        before = self._record.steps.get(name, {})
+        if before.get("done"):
+            print(f"{name}: done before. {before['said']}")
+            return
+        print(f"{name} ...", flush=True)
+        self._at(name, "working")
+        begin = time.monotonic()
+        try:
+            result = getattr(self, f"_{name}")()
+        except StepFailed as fault:
+            self._record.steps[name] = {"done": False, "said": str(fault), "seconds": time.monotonic() - begin}
+            self._record.keep()
+            raise
+        self._record.steps[name] = {"done": True, "seconds": time.monotonic() - begin, **result}
+        self._record.keep()
+        print(f"{name}: {result['said']}", flush=True)
+
+    def _at(self, name: str, what: str, seconds: float | None = None) -> None:
+        self._say(f"step {STEPS.index(name) + 1} of {len(STEPS)}, {name}: {what}", seconds)
+
+    def _ask(self, name: str, text: str) -> None:
+        if not self._arguments.unattended:
+            self._at(name, "waiting for Enter")
+            try:
+                input(f"{text} [Enter] ")
+            except EOFError:
+                raise BadInput(
+                    "there is no terminal to answer at: start the command in a terminal, or with --unattended "
+                    "(simulated joint only)"
+                ) from None
+
+    def _drive(self, name: str, plan: Plan) -> Driven:
+        folder = self._record.attempt(name)
+        write_plan(folder, plan, self._rig)
+        self._at(name, "driving the joint", plan.duration)
+        return drive(self._owner, plan, folder)
+
+    def _recorded(self, name: str, plan: Plan) -> dict[str, Any]:
+        """Drive a plan, to its end.
+
+        Raises:
+            StepFailed: it ended early.
+        """
+        driven = self._drive(name, plan)
+        if driven.ended:
+            raise StepFailed(f"{name}: the experiment ended early, {driven.ended}. {_BEYOND}")
+        return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": plan.duration}
+
+    def _wiring(self) -> dict[str, Any]:
+        self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
+        plan = first_fill(self._rig, self._limits.pressure[1])
+        driven = self._drive("wiring", plan)
+        recording = read_bag(driven.bag, judge=False)
+        if driven.ended:
+            # A sensor that always shows a high pressure ends the plan as well.
+            dead = [fault.sentence for fault in dead_sensors(recording.pressure)]
+            other = f"wiring: the experiment ended early, {driven.ended}; let the air out, and check valves and sensors"
+            raise StepFailed("\n".join(dead) or other)
+        samples = driven.begun_ns + np.round(np.arange(len(plan.voltage)) * plan.period * 1e9).astype(np.int64)
+        if recording.stamp_ns[-1] < samples[-1] - _LATEST_NS:
+            raise StepFailed(
+                "wiring: the samples stopped before the end of the experiment; check the device, its plug and its power"
+            )
+        place = np.clip(np.searchsorted(recording.stamp_ns, samples), 0, len(recording.stamp_ns) - 1)
+        angle = None if recording.angle is None else recording.angle[place]
+        found = faults(self._rig, recording.pressure[place], angle, plan)
+        if found:
+            raise StepFailed("\n".join(fault.sentence for fault in found))
+        said = "each valve fills its muscle, signs and zeros are right, no leak"
+        if angle is not None and not turns_visibly(self._rig, plan):
+            said = "each valve fills its muscle, zeros are right, no leak"
+            said += "; the encoder's sign was not tested: below --max-pressure the joint hardly turns"
+        elif angle is not None:
+            low, high = (math.degrees(float(bound(angle))) for bound in (np.nanmin, np.nanmax))
+            said += f"; the joint turned from {low:+.1f} to {high:+.1f} deg"
+        return {"said": said, "rig_s": plan.duration}
+
+    def _free(self) -> dict[str, Any]:
+        self._ask("free", "Joint free:")
+        self._at("free", "designing the experiment")
+        with counted(self._arguments.duration, "design") as advance:
+            seconds, seed = self._arguments.duration, self._arguments.seed
+            plan = designed(self._rig, self._limits, seconds, seed=seed, progress=advance)
+        return {"said": f"recorded {plan.duration:.0f} s", **self._recorded("free", plan)}
+
+    def _locked(self) -> dict[str, Any]:
+        self._ask("locked", "Lock the joint at 0 degrees:")
+        seconds = max(_LOCKED_S, 0.5 * self._arguments.duration)
+        self._at("locked", "designing the experiment")
+        with counted(seconds, "design") as advance:
+            plan = designed(
+                self._rig, self._limits, seconds, "locked", 0.0, seed=self._arguments.seed, progress=advance
+            )
+        result = self._recorded("locked", plan)
+        self._ask("locked", "Take the lock away:")
+        return {"said": f"recorded {plan.duration:.0f} s", **result}
+
+    def _identify(self) -> dict[str, Any]:
+        from pam_antagonist.api.episodes import EpisodesIdentifyResult
+        from pam_antagonist.api.identify import identify
+
+        try:
+            result = identify(self._record.bags(), self._rig, seed=self._arguments.seed)
+            assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
+        except BadInput as error:
+            # An effect that acts on the free joint only lets both recordings look like two joints.
+            return {"said": f"not identified, since the model does not fit ({error}); close_loop looks for the reason"}
+        result.save(self._record.result("identified"), figures=False)
+        return {
+            "said": f"{len(result.rig.directions)} uncertain directions are left",
+            "warnings": list(result.warnings),
+        }
+
+    def _diagnosed(self, name: str) -> dict[str, Any]:
+        from pam_antagonist.api.diagnose import diagnose
+        from pam_antagonist.api.episodes import EpisodesDiagnoseResult
+
+        result = diagnose(self._record.bags(), self._rig, seed=self._arguments.seed)
+        assert not isinstance(result, EpisodesDiagnoseResult), "recorded in one piece"
+        result.save(self._record.result(name), figures=False)
+        return {
+            "said": result.sentence,
+            "verdict": result.verdict,
+            "effects": [effect.name for effect in result.effects],
+            "rivals": [rival for rival in result.ambiguous_with if rival in CATALOGUE],
+            "folder": name,
+        }
+
+    def _close_loop(self) -> dict[str, Any]:
+        return self._diagnosed("found")
+
+    def _apart(self) -> dict[str, Any]:
+        before = self._record.steps["close_loop"]
+        if not (before["effects"] and before["rivals"]):
+            return {"said": "not needed, since no two effects explain the data equally well"}
+        rig = load_rig(str(self._out / "found" / "rig_extended.yaml"))
+        given = rig, before["effects"][0], before["rivals"]
+        channels, seed = self._measured(), self._arguments.seed
+        self._at("apart", "designing the experiment")
+        with counted(60.0, "design") as advance:
+            verdict = told_apart(*given, self._limits, seed=seed, channels=channels, progress=advance)
+        if verdict.chance < LIKELY:
+            self._at("apart", "looking for what would decide")
+            said = f"{given[1]} or {' or '.join(given[2])}: the probability of a decision is {verdict.chance:.0%}. "
+            said += no_motion_decides(instead_of(*given, verdict, channels))
+            return {"said": f"{said}. The joint was not driven", "chance": verdict.chance}
+        print(
+            f"the experiment takes {verdict.plan.duration:.0f} s and decides with a probability of "
+            f"{verdict.chance:.0%}",
+            flush=True,
+        )
+        self._ask("apart", "Joint free:")
+        recorded = self._recorded("apart", verdict.plan)
+        self._record.steps["apart"] = {"done": False, "said": "", **recorded}
+        return {**self._diagnosed("found_again"), **recorded, "chance": verdict.chance}
+
+    def _measured(self) -> list[int]:
+        """What is measured while the joint is free, as indices of ``CHANNELS``."""
+        recording = read_bag(self._out / self._record.steps["free"]["bag"], judge=False)
+        missing = [k for k, values in ((ANGLE, recording.angle), (TORQUE, recording.torque)) if values is None]
+        return [k for k in range(len(CHANNELS)) if k not in missing]
+
+    def found(self) -> Rig:
+        """The rig that the steps found: with its effects, or identified where there are none.
+
+        Raises:
+            StepFailed: neither fits.
+        """
+        steps = self._record.steps
+        last = steps["apart"] if "folder" in steps["apart"] else steps["close_loop"]
+        extended = self._out / last["folder"] / "rig_extended.yaml"
+        chosen = (
+            extended if last["verdict"] == "effect" and extended.exists() else self._out / "identified" / "rig.yaml"
+        )
+        if not chosen.exists():
+            raise StepFailed(
+                f"gains: no model fits the joint. {steps['identify']['said']}. {last['said']} "
+                f"Read {self._out / last['folder'] / 'report.html'}, and repair what it names"
+            )
+        (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
+        return load_rig(str(self._out / "rig.yaml"))
+
+    def _gains(self) -> dict[str, Any]:
+        rig = self.found()
+        gains = {mode: loop_gains(rig, mode) for mode in ("angle", "torque")}
+        bias = sum(steady_voltage(rig, 0.5 * (rig.atmosphere.pressure + rig.supply.pressure))) / 2.0
+        given = {"bias": _rounded(bias)}
+        for mode, one in gains.items():
+            given |= {f"{mode}_proportional": _rounded(one.proportional), f"{mode}_integral": _rounded(one.integral)}
+        parameters = {
+            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
+            "/**/controller": {"ros__parameters": given},
+        }
+        (self._out / "parameters.yaml").write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
+        said = "; ".join(f"{mode}: {one.in_words()}" for mode, one in gains.items())
+        return {"said": said, "gains": {mode: asdict(one) for mode, one in gains.items()}}
+
+    def report(self) -> None:
+        """Write ``report.html`` and ``report.json`` on what was done so far."""
+        steps = [
+            Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0))
+            for name, one in self._record.steps.items()
+        ]
+        write_report(self._out, self._rig, steps, typed(f"commission --rig {self._arguments.rig} --out {self._out}"))
