@@ -182,7 +182,6 @@ class Emulator:
         self._port: Port | None = open_port()
         self._frozen: dict[int, float] = {}
         self._first_command_s: float | None = None
-        self._stopping: Callable[[], bool] = lambda: False
         self.ticks = 0
         self.missed = 0
 
@@ -193,7 +192,6 @@ class Emulator:
 
     def run(self, stopping: Callable[[], bool]) -> None:
         """Sample in real time until ``stopping`` returns true."""
-        self._stopping = stopping
         period = self._firmware.settings.period_us * 1e-6 / (1.0 + self._clock.drift)
         start = time.monotonic()
         index = 0  # of the last sample; missed samples count
@@ -206,7 +204,7 @@ class Emulator:
                 index += late
                 overrun = Status.OVERRUN
             index += 1
-            self._tick(index, overrun)
+            self._tick(index, overrun, stopping)
         self.close()
 
     def close(self) -> None:
@@ -229,9 +227,9 @@ class Emulator:
             if data and not self._faults.has("deaf"):
                 self._send(self._firmware.receive(data, self._us(time.monotonic() - start)))
 
-    def _tick(self, index: int, overrun: Status) -> None:
+    def _tick(self, index: int, overrun: Status, stopping: Callable[[], bool]) -> None:
         period_us = self._firmware.settings.period_us
-        if self._plan((self._clock.first_us + index * period_us) % (1 << 32)):
+        if self._plan((self._clock.first_us + index * period_us) % (1 << 32), stopping):
             self._firmware = Firmware(self._firmware.settings)
             self._clock = replace(self._clock, first_us=-index * period_us % (1 << 32))
         firmware = self._firmware
@@ -252,7 +250,7 @@ class Emulator:
             self._first_command_s = time.monotonic()
         self.ticks += 1
 
-    def _plan(self, now_us: int) -> bool:
+    def _plan(self, now_us: int, stopping: Callable[[], bool]) -> bool:
         """Begin and end faults, whose time counts from the first command; returns whether the device restarts.
 
         A stalled device waits here until the stall or the emulator ends; other faults begin and end meanwhile.
@@ -272,7 +270,7 @@ class Emulator:
                 if kind == "unplug":
                     self.close()
             restarts = restarts or "restart" in begun
-            if not self._faults.has("stall") or self._stopping():
+            if not self._faults.has("stall") or stopping():
                 return restarts
             time.sleep(1e-3)
 

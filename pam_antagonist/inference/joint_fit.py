@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.joint_problem import JointProblem
 from pam_antagonist.inference.likelihood import correlation_length
-from pam_antagonist.inference.normal_equations import Local
+from pam_antagonist.inference.normal_equations import Local, weighted
 from pam_antagonist.inference.spread import USUAL_SPREAD, Deviations, Variation, most_likely_spread
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial
 from pam_antagonist.inference.trust_region import Evaluated, minimise
@@ -151,16 +151,17 @@ def joint_fit(
     for number in range(rounds):
         # The first rounds start far from the solution: there a robust loss reduces the weight of large residuals.
         theta, cost = _minimise(problem, theta, weights, number < rounds - 1, slopes)
-        weights = _weights(problem, problem.residuals(theta))
+        residuals = problem.residuals(theta)
+        weights = _weights(problem, residuals)
         if spread is not None and deviations is not None:
             before = spread
-            spread, gain = most_likely_spread(_locals(problem, theta, weights, slopes)[0], deviations)
+            spread, gain = most_likely_spread(_locals(problem, theta, residuals, weights, slopes)[0], deviations)
             problem = problem.with_between(spread * deviations.shape)
             theta = _rescaled(problem, theta, before / spread)
         if progress:
             progress(f"round {number + 1} of {rounds}")
     # The covariance needs exact derivatives at the solution.
-    parts, memory = _locals(problem, theta, weights, _Slopes(exact=True))
+    parts, memory = _locals(problem, theta, problem.residuals(theta), weights, _Slopes(exact=True))
     information, _ = problem.arrow(parts).whole()
     return JointFit(
         problem,
@@ -204,7 +205,7 @@ def _minimise(
     """
 
     def evaluate(t: Floats) -> Evaluated:
-        parts = [np.nan_to_num(part / weight) for part, weight in zip(problem.residuals(t), weights, strict=True)]
+        parts = [weighted(part, weight) for part, weight in zip(problem.residuals(t), weights, strict=True)]
         sums = [float(np.sum(2.0 * np.sqrt(1.0 + part**2) - 2.0 if robust else part**2)) for part in parts]
 
         def equations(renew: bool) -> tuple[Floats, Floats]:
@@ -212,9 +213,9 @@ def _minimise(
             for part, slope, weight in zip(parts, slopes.at(problem, t, 0.0 if renew else _NEAR), weights, strict=True):
                 counted = 1.0 / np.sqrt(1.0 + part**2) if robust else np.ones_like(part)
                 # The gradient of the loss, and its curvature where that of the residual itself is left out.
-                j = np.nan_to_num(slope / weight[:, None]).reshape(-1, slope.shape[2])
-                pull = -j.T @ (counted * part).ravel()
-                j *= np.sqrt(counted.ravel() ** 3)[:, None]
+                j = weighted(slope, weight)
+                pull = -j.T @ (counted * part)
+                j *= np.sqrt(counted**3)[:, None]
                 out.append(Local(j.T @ j, pull))
             information, pull = problem.arrow(out).whole()
             return information, pull - t
@@ -230,10 +231,8 @@ def _minimise(
 def _rescaled(problem: JointProblem, theta: Floats, factor: Floats) -> Floats:
     """The same deviations in units of another spread."""
     result = theta.copy()
-    own = 0 if problem.between is None else problem.between.shape[1]
     for index in range(len(problem.trials)):
-        first = len(problem.free) + index * (own + STARTS)
-        result[first : first + own] *= factor
+        result[problem.place(index)][:-STARTS] *= factor
     return result
 
 
@@ -272,16 +271,15 @@ def _weights(problem: JointProblem, residuals: Sequence[Floats]) -> list[Floats]
 
 
 def _locals(
-    problem: JointProblem, theta: Floats, weights: Sequence[Floats], slopes: _Slopes
+    problem: JointProblem, theta: Floats, residuals: Sequence[Floats], weights: Sequence[Floats], slopes: _Slopes
 ) -> tuple[list[Local], list[Floats]]:
     """Each trial's information about its local values, near the fit, and its channels' blocks per independent one."""
     out, memory = [], []
-    residuals, jacobians = problem.residuals(theta), slopes.at(problem, theta)
+    jacobians = slopes.at(problem, theta)
     for index, (residual, jacobian, weight) in enumerate(zip(residuals, jacobians, weights, strict=True)):
         slow = np.array([correlation_length(column) for column in residual.T])
         scale = weight * np.sqrt(slow)
-        j = np.nan_to_num(jacobian / scale[:, None]).reshape(-1, jacobian.shape[2])
-        r = np.nan_to_num(residual / scale).ravel()
+        j, r = weighted(jacobian, scale), weighted(residual, scale)
         seen = problem.local(theta, index)
         out.append(Local(j.T @ j, j.T @ (j @ seen - r)))
         memory.append(slow)
@@ -325,10 +323,9 @@ def differences(found: JointFit, ways: tuple[Variation, ...]) -> list[Difference
     if problem.between is None or found.spread is None:
         return []
     trials, free = len(problem.trials), {item.name: item for item in problem.free}
-    count, own = len(problem.free), problem.between.shape[1] + STARTS
     out = []
     for g, way in enumerate(ways):
-        at = [count + index * own + g for index in range(trials)]
+        at = [problem.place(index).start + g for index in range(trials)]
         values = found.spread[g] * found.theta[at]
         first, last = int(np.argmin(values)), int(np.argmax(values))
         pick = np.zeros(problem.size)

@@ -86,22 +86,26 @@ class JointProblem:
         """The same with other deviations of the trials."""
         return dataclasses.replace(self, between=between)
 
+    def place(self, index: int) -> slice:
+        """Where a trial's own values stand in the fitted vector: its deviations, then its start."""
+        first = len(self.free) + index * self._own
+        return slice(first, first + self._own)
+
     def map(self, index: int) -> Floats:
         """Matrix (F + 3, size) from the fitted vector to a trial's local values: its parameters and its start."""
         count = len(self.free)
         out = np.zeros((count + STARTS, self.size))
         out[:count, :count] = np.eye(count)
-        first = count + index * self._own
+        own = out[:, self.place(index)]
         if self.between is not None:
-            out[:count, first : first + self.between.shape[1]] = self.between
-        last = first + self._own
-        out[count:, last - STARTS : last] = np.eye(STARTS)
+            own[:count, :-STARTS] = self.between
+        own[count:, -STARTS:] = np.eye(STARTS)
         return out
 
     def local(self, theta: Floats, index: int) -> Floats:
         """Local values (F + 3,) of a trial at a fitted vector."""
         count = len(self.free)
-        own = theta[count + index * self._own :][: self._own]
+        own = theta[self.place(index)]
         common = theta[:count] if self.between is None else theta[:count] + self.between @ own[:-STARTS]
         return np.concatenate([common, own[-STARTS:]])
 

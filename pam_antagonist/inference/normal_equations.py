@@ -17,6 +17,20 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
+def weighted(values: Floats, std: Floats) -> Floats:
+    """Residuals or Jacobians of blocks in standard deviations, as rows.
+
+    Args:
+        values: (B, C), or (B, C, K).
+        std: standard deviation of each channel (C,).
+
+    Returns:
+        Rows (B C,) or (B C, K); missing values (NaN) are 0.
+    """
+    scaled = values / std.reshape(-1, *[1] * (values.ndim - 2))
+    return np.nan_to_num(scaled, copy=False).reshape(-1, *values.shape[2:])
+
+
 @dataclass(frozen=True, eq=False)
 class Local:
     """Information of one trial about its K local values: free parameters, then its start.

@@ -18,7 +18,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
 from pam_antagonist.inference.joint_fit import JointFit
-from pam_antagonist.inference.normal_equations import Local
+from pam_antagonist.inference.normal_equations import Local, weighted
 from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
@@ -95,15 +95,14 @@ def shared_profiles(
     problem = found.problem
     weights = [w * np.sqrt(m) for w, m in zip(found.weights, found.memory, strict=True)]
     slopes = [
-        np.nan_to_num(slope / weight[:, None]).reshape(-1, slope.shape[2])
-        for slope, weight in zip(problem.local_jacobians(found.theta), weights, strict=True)
+        weighted(slope, weight) for slope, weight in zip(problem.local_jacobians(found.theta), weights, strict=True)
     ]
     parts = [Local(slope.T @ slope, np.zeros(slope.shape[1])) for slope in slopes]
     information, _ = problem.arrow(parts).whole()
     place = {item.name: k for k, item in enumerate(problem.free)}
 
     def residuals(theta: Floats) -> tuple[list[Floats], float]:
-        parts = [np.nan_to_num(r / w).ravel() for r, w in zip(problem.residuals(theta), weights, strict=True)]
+        parts = [weighted(r, w) for r, w in zip(problem.residuals(theta), weights, strict=True)]
         return parts, 0.5 * (sum(float(part @ part) for part in parts) + float(theta @ theta))
 
     def gradient(theta: Floats, parts: Sequence[Floats]) -> Floats:

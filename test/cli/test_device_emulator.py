@@ -101,17 +101,29 @@ def started() -> Iterator[Callable[[list[str]], subprocess.Popen[str]]]:
         yield start
 
 
+@pytest.fixture
+def emulated(
+    tmp_path: Path, started: Callable[[list[str]], subprocess.Popen[str]]
+) -> Callable[..., tuple[subprocess.Popen[str], Path, Path]]:
+    """Starts an emulator with further options; returns its process, the link to its port, and its log."""
+
+    def start(*options: str) -> tuple[subprocess.Popen[str], Path, Path]:
+        link, log = tmp_path / "device", tmp_path / "log.csv"
+        command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
+        emulator = started([*command, "--link", str(link), "--log", str(log), *options])
+        assert emulator.stdout is not None
+        assert emulator.stdout.readline().strip() == str(link)
+        return emulator, link, log
+
+    return start
+
+
 @pytest.mark.realtime
 def test_a_host_finds_a_device_with_a_joint_behind_the_link(
-    tmp_path: Path, started: Callable[[list[str]], subprocess.Popen[str]]
+    emulated: Callable[..., tuple[subprocess.Popen[str], Path, Path]],
 ) -> None:
-    link, log = tmp_path / "device", tmp_path / "log.csv"
-    command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
     # its counter wraps half a second after the start
-    command += ["--link", str(link), "--log", str(log), "--first-us", str(2**32 - 500_000), "--fault", "stop@0.5-0.6"]
-    emulator = started(command)
-    assert emulator.stdout is not None
-    assert emulator.stdout.readline().strip() == str(link)
+    emulator, link, log = emulated("--first-us", str(2**32 - 500_000), "--fault", "stop@0.5-0.6")
     assert os.path.exists(link)
     device = SerialDevice(lambda: SerialTransport(str(link)))
     info = device.start(SafeAction((5.0, 5.25)))
@@ -148,13 +160,9 @@ def test_a_host_finds_a_device_with_a_joint_behind_the_link(
 
 @pytest.mark.realtime
 def test_an_emulator_ends_during_a_stall_without_an_end(
-    tmp_path: Path, started: Callable[[list[str]], subprocess.Popen[str]]
+    emulated: Callable[..., tuple[subprocess.Popen[str], Path, Path]],
 ) -> None:
-    link, log = tmp_path / "device", tmp_path / "log.csv"
-    command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
-    emulator = started([*command, "--link", str(link), "--log", str(log), "--fault", "stall@0.1"])
-    assert emulator.stdout is not None
-    emulator.stdout.readline()
+    emulator, link, log = emulated("--fault", "stall@0.1")
     device = SerialDevice(lambda: SerialTransport(str(link)))
     device.start(SafeAction((5.0, 5.25)))
     end = time.monotonic() + 1.0
@@ -170,16 +178,11 @@ def test_an_emulator_ends_during_a_stall_without_an_end(
 
 @pytest.mark.realtime
 def test_faults_that_begin_or_end_during_a_stall_are_not_lost(
-    tmp_path: Path, started: Callable[[list[str]], subprocess.Popen[str]]
+    emulated: Callable[..., tuple[subprocess.Popen[str], Path, Path]],
 ) -> None:
-    link, log = tmp_path / "device", tmp_path / "log.csv"
-    command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
-    command += ["--link", str(link), "--log", str(log), "--first-us", str(2**31)]
-    for fault in ("unplug@0.1-0.5", "stall@0.3-1.2", "stop@0.7-0.9", "restart@1"):
-        command += ["--fault", fault]
-    emulator = started(command)
-    assert emulator.stdout is not None
-    emulator.stdout.readline()
+    faults = ("unplug@0.1-0.5", "stall@0.3-1.2", "stop@0.7-0.9", "restart@1")
+    options = [word for fault in faults for word in ("--fault", fault)]
+    emulator, link, log = emulated("--first-us", str(2**31), *options)
     device = SerialDevice(lambda: SerialTransport(str(link)))
     device.start(SafeAction((5.0, 5.25)))
     with pytest.raises(DeviceLost):

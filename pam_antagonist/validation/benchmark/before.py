@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording.metadata import NAME
 from pam_antagonist.validation.benchmark import added
 from pam_antagonist.validation.benchmark.figure import Figure, at_most
-from pam_antagonist.validation.benchmark.spent import Spent, spent
+from pam_antagonist.validation.benchmark.spent import spent, spent_on
 
 _BOUND = 0.4
 IDENTIFIED = "nominal"
@@ -47,11 +46,11 @@ def measure(rig: str, before: Path, cases: Path) -> list[Figure]:
     total = {"before": 0.0, "now": 0.0, "added": 0.0}
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as scratch:
         for checkout in (before, None):
-            _run("close_loop", folders[runs[0][1]], rig, checkout, Path(scratch) / f"first_{checkout is None}")
+            spent_on("close_loop", folders[runs[0][1]], rig, Path(scratch) / f"first_{checkout is None}", checkout)
         for command, name in runs:
             outs = {side: Path(scratch) / f"{command}_{name}_{side}" for side in ("before", "now")}
-            old = _run(command, folders[name], rig, before, outs["before"])
-            new = _run(command, folders[name], rig, None, outs["now"])
+            old = spent_on(command, folders[name], rig, outs["before"], before)
+            new = spent_on(command, folders[name], rig, outs["now"])
             parts = {"before_cpu_s": old.cpu_s, "now_cpu_s": new.cpu_s}
             parts |= {"before_wall_s": old.wall_s, "now_wall_s": new.wall_s}
             meaning = f"processor time of {command} of {name} against that of {before.name}"
@@ -92,10 +91,6 @@ def _battery(before: Path) -> Figure:
 
 def _bags(case: Path) -> list[str]:
     return [str(bag.resolve()) for bag in sorted(case.iterdir()) if (bag / NAME).is_file()]
-
-
-def _run(command: str, bags: Sequence[str], rig: str, checkout: Path | None, out: Path) -> Spent:
-    return spent(command, *bags, "--rig", rig, "--out", str(out), "--no-figures", checkout=checkout)
 
 
 def _verdict(out: Path) -> str:

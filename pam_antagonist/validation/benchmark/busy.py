@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pam_antagonist.validation.benchmark.figure import Figure, at_most
 from pam_antagonist.validation.benchmark.growth import recorded
-from pam_antagonist.validation.benchmark.spent import Spent, spent
+from pam_antagonist.validation.benchmark.spent import spent_on
 
 _COMMANDS = ("close_loop", "identify")
 _BOUND = 1.5
@@ -36,16 +36,12 @@ def measure(rig: str) -> list[Figure]:
     figures = []
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as name:
         folder = Path(name)
-        bags = [str(recorded(rig, folder, 1, seed)) for seed in (1, 2)]
-
-        def run(command: str, out: str) -> Spent:
-            return spent(command, *bags, "--rig", rig, "--out", str(folder / f"{command}_{out}"), "--no-figures")
-
-        run(_COMMANDS[0], "first")
+        bags = [recorded(rig, folder, 1, seed) for seed in (1, 2)]
+        spent_on(_COMMANDS[0], bags, rig, folder / "first")
         for command in _COMMANDS:
-            alone = run(command, "alone")
+            alone = spent_on(command, bags, rig, folder / f"{command}_alone")
             with _other_work():
-                beside = run(command, "beside")
+                beside = spent_on(command, bags, rig, folder / f"{command}_beside")
             parts = {"alone_cpu_s": alone.cpu_s, "beside_cpu_s": beside.cpu_s}
             parts |= {"alone_wall_s": alone.wall_s, "beside_wall_s": beside.wall_s}
             meaning = f"processor time of {command} beside {os.cpu_count()} busy processes against alone"

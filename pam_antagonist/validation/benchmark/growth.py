@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.validation.benchmark.figure import Figure, at_most
-from pam_antagonist.validation.benchmark.spent import Spent, spent
+from pam_antagonist.validation.benchmark.spent import Spent, spent, spent_on
 
 _COMMANDS = ("replay", "identify", "close_loop")
 _MEMORY = 4.0
@@ -34,16 +34,18 @@ def measure(rig: str, minutes: Sequence[int], recordings: Sequence[int]) -> list
         folder = Path(name)
         lengths = {length: [recorded(rig, folder, length, seed) for seed in (1, 2)] for length in minutes}
         several = [recorded(rig, folder, 1, seed) for seed in range(1, max(recordings) + 1)]
-        _spent("close_loop", several[:2], rig, folder / "first")
+        spent_on("close_loop", several[:2], rig, folder / "first")
         for command in _COMMANDS:
             by_length = {
-                length: _spent(command, bags[:1] if command == "replay" else bags, rig, folder / f"{command}_{length}")
+                length: spent_on(
+                    command, bags[:1] if command == "replay" else bags, rig, folder / f"{command}_{length}"
+                )
                 for length, bags in lengths.items()
             }
             figures += _growth(command, "minutes", by_length)
             if command != "replay":
                 by_number = {
-                    count: _spent(command, several[:count], rig, folder / f"{command}_of_{count}")
+                    count: spent_on(command, several[:count], rig, folder / f"{command}_of_{count}")
                     for count in recordings
                 }
                 figures += _growth(command, "recordings", by_number)
@@ -67,10 +69,6 @@ def recorded(rig: str, folder: Path, minutes: int, seed: int) -> Path:
             "--joint", joint, "--seed", str(seed),
         )  # fmt: skip
     return bag
-
-
-def _spent(command: str, bags: Sequence[Path], rig: str, out: Path) -> Spent:
-    return spent(command, *map(str, bags), "--rig", rig, "--out", str(out), "--no-figures")
 
 
 def _growth(command: str, of: str, measured: dict[int, Spent]) -> list[Figure]:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,6 +43,23 @@ class Spent(NamedTuple):
     cpu_s: float
     wall_s: float
     peak_mb: float
+
+
+def spent_on(command: str, bags: Sequence[str | Path], rig: str, out: Path, checkout: Path | None = None) -> Spent:
+    """:func:`spent` of a command on recordings, without figures in its report.
+
+    Args:
+        command: its name.
+        bags: the recordings.
+        rig: name or path.
+        out: folder of the result; a new one.
+        checkout: as for :func:`spent`.
+
+    Raises:
+        BadInput: the command failed.
+    """
+    words = [*map(str, bags), "--rig", rig, "--out", str(out), "--no-figures"]
+    return spent(command, *words, checkout=checkout)
 
 
 def spent(*arguments: str, checkout: Path | None = None) -> Spent:

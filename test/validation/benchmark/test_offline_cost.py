@@ -14,6 +14,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.validation.benchmark import added, before, growth
 from pam_antagonist.validation.benchmark import busy as busy_part
 from pam_antagonist.validation.benchmark import command as benchmark
+from pam_antagonist.validation.benchmark import spent as spending
 from pam_antagonist.validation.benchmark.spent import Spent, spent
 
 
@@ -57,7 +58,8 @@ def test_verdicts_and_times_of_two_checkouts_are_compared(tmp_path: Path, monkey
         (out / "report.json").write_text(json.dumps({"verdict": "effect" if effects else "none", "effects": effects}))
         return Spent(cpu_s=10.0 if checkout is None else 40.0, wall_s=5.0, peak_mb=100.0)
 
-    monkeypatch.setattr(before, "spent", run)
+    for module in (before, spending):
+        monkeypatch.setattr(module, "spent", run)
     monkeypatch.setattr(added, "parts", lambda bags, rig: {"splits": 1.0, "calibrations": 2.0})
     figures = {found.name: found for found in before.measure("shin2022", tmp_path / "earlier", tmp_path / "cases")}
     cases = {"close_loop_case_leak", "close_loop_nominal", "identify_nominal"}
@@ -93,8 +95,8 @@ def test_a_command_beside_other_work_is_compared_with_itself_alone(monkeypatch: 
         return Spent(cpu_s=12.0 if len(busy) == os.cpu_count() else 10.0, wall_s=5.0, peak_mb=100.0)
 
     monkeypatch.setattr(busy_part.subprocess, "Popen", Seen)
-    monkeypatch.setattr(busy_part, "spent", run)
-    monkeypatch.setattr(growth, "spent", run)
+    for module in (growth, spending):
+        monkeypatch.setattr(module, "spent", run)
     figures = {found.name: found for found in busy_part.measure("shin2022")}
     assert {name: found.value for name, found in figures.items()} == {"close_loop_beside": 1.2, "identify_beside": 1.2}
     assert started and all(process.poll() is not None for process in started)
