@@ -32,7 +32,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
-from pam_antagonist.model import dynamics, flow, integration, muscle, sensor
+from pam_antagonist.model import dynamics, flow, integration, lever_arm, muscle, sensor
 
 Floats = NDArray[np.float64]
 
@@ -370,7 +370,7 @@ def _measured_states(states: Floats, shown: Floats, trial: Trial, moves: bool, p
 
 def _flow_of_rate(i: int, x: Floats, p: Floats) -> float:
     """Mass flow [kg/s] that moves a pressure by 1 Pa/s, by equation (4)."""
-    sine, _, _ = muscle.leverage(x[0], p)
+    sine, _, _ = lever_arm.leverage(x[0], p)
     chamber, _ = muscle.volume(i, muscle.length(i, sine, p), p)
     still, moved = (flow.pressure_rate(x[2 + i], chamber, 0.0, m, p) for m in (0.0, 1.0))
     return float(1.0 / (moved - still))

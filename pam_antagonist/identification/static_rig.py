@@ -17,7 +17,7 @@ from pam_antagonist.identification.static_regression import Undetermined
 from pam_antagonist.identification.static_table import ForceMap, VolumeTable
 from pam_antagonist.identification.static_volume import COEFFICIENTS as VOLUME_COEFFICIENTS
 from pam_antagonist.identification.static_volume import VolumeFit, fit_volume
-from pam_antagonist.model import muscle
+from pam_antagonist.model import lever_arm, muscle
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
 
@@ -68,7 +68,7 @@ def reach(rig: Rig) -> Reach:
     """Lengths and pressures that a rig's muscles get to, by the model's geometry."""
     p = rig.parameters()
     bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
-    lengths = [muscle.length(0, muscle.leverage(angle, p)[0], p) for angle in (-bound, bound)]
+    lengths = [muscle.length(0, lever_arm.leverage(angle, p)[0], p) for angle in (-bound, bound)]
     return Reach(min(lengths), max(lengths), rig.atmosphere.pressure, rig.supply.pressure)
 
 

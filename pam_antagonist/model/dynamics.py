@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.model import composition, flow, joint, muscle
+from pam_antagonist.model import composition, flow, joint, lever_arm, muscle
 from pam_antagonist.model.parameters import (
     INERTIA,
     LOCKED,
@@ -27,7 +27,7 @@ WITH_EFFECTS = np.int64(1)
 another version for that type, which is smaller and faster."""
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
-_leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
+_leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
 _force, _force_length_slope, _linear_force = muscle.force, muscle.force_length_slope, muscle.linear_force
 _valve_flow, _pressure_rate = flow.valve_flow, flow.pressure_rate
 _open_rate, _flow_regime = flow.open_rate, flow.flow_regime

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined, kernel
-from pam_antagonist.model import composition, dynamics, flow, muscle
+from pam_antagonist.model import composition, dynamics, flow, lever_arm, muscle
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, SECOND
 from pam_antagonist.model.numeric import power
 from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, STIFFNESS, STOP, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
-_leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
+_leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
 _open_rate, _valve_flow, _torque = flow.open_rate, flow.valve_flow, dynamics.torque
 _joint_torque, _muscle_steady = composition.joint_torque, composition.muscle_steady
 _joint_steady = composition.joint_steady

@@ -13,6 +13,7 @@ from pam_antagonist.model.parameters import (
     INFLOW_AREA,
     MAX_KNOTS,
     OUTFLOW_AREA,
+    OVERLAP,
     POLYTROPIC_FLOW,
     POLYTROPIC_VOLUME,
     SUPPLY,
@@ -68,6 +69,25 @@ def curve_shift(valve, p):
 
 
 @inlined
+def openings(alpha, overlap):
+    """How far the orifices to the supply and to the atmosphere are open [-], for an open rate.
+
+    Equation (5) has α and 1 − α: while one opens, the other closes, and in the middle air passes through both. With an
+    overlap c each orifice is shut until its open rate is c: (α − c)/(1 − c) and (1 − α − c)/(1 − c). For c = 0.5 both
+    are shut in the middle only. A larger c has a range of open rates at which no air passes (overlap), a smaller one
+    a range at which both orifices are open (underlap).
+
+    Args:
+        alpha: open rate α [-].
+        overlap: c [-].
+    """
+    if overlap == 0.0:
+        return alpha, 1.0 - alpha
+    share = 1.0 - overlap
+    return max(alpha - overlap, 0.0) / share, max(1.0 - alpha - overlap, 0.0) / share
+
+
+@inlined
 def valve_flow(valve, alpha, pressure, supply, p):
     """Mass flow by equation (5) from a supply of any pressure, and the flow drawn from the supply.
 
@@ -85,9 +105,10 @@ def valve_flow(valve, alpha, pressure, supply, p):
     Returns:
         Mass flow into the chamber, and out of the supply [kg/s].
     """
-    drawn = alpha * orifice_flow(supply, pressure, p)
-    flow = drawn - (1.0 - alpha) * orifice_flow(pressure, p[ATMOSPHERE], p)
     first = VALVE + valve * VALVE_SIZE
+    filling, emptying = openings(alpha, p[first + OVERLAP])
+    drawn = filling * orifice_flow(supply, pressure, p)
+    flow = drawn - emptying * orifice_flow(pressure, p[ATMOSPHERE], p)
     area = p[first + INFLOW_AREA] if flow > 0.0 else p[first + OUTFLOW_AREA]
     return area * flow, p[first + INFLOW_AREA] * drawn
 
@@ -115,11 +136,43 @@ def open_rate_for(valve, flow, pressure, supply, p):
     first = VALVE + valve * VALVE_SIZE
     outflow = -least / p[first + OUTFLOW_AREA]
     inflow = most / p[first + INFLOW_AREA]
+    overlap = p[first + OVERLAP]
+    if overlap != 0.0:
+        return _lapped_open_rate(flow, most, least, inflow, outflow, overlap)
     # At this open rate in- and outflow are equal; the flow is linear in α on either side of it.
     balance = min(max(outflow / (inflow + outflow), 0.0), 1.0)
     if flow >= 0.0:
         return balance + (1.0 - balance) * flow / most
     return balance * (1.0 - flow / least)
+
+
+@inlined
+def _lapped_open_rate(flow, most, least, inflow, outflow, overlap):
+    """:func:`open_rate_for` of a valve with overlap, from the flows of the wholly open orifices.
+
+    Args:
+        flow: wanted [kg/s], between ``least`` and ``most``.
+        most: through the wholly open inflow orifice [kg/s].
+        least: through the wholly open outflow orifice, negative [kg/s].
+        inflow: ``most`` by its area [kg/(s m²)].
+        outflow: −``least`` by its area, likewise.
+        overlap: c [-], above 0.
+    """
+    share = 1.0 - overlap
+    if overlap >= 0.5:
+        if flow == 0.0:
+            return 0.5
+        return overlap + share * flow / most if flow > 0.0 else share * (1.0 - flow / least)
+    # Both orifices are open from c to 1 − c. There the flow is that of equation (5), with shifted open rates.
+    balance = (outflow + overlap * (inflow - outflow)) / (inflow + outflow)
+    balance = min(max(balance, overlap), share)
+    if flow >= 0.0:
+        slope = most * (1.0 + outflow / inflow) / share
+        alpha = balance + flow / slope
+        return alpha if alpha <= share else overlap + share * flow / most
+    slope = -least * (1.0 + inflow / outflow) / share
+    alpha = balance + flow / slope
+    return alpha if alpha >= overlap else share * (1.0 - flow / least)
 
 
 @inlined

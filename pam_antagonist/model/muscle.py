@@ -6,7 +6,8 @@ The forms of the force map that the paper compares with (6) are here too.
 from __future__ import annotations
 
 from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.model.numeric import exp, sine_and_cosine
+from pam_antagonist.model.braided_force import braided_force
+from pam_antagonist.model.numeric import exp
 from pam_antagonist.model.parameters import (
     C1,
     D1,
@@ -17,7 +18,6 @@ from pam_antagonist.model.parameters import (
     LENGTH,
     MUSCLE,
     MUSCLE_SIZE,
-    PULLEY,
     RADIUS,
     V1,
     V2,
@@ -27,29 +27,9 @@ from pam_antagonist.model.parameters import (
 
 _LEAST_VOLUME = 1e-8
 """[m³] Bound for lengths far outside the joint's range, where the parabola (3) falls through zero."""
-_HILDEBRANDT, _SAROSI = float(FORCE_FORMS.index("hildebrandt")), float(FORCE_FORMS.index("sarosi"))
+_HILDEBRANDT, _SAROSI, _BRAIDED = (float(FORCE_FORMS.index(name)) for name in ("hildebrandt", "sarosi", "braided"))
 _UNIT_PRESSURE = 1e5
 """[Pa] Unit of the pressure in the compared force maps, so that their coefficients are forces."""
-
-
-@inlined
-def leverage(angle, p):
-    """Travel of the muscles' ends over r, with its first derivative (the lever arm over r) and its second.
-
-    A seesaw's ends travel by r sin ψ (equation (2)), of which the paper counts the vertical part; a pulley
-    winds up r ψ.
-
-    Args:
-        angle: ψ [rad].
-        p: parameter vector.
-
-    Returns:
-        sin ψ, cos ψ, −sin ψ for a lever; ψ, 1, 0 for a pulley.
-    """
-    if p[PULLEY] != 0.0:
-        return angle, 1.0, 0.0
-    sine, cosine = sine_and_cosine(angle)
-    return sine, cosine, -sine
 
 
 @inlined
@@ -58,7 +38,7 @@ def length(muscle, sine, p):
 
     Args:
         muscle: 0 or 1.
-        sine: travel over r, sin ψ for a lever (:func:`leverage`).
+        sine: travel over r, sin ψ for a lever (:func:`~pam_antagonist.model.lever_arm.leverage`).
         p: parameter vector.
 
     Returns:
@@ -122,8 +102,9 @@ def force(muscle, muscle_length, pressure, p):
     """Contraction force [N] of a form of the static force map.
 
     ``linear`` is equations (6) and (7): F = v(l) P + w(l). It is not cut off at zero: inside the joint's range and
-    above 200 kPa it stays positive within a newton, and a cut would hide a wrong calibration. The other forms are those
-    of the paper's comparison (Table IV), in the contraction k = 1 − l/L_0 and q = P/100 kPa:
+    above 200 kPa it stays positive within a newton, and a cut would hide a wrong calibration. ``braided`` is the form
+    for muscles of a data sheet (:mod:`~pam_antagonist.model.braided_force`). The other forms are those of the paper's
+    comparison (Table IV), in the contraction k = 1 − l/L_0 and q = P/100 kPa:
 
     * ``hildebrandt`` (Hildebrandt et al. 2005): area and elastic force as polynomials,
       (c1 + c2 k + c3 k²) q + c4 + c5 k + c6 k² + c7 k³;
@@ -146,6 +127,9 @@ def force(muscle, muscle_length, pressure, p):
 def _compared_force(base, muscle_length, pressure, p):
     """The other forms. They are a separate function to keep the code of the linear form small and fast."""
     form = p[FORCE_FORM]
+    if form == _BRAIDED:
+        braided, _ = braided_force(base, muscle_length, pressure, p)
+        return braided
     k, q, c = 1.0 - muscle_length / p[LENGTH], pressure / _UNIT_PRESSURE, base + C1
     if form == _HILDEBRANDT:
         area = (p[c + 2] * k + p[c + 1]) * k + p[c]
@@ -169,6 +153,9 @@ def force_length_slope(muscle, muscle_length, pressure, p):
     form = p[FORCE_FORM]
     if form == 0.0:
         return p[base + V1] * pressure + p[base + W1]
+    if form == _BRAIDED:
+        _, steepness = braided_force(base, muscle_length, pressure, p)
+        return steepness
     k, q, c = 1.0 - muscle_length / p[LENGTH], pressure / _UNIT_PRESSURE, base + C1
     if form == _HILDEBRANDT:
         slope = (2.0 * p[c + 2] * k + p[c + 1]) * q + (3.0 * p[c + 6] * k + 2.0 * p[c + 5]) * k + p[c + 4]

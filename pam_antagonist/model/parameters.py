@@ -19,7 +19,7 @@ from pam_antagonist.model.subsonic import TERMS, series
 MAX_KNOTS = 24
 """The most points that a valve curve may have."""
 
-FORCE_FORMS = ("linear", "hildebrandt", "sarosi", "polynomial")
+FORCE_FORMS = ("linear", "hildebrandt", "sarosi", "polynomial", "braided")
 """Forms of the static force map (``muscle.force``)."""
 FRICTION_LAWS = ("kikuuwe", "simple", "tondu", "none")
 """Laws of friction (``joint.friction_torque``)."""
@@ -30,7 +30,7 @@ _MUSCLE = (
     *("volume.d1", "volume.d2", "volume.d3", "force.v1", "force.v2", "force.w1", "force.w2"),
     *(f"force.c{i}" for i in range(1, COEFFICIENTS + 1)),
 )
-_VALVE = ("inflow_area", "outflow_area")
+_VALVE = ("inflow_area", "outflow_area", "overlap")
 _NAMES = (
     *(f"muscle_1.{name}" for name in _MUSCLE),
     *(f"muscle_2.{name}" for name in _MUSCLE),
@@ -38,6 +38,8 @@ _NAMES = (
     *(f"valve_2.{name}" for name in _VALVE),
     "geometry.radius",
     "geometry.length",
+    "geometry.cam_1",
+    "geometry.cam_2",
     "gas.heat_ratio",
     "gas.constant",
     "gas.temperature",
@@ -70,9 +72,11 @@ INDEX: Mapping[str, int] = {name: index for index, name in enumerate(_NAMES)}
 MUSCLE, MUSCLE_SIZE = INDEX["muscle_1.volume.d1"], len(_MUSCLE)
 D1, D2, D3, V1, V2, W1, W2, C1 = range(len(_MUSCLE) - COEFFICIENTS + 1)
 VALVE, VALVE_SIZE = INDEX["valve_1.inflow_area"], len(_VALVE)
-INFLOW_AREA, OUTFLOW_AREA = range(len(_VALVE))
+INFLOW_AREA, OUTFLOW_AREA, OVERLAP = range(len(_VALVE))
 RADIUS = INDEX["geometry.radius"]
 LENGTH = INDEX["geometry.length"]
+CAM_1 = INDEX["geometry.cam_1"]
+CAM_2 = INDEX["geometry.cam_2"]
 HEAT_RATIO = INDEX["gas.heat_ratio"]
 GAS_CONSTANT = INDEX["gas.constant"]
 TEMPERATURE = INDEX["gas.temperature"]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from pam_antagonist.model import muscle
+from pam_antagonist.model import lever_arm, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.base import SIGNALS
@@ -93,7 +93,7 @@ def _bad_muscles(rig: Rig) -> str:
     bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
     for i, name in enumerate(("muscle_1", "muscle_2")):
         for angle in (-bound, 0.0, bound):
-            travel, _, _ = muscle.leverage(angle, p)
+            travel, _, _ = lever_arm.leverage(angle, p)
             length = muscle.length(i, travel, p)
             volume, _ = muscle.volume(i, length, p)
             if not _LEAST_VOLUME < volume < _LARGEST_VOLUME:

@@ -22,7 +22,9 @@ from pam_antagonist.strict_yaml import Strict
 class Form(Strict):
     """Which of the compared models is used; the first of each is the paper's own."""
 
-    force: Literal["linear", "hildebrandt", "sarosi", "polynomial"] = Field("linear", description="static force map")
+    force: Literal["linear", "hildebrandt", "sarosi", "polynomial", "braided"] = Field(
+        "linear", description="static force map"
+    )
     friction: Literal["kikuuwe", "simple", "tondu", "none"] = Field("kikuuwe", description="law of friction")
 
 
@@ -32,6 +34,8 @@ class Geometry(Strict):
     kind: Literal["lever", "pulley"] = Field("lever", description="lever: l = L_0 ∓ r sin ψ; pulley: l = L_0 ∓ r ψ")
     radius: float = Field(gt=1e-3, lt=0.5, description="r, radius of the seesaw or pulley [m]")
     length: float = Field(gt=0.02, lt=2.0, description="L_0, muscle length at ψ = 0 [m]")
+    cam_1: float = Field(0.0, gt=-2.0, lt=2.0, description="share by which the lever arm grows with ψ [1/rad]")
+    cam_2: float = Field(0.0, gt=-3.0, lt=3.0, description="share by which it grows with ψ² [1/rad²]")
 
 
 class Volume(Strict):
@@ -49,13 +53,13 @@ class Force(Strict):
     v2: float = Field(description="p_v2 [m²]")
     w1: float = Field(description="p_w1 [N/m]")
     w2: float = Field(description="p_w2 [N]")
-    c1: float = Field(0.0, description="c1 of the other forms [N]")
-    c2: float = Field(0.0, description="c2 of the other forms [N]")
-    c3: float = Field(0.0, description="c3 of the other forms [- or N]")
-    c4: float = Field(0.0, description="c4 of the other forms [N]")
-    c5: float = Field(0.0, description="c5 of the other forms [N]")
-    c6: float = Field(0.0, description="c6 of the other forms [N]")
-    c7: float = Field(0.0, description="c7 of the other forms [N]")
+    c1: float = Field(0.0, description="c1 of the other forms [N]; braided: a, force at 100 kPa gauge [N]")
+    c2: float = Field(0.0, description="c2 of the other forms [N]; braided: k, 1/contraction without area [-]")
+    c3: float = Field(0.0, description="c3 of the other forms [- or N]; braided: b, force of the rubber [N]")
+    c4: float = Field(0.0, description="c4 of the other forms [N]; braided: s, its steepness [-]")
+    c5: float = Field(0.0, description="c5 of the other forms [N]; braided: ε_0, contraction where it is 0 [-]")
+    c6: float = Field(0.0, description="c6 of the other forms [N]; braided: L_n, length at contraction 0 [m]")
+    c7: float = Field(0.0, description="c7 of the other forms [N]; braided: w, force over which slack sets in [N]")
 
 
 class Muscle(Strict):
@@ -77,6 +81,9 @@ class Valve(Strict):
 
     inflow_area: float = Field(gt=1e-11, lt=1e-4, description="A_1, orifice area while the muscle fills [m²]")
     outflow_area: float = Field(gt=1e-11, lt=1e-4, description="A_2, orifice area while it empties [m²]")
+    overlap: float = Field(
+        0.0, ge=0.0, le=0.9, description="open rate at which an orifice shuts [-]: 0: equation (5), 0.5: closed centre"
+    )
     curve: Curve
 
 

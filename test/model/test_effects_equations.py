@@ -40,6 +40,7 @@ SINGLE = {
     "regulator_threshold": {"threshold_1": 3e3, "threshold_2": 8e3},
     "regulator_dead_time": {"time_1": 4e-3, "time_2": 9e-3},
     "regulator_lag": {"frequency_1": 56.0, "frequency_2": 40.0, "damping": 0.3},
+    "limb_weight": {"torque": 0.4, "hanging": -0.7},
 }
 """Sizes that are seen, different for the two muscles, so that a mix-up shows."""
 ONE_MUSCLE = {
@@ -219,7 +220,16 @@ def test_trajectory(rig, case, locked, base, u, duration):
     assert np.all(np.abs(x - expected) < bound * scale), (x - expected) / scale
     without = integrated({}, start[:4], u, duration, locked, 0.05)
     moved = np.abs(expected[:4] - without) / np.array([0.1, 10.0, 1e5, 1e5])
-    still = ("hysteresis", "creep", "load_torque", "friction", "warm_up", "slack", "friction_by_pressure")
+    still = (
+        "hysteresis",
+        "creep",
+        "load_torque",
+        "limb_weight",
+        "friction",
+        "warm_up",
+        "slack",
+        "friction_by_pressure",
+    )
     acts = not (locked and case.split()[0] in still)
     # Without noise, no drift; and without a signal, nothing goes by it.
     acts &= not case.startswith(("pressure_sensor", "external_torque", "drifting"))

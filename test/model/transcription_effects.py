@@ -102,6 +102,7 @@ def moves(t, e, x, outside=0.0):
     tau, (f_1, f_2) = torque_on_muscles(t, e, x)
     c_1, c_2 = (in_chamber(x, added, i) for i in (1, 2))
     load = e.get("load_torque.constant", 0.0) + e.get("load_torque.sine", 0.0) * math.sin(psi)
+    load -= e.get("limb_weight.torque", 0.0) * math.sin(psi - e.get("limb_weight.hanging", 0.5))
     load += sum(e.get(f"load_by_signal.slope{k}", 0.0) * s for k, s in enumerate(t.get("signals", ()), 1))
     t_0 = tau + load + outside + added.get("external_torque", 0.0) - t["k_s"] * psi
     coulomb = paper.shaft_friction(t, f_1, f_2) + paper.muscle_friction(t, c_1, c_2)

@@ -42,6 +42,7 @@ BUILT_IN = (
     "regulator_threshold",
     "regulator_dead_time",
     "regulator_lag",
+    "limb_weight",
 )
 """Files of this folder, in the catalogue's order."""
 
