@@ -8,7 +8,7 @@ s(\psi) = s_0(\psi) + \tfrac12 c_1 \psi^2 + \tfrac13 c_2 \psi^3,\qquad
 s_0 = \begin{cases}\sin\psi & \text{lever}\\ \psi & \text{pulley.}\end{cases}
 ```
 
-$c_1$ (``geometry.cam_1``) and $c_2$ (``geometry.cam_2``) are 0 for a round pulley. A cam, a belt that leaves the pulley,
+$c_1$ (``geometry.cam_1``) and $c_2$ (``geometry.cam_2``) are 0 for a round pulley. A cam, a belt that leaves it,
 or a muscle whose end does not lie on the circle has others. Both muscles have the same arm.
 """
 
