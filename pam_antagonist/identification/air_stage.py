@@ -1,0 +1,150 @@
+"""Chambers and valves, or regulators, from the measured motion: the joint's mechanics need not be known.
+
+Commands and the measured angle drive the chambers (:mod:`pam_antagonist.model.command_driven`), and the simulated
+pressures are compared with the measured ones. The simulation starts anew from the measured pressures after a horizon of
+a second at most: a valve that is shut leaves a pressure to an integrator, whose free run says nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.identification.runs import Run
+from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.command_driven import pressures
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+HORIZONS = (0.1, 1.0)
+"""[s] Of the simulations, from short to long."""
+_INDEPENDENT = 10.0
+"""[1/s] Errors of a model last; so many values a second count as independent."""
+_UNIT = 5e3
+"""[Pa] Unit of the residuals: the error of a good model of valve and chamber."""
+_LONGEST_STEP = 2e-3
+"""[s] Of the integration."""
+_FEWEST_ROWS = 2
+
+
+def unknowns(rig: Rig) -> list[Unknown]:
+    """The numbers of chambers and valves, or regulators, that no data sheet tells.
+
+    Args:
+        rig: as configured.
+    """
+    out = [_positive("gas.polytropic_volume", rig, 0.3, 0.25, 1.9)]
+    if rig.drive == "regulator":
+        for name in ("frequency_1", "frequency_2", "damping"):
+            out.append(_positive(f"effects.regulator_lag.{name}", rig, 0.5))
+        return out
+    for i in (1, 2):
+        for name in ("inflow_area", "outflow_area"):
+            out.append(_positive(f"valve_{i}.{name}", rig, 0.35))
+        overlap, shift = f"valve_{i}.overlap", f"effects.valve_offset.voltage_{i}"
+        if rig.value(overlap) > 0.0:
+            out.append(Unknown(overlap, (overlap,), rig.value(overlap), 0.05, low=0.0, high=0.9))
+        width = 0.03 * (rig.valves.voltage_max - rig.valves.voltage_min)
+        out.append(Unknown(shift, (shift,), rig.value(shift), width, low=-2.0, high=2.0))
+    out.append(_positive("supply.pressure", rig, 0.02))
+    return out
+
+
+def _positive(path: str, rig: Rig, share: float, low: float = 0.0, high: float = math.inf) -> Unknown:
+    return Unknown(path, (path,), rig.value(path), share, True, low, high)
+
+
+def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats, Floats]:
+    """Pressures (N, 2) [Pa] that a model gives for commands and measured motion, and the rows that are a start (N,).
+
+    Args:
+        run: with commands and a measured angle.
+        p: parameter vector of a locked joint.
+        zero: reading of the encoder at ψ = 0 [rad].
+        horizon: time after which the simulation starts anew from the measurement [s].
+    """
+    known = np.isfinite(run.angle)
+    angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
+    size = max(round(horizon / run.period), _FEWEST_ROWS)
+    first = np.append(np.arange(0, max(len(run) - size // 2, 1), size), len(run))
+    starts = np.zeros(len(run), bool)
+    starts[first[:-1]] = True
+    found = pressures(first, run.pressure[first[:-1]], run.time, run.command, angle, p, _LONGEST_STEP)
+    return np.asarray(found), starts
+
+
+def usable(runs: Sequence[Run]) -> list[Run]:
+    """Runs with commands throughout and a measured angle."""
+    return [run for run in runs if np.isfinite(run.command).all() and np.isfinite(run.angle).any()]
+
+
+def residual_of(rig: Rig, runs: Sequence[Run], zero: float, horizon: float) -> Callable[..., Floats]:
+    """The residuals of all runs for values of the unknowns, in their units.
+
+    Args:
+        rig: with the values of the joint.
+        runs: to be fitted.
+        zero: reading of the encoder at ψ = 0 [rad].
+        horizon: of the simulations [s].
+    """
+    vector = rig.parameters("locked")
+
+    def residual(values: Mapping[str, float]) -> Floats:
+        p = par.changed(vector, values)
+        out = []
+        for run in runs:
+            shown, starts = simulated(run, p, zero, horizon)
+            weight = math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / _UNIT
+            out.append(weight * (run.pressure - shown)[~starts].ravel())
+        return np.concatenate(out)
+
+    return residual
+
+
+def fit_air(
+    rig: Rig,
+    runs: Sequence[Run],
+    zero: float,
+    evaluations: int = 12,
+    jobs: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> Fit | None:
+    """Fit chambers and valves, or regulators, with growing horizons; None without commands.
+
+    Args:
+        rig: with the values of the joint.
+        runs: to be fitted.
+        zero: reading of the encoder at ψ = 0 [rad].
+        evaluations: the most derivatives of each horizon.
+        jobs: threads.
+        progress: called with what is being done.
+    """
+    free, given = unknowns(rig), usable(runs)
+    found: Fit | None = None
+    for horizon in HORIZONS if given else ():
+        if progress:
+            progress(f"{'regulators' if rig.drive == 'regulator' else 'valves'}, horizons of {horizon:g} s")
+        begin = None if found is None else found.amounts
+        found = fitted(free, residual_of(rig, given, zero, horizon), begin, evaluations, jobs)
+    return found
+
+
+def step_errors(rig: Rig, runs: Sequence[Run], zero: float) -> tuple[Floats, float]:
+    """Errors of the predicted pressures over one row (K,) [Pa], and the mean distance of these rows [s].
+
+    Args:
+        rig: with the values that were found.
+        runs: with commands; others are left out.
+        zero: reading of the encoder at ψ = 0 [rad].
+    """
+    p, errors, periods = rig.parameters("locked"), [np.zeros(0)], []
+    for run in usable(runs):
+        shown, starts = simulated(run, p, zero, _FEWEST_ROWS * run.period)
+        errors.append((run.pressure - shown)[~starts].ravel())
+        periods.append(run.period)
+    return np.concatenate(errors), float(np.mean(periods)) if periods else rig.sample_period

@@ -1,0 +1,265 @@
+"""Identification of any rig from its measured pressures: joint, air, filter, and a judgement on held-out data.
+
+1. Joint and muscles from the measured pressures (:mod:`~pam_antagonist.identification.joint_stage`).
+2. Chambers and valves, or regulators, from the measured motion (:mod:`~pam_antagonist.identification.air_stage`).
+3. Noise and covariance of the filter (:mod:`~pam_antagonist.identification.filter_stage`).
+4. Errors on data that no step saw, beside those of the rig as configured and of a linear map of the two pressures.
+
+One long recording and many short trials take the same way, as do valves and regulators.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification import joint_stage
+from pam_antagonist.identification.air_stage import fit_air
+from pam_antagonist.identification.filter_stage import Covered, Given, with_process_noise, with_unknown_torque
+from pam_antagonist.identification.joint_stage import DELAY, ZERO, fit_joint, model_values
+from pam_antagonist.identification.runs import Run, runs_of, said
+from pam_antagonist.identification.unknowns import Fit
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.model import parameters as par
+from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.replays import Replay, after, replay
+from pam_antagonist.replays.result import ReplayReport
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+_WHOLE_FROM = 4
+"""From so many short recordings on, whole ones are held out: they start from rest, as those to come will."""
+_SHORT = 30.0
+"""[s] A recording or an episode that is not longer is a trial."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Held-out data of one recording.
+
+    Attributes:
+        name: of the recording.
+        from_s: begin of the held-out part [s].
+        whole: the recording, replayed with the identified rig.
+        identified: errors of the held-out part with the identified rig.
+        as_configured: the same with the rig file.
+        pressures_alone: error of the angle where the measured pressures drive the joint, RMS [deg]; NaN where locked.
+        linear: error of a linear map of the two pressures, fitted to the same data, RMS [deg]; NaN likewise.
+        rows: number of rows with a measured angle.
+    """
+
+    name: str
+    from_s: float
+    whole: Replay
+    identified: ReplayReport
+    as_configured: ReplayReport
+    pressures_alone: float
+    linear: float
+    rows: int
+
+
+@dataclass(frozen=True, eq=False)
+class FromPressures:
+    """An identified rig and how it was found.
+
+    Attributes:
+        start: the rig as configured.
+        rig: the result.
+        joint: values of joint and muscles.
+        air: values of chambers and valves, or regulators; None without commands.
+        covered: the unknown torque of the filter.
+        held: errors on held-out data.
+        fitted: name of each recording, and the end of its part that was fitted [s].
+        notes: for the user.
+    """
+
+    start: Rig
+    rig: Rig
+    joint: Fit
+    air: Fit | None
+    covered: Covered
+    held: tuple[Held, ...]
+    fitted: tuple[tuple[str, float], ...]
+    notes: tuple[str, ...]
+
+    def pooled(self, column: str) -> float:
+        """Error of the angle over all held-out rows, RMS [deg]; NaN without any.
+
+        Args:
+            column: ``identified``, ``as_configured``, ``model_alone``, ``pressures_alone`` or ``linear``.
+        """
+
+        def of(item: Held) -> float:
+            if column in ("pressures_alone", "linear"):
+                return float(getattr(item, column))
+            report = item.as_configured if column == "as_configured" else item.identified
+            errors = report.model_alone.angle if column == "model_alone" else report.ukf.angle
+            return math.nan if errors is None else errors.rmse
+
+        known = [(of(item), item.rows) for item in self.held if math.isfinite(of(item))]
+        total = sum(rows for _, rows in known)
+        return math.sqrt(sum(rows * error**2 for error, rows in known) / total) if total else math.nan
+
+    @property
+    def coverage(self) -> float:
+        """Share of the held-out angles in their 95 % intervals; NaN without any."""
+        known = [(item.identified.ukf.angle, item.rows) for item in self.held]
+        shares = [(errors.coverage95, rows) for errors, rows in known if errors is not None]
+        total = sum(rows for _, rows in shares)
+        return sum(rows * share for share, rows in shares) / total if total else math.nan
+
+    @property
+    def rejected(self) -> str:
+        """Why the rig should not be used, in a sentence; empty if it may."""
+        now, before = self.pooled("identified"), self.pooled("as_configured")
+        if not math.isfinite(now):
+            return "The filter gives no angle on the held-out data with it."
+        if now > before:
+            return (
+                f"On the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file. "
+                "The recordings do not fit two muscles on one joint, or their channels are exchanged: run check."
+            )
+        if now > (linear := self.pooled("linear")):
+            return (
+                f"On the held-out data the filter errs by {now:.3g}°, a linear map of the two pressures by "
+                f"{linear:.3g}°. The recordings do not fit two muscles on one joint, or the joint moved too little."
+            )
+        return ""
+
+
+def is_for(rig: Rig) -> bool:
+    """Whether a rig is identified in this way: its muscles have the force of a data sheet, and air passes its valves."""
+    return rig.model.force == "braided" and not rig.valves.sealed
+
+
+def identify(
+    recordings: Sequence[Given],
+    rig: Rig,
+    holdout: float = 1.0 / 3.0,
+    starts: int = 2,
+    seed: int = 0,
+    jobs: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> FromPressures:
+    """Identify a rig.
+
+    Args:
+        recordings: each with its joint's condition and a name.
+        rig: start values and priors.
+        holdout: share of the data that is held out.
+        starts: number of starts of the joint's fit.
+        seed: of the further starts.
+        jobs: threads.
+        progress: called with a text about each step.
+
+    Raises:
+        BadInput: no free joint with a measured angle.
+    """
+    progress = progress or (lambda text: None)
+    if not any(state.condition == "free" and recording.angle is not None for recording, state, _ in recordings):
+        raise BadInput("no recording has a joint that moves and a measured angle: expected one at least, to fit")
+    ends = _fitted_until(recordings, holdout)
+    runs = _parts(recordings, ends)
+    joint = fit_joint(rig, runs, starts=starts, seed=seed, jobs=jobs, progress=progress)
+    values = joint.values
+    found = Corrections(encoder_zero=values[ZERO], delay_angle=-values[DELAY])
+    corrected: list[Given] = [(found.applied(recording), state, name) for recording, state, name in recordings]
+    own = moved(rig, model_values(joint.unknowns, values))
+    runs = _parts(corrected, ends)
+    air = fit_air(own, runs, 0.0, jobs=jobs, progress=progress)
+    if air is not None:
+        own = moved(own, air.parameters)
+    own = with_process_noise(own, runs, 0.0)
+    covered = with_unknown_torque(own, _cut(corrected, ends), jobs, progress)
+    calibration = _calibration(rig).followed_by(found).calibration()
+    result = covered.rig.replaced(calibration=rig.calibration.replaced(**calibration))
+    progress("held-out data")
+    line = _linear(runs)
+    held = tuple(
+        _held(given, before, end, covered.rig, rig, line)
+        for given, before, end in zip(corrected, recordings, ends, strict=True)
+        if given[1].condition == "free" and given[0].angle is not None and end < given[0].duration_s
+    )
+    fitted = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
+    return FromPressures(rig, result, joint, air, covered, held, fitted, (*said(runs), *_notes(joint, air)))
+
+
+def _calibration(rig: Rig) -> Corrections:
+    return Corrections(**dict(rig.calibration))
+
+
+def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
+    out = []
+    late, std = joint.values[DELAY], joint.stds[DELAY]
+    if abs(late) > max(5.0 * std, 2e-3):
+        words = "late against" if late > 0.0 else "ahead of"
+        out.append(f"The angle is {words} the pressures by {abs(late) * 1e3:.1f} ± {std * 1e3:.1f} ms (corrected).")
+    for fit in (joint, air):
+        for name in () if fit is None else fit.at_bounds:
+            out.append(f"{name} stands at the end of its range, {fit.values[name]:.4g}: the model lacks something there.")
+    return tuple(out)
+
+
+def _fitted_until(recordings: Sequence[Given], holdout: float) -> list[float]:
+    """For each recording the end of the part that is fitted [s]; 0 where all of it is held out."""
+    free = [k for k, (one, state, _) in enumerate(recordings) if state.condition == "free" and one.angle is not None]
+    out = [recording.duration_s + 1.0 for recording, _, _ in recordings]
+    if len(free) >= _WHOLE_FROM and all(recordings[k][0].duration_s <= _SHORT for k in free):
+        every = max(round(1.0 / holdout), 2)
+        for k in free[every - 1 :: every]:
+            out[k] = 0.0
+    else:
+        for k in free:
+            out[k] = (1.0 - holdout) * recordings[k][0].duration_s
+    return out
+
+
+def _parts(recordings: Sequence[Given], ends: Sequence[float]) -> list[Run]:
+    found = []
+    for (recording, state, name), end in zip(recordings, ends, strict=True):
+        if end > 0.0:
+            found += [part for run in runs_of(recording, state, name) if (part := run.part(0.0, end)) is not None]
+    return found
+
+
+def _cut(recordings: Sequence[Given], ends: Sequence[float]) -> list[Given]:
+    """The fitted parts of the recordings of a free joint with an angle."""
+    return [
+        (recording.slice(0.0, end), state, name)
+        for (recording, state, name), end in zip(recordings, ends, strict=True)
+        if end > 0.0 and state.condition == "free" and recording.angle is not None
+    ]
+
+
+def _linear(runs: Sequence[Run]) -> Floats:
+    """Coefficients of a linear map from the two pressures [Pa] to the angle [rad] (3,)."""
+    free = [run for run in runs if not run.locked]
+    pressure, angle = np.concatenate([run.pressure for run in free]), np.concatenate([run.angle for run in free])
+    known = np.isfinite(angle)
+    found, *_ = np.linalg.lstsq(np.column_stack([pressure, np.ones(len(angle))])[known], angle[known], rcond=None)
+    return np.asarray(found)
+
+
+def _held(given: Given, before: Given, end: float, rig: Rig, start: Rig, line: Floats) -> Held:
+    recording, state, name = given
+    whole, old = (replay(one, by, "default", "free") for one, by in ((recording, rig), (before[0], start)))
+    begin = max(end, 0.0)
+    parts = [part for run in runs_of(recording, state, name) if (part := run.part(begin, math.inf)) is not None]
+    p = par.changed(rig.parameters(), joint_stage.WITHOUT_REGULATORS)
+    alone = [joint_stage.simulated(run, p, 0.0, 0.0) - run.angle for run in parts]
+    mapped = [np.column_stack([run.pressure, np.ones(len(run))]) @ line - run.angle for run in parts]
+    reports = [item.report if begin == 0.0 else after(item, begin).report for item in (whole, old)]
+    rows = int(np.isfinite(recording.angle[recording.time_s >= begin]).sum()) if recording.angle is not None else 0
+    return Held(name, begin, whole, reports[0], reports[1], _rms_deg(alone), _rms_deg(mapped), rows)
+
+
+def _rms_deg(errors: Sequence[Floats]) -> float:
+    values = np.concatenate([np.zeros(0), *errors])
+    known = values[np.isfinite(values)]
+    return math.degrees(math.sqrt(float(np.mean(known**2)))) if len(known) else math.nan

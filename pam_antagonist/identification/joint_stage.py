@@ -1,0 +1,231 @@
+"""Joint and muscles from measured pressures: no valve has to be known.
+
+The measured pressures drive the joint (:mod:`pam_antagonist.model.pressure_driven`), and the simulated angle is
+compared with the measured one. Where the torque was measured, the torque of the muscles at the measured angle is
+compared as well. The simulation starts anew from the measurement after a horizon, which grows from a fraction of a
+second to whole runs, so that no start runs away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist._jit import kernel
+from pam_antagonist.identification.runs import Run
+from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
+from pam_antagonist.model import dynamics
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.pressure_driven import angles
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+_torque = dynamics.torque
+
+ZERO, DELAY = "calibration.encoder_zero", "calibration.delay_angle"
+WEIGHT_COS, WEIGHT_SIN = "limb: torque at angle 0", "limb: torque that grows with the sine"
+HORIZONS = (0.3, math.inf)
+"""[s] Of the simulations, from short to long."""
+_INDEPENDENT = 10.0
+"""[1/s] Errors of a model last; so many values a second count as independent."""
+_ANGLE_SHARE, _TORQUE_SHARE = 0.01, 0.02
+"""Unit of the residuals, as a share of the measured range."""
+_LONGEST_STEP = 2e-3
+"""[s] Of the integration."""
+_START_STD = 0.7
+"""Scatter of further starts about the first one, in standard deviations of the prior."""
+_MOVING = 0.05
+"""[rad/s] A slower joint starts at rest."""
+WITHOUT_REGULATORS = {
+    f"effects.{name}.{item.name}": 0.0
+    for name, effect in CATALOGUE.items()
+    if name.startswith("regulator_")
+    for item in effect.parameters
+    if item.is_size
+}
+"""The measured pressures contain what the regulators do."""
+
+
+@kernel
+def _torques(angle, velocity, pressure, p):
+    """Torque of the muscles [N m] at measured angles (N,), velocities (N,) and pressures (N, 2)."""
+    out = np.empty(angle.shape[0])
+    x = np.zeros(4)
+    for k in range(angle.shape[0]):
+        x[0], x[1], x[2], x[3] = angle[k], velocity[k], pressure[k, 0], pressure[k, 1]
+        out[k] = _torque(x, p)
+    return out
+
+
+def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
+    """The numbers of joint and muscles that no data sheet tells, with their priors.
+
+    Args:
+        rig: as configured, with forces of the form ``braided``.
+        runs: with a measured angle.
+    """
+    out = []
+    for i in (1, 2):
+        force = f"muscle_{i}.force."
+        for name, share in (("c1", 0.25), ("c2", 0.15), ("c3", 0.4)):
+            out.append(_positive(rig, force + name, share))
+        out.append(_positive(rig, force + "c6", 0.03))
+    both = ("muscle_1.force.c4", "muscle_2.force.c4")
+    out.append(Unknown(both[0], both, rig.value(both[0]), 0.3, True))
+    out.append(_positive(rig, "geometry.radius", 0.06))
+    out.append(_positive(rig, "joint.inertia", 0.2))
+    out.append(_positive(rig, "joint.viscous_friction", 1.0))
+    out.append(_positive(rig, "friction.shaft", 0.5))
+    scale = torque_scale(rig)
+    slopes = tuple(f"effects.friction_by_pressure.slope_{i}" for i in (1, 2))
+    coulomb = "effects.friction.coulomb"
+    out.append(Unknown(coulomb, (coulomb,), 0.005 * scale, 1.0, True))
+    out.append(Unknown(slopes[0], slopes, 0.005 * scale / (0.5 * rig.supply.pressure), 1.0, True, high=1e-2))
+    free = [run for run in runs if not run.locked]
+    if free:
+        weight = max(rig.joint.mass * rig.joint.gravity * 0.1, 0.005 * scale)
+        torque, hanging = (rig.value(f"effects.limb_weight.{name}") for name in ("torque", "hanging"))
+        # −G sin(ψ − ψ_h) = G sin ψ_h cos ψ − G cos ψ_h sin ψ.
+        out.append(Unknown(WEIGHT_COS, (), torque * math.sin(hanging), weight))
+        out.append(Unknown(WEIGHT_SIN, (), -torque * math.cos(hanging), weight))
+    out.append(Unknown(ZERO, (), middle(runs), math.radians(5.0)))
+    out.append(Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1))
+    return out
+
+
+def torque_scale(rig: Rig) -> float:
+    """Torque [N m] of one muscle at half the supply's pressure and the middle length."""
+    p = rig.parameters()
+    x = np.array([0.0, 0.0, 0.5 * (rig.supply.pressure + rig.atmosphere.pressure), rig.atmosphere.pressure])
+    return abs(float(_torque(x, p)))
+
+
+def middle(runs: Sequence[Run]) -> float:
+    """Angle [rad] at which both pressures are equal, by a straight line through all readings."""
+    moving = [run for run in runs if not run.locked and np.isfinite(run.angle).any()]
+    if not moving:
+        return 0.0
+    angle = np.concatenate([run.angle for run in moving])
+    apart = np.concatenate([run.pressure[:, 0] - run.pressure[:, 1] for run in moving])
+    known = np.isfinite(angle)
+    return float(np.polyfit(apart[known], angle[known], 1)[1])
+
+
+def _positive(rig: Rig, path: str, share: float) -> Unknown:
+    return Unknown(path, (path,), rig.value(path), share, True)
+
+
+def model_values(unknown: Sequence[Unknown], values: Mapping[str, float]) -> dict[str, float]:
+    """Parameters by dotted path, the weight of the limb included; without zero and delay.
+
+    Args:
+        unknown: of the fit.
+        values: by name of the unknown.
+    """
+    out = {path: values[item.name] for item in unknown for path in item.paths}
+    if WEIGHT_COS in values:
+        cosine, sine = values[WEIGHT_COS], values[WEIGHT_SIN]
+        out["effects.limb_weight.torque"] = math.hypot(cosine, sine)
+        out["effects.limb_weight.hanging"] = math.atan2(cosine, -sine)
+    return out
+
+
+def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = math.inf) -> Floats:
+    """Readings of the encoder (N,) [rad] that a model gives for the measured pressures of a run.
+
+    Args:
+        run: of a free joint.
+        p: parameter vector.
+        zero: reading at ψ = 0 [rad].
+        delay: by how much the reading is late [s].
+        horizon: time after which the simulation starts anew from the measurement [s].
+    """
+    known = np.isfinite(run.angle)
+    angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
+    size = max(round(horizon / run.period), 3) if math.isfinite(horizon) else len(run)
+    first = np.append(np.arange(0, max(len(run) - size // 2, 1), size), len(run))
+    begin = first[:-1]
+    # What the reading shows with a delay has moved on meanwhile.
+    speed = np.where(np.abs(run.velocity[begin]) < _MOVING, 0.0, run.velocity[begin])
+    start = np.column_stack([angle[begin] + delay * speed, speed])
+    out = np.asarray(angles(first, start, run.time, run.pressure, np.empty((len(run), 0)), p, _LONGEST_STEP))
+    return out + zero if delay == 0.0 else np.interp(run.time - delay, run.time, out) + zero
+
+
+def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float) -> Callable[..., Floats]:
+    """The residuals of all runs for values of the unknowns, in their units.
+
+    Args:
+        rig: as configured.
+        runs: to be fitted.
+        unknown: of the fit.
+        horizon: of the simulations [s].
+    """
+    vectors = {locked: rig.parameters() for locked in (False, True)}
+    angle_unit = _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked])
+    torque_unit = _TORQUE_SHARE * _range([run.torque for run in runs])
+
+    def residual(values: Mapping[str, float]) -> Floats:
+        p = par.changed(vectors[False], {**model_values(unknown, values), **WITHOUT_REGULATORS})
+        zero, delay = values[ZERO], values[DELAY]
+        out = []
+        for run in runs:
+            weight = math.sqrt(min(_INDEPENDENT * run.period, 1.0))
+            if not run.locked and np.isfinite(run.angle).any():
+                left = (run.angle - simulated(run, p, zero, delay, horizon)) / angle_unit
+                out.append(weight * left[np.isfinite(run.angle)])
+            known = np.isfinite(run.torque) & np.isfinite(run.angle)
+            if known.any():
+                at = run.angle[known] - zero + delay * run.velocity[known]
+                left = run.torque[known] - _torques(at, run.velocity[known], run.pressure[known], p)
+                out.append(weight * left / torque_unit)
+        return np.concatenate(out)
+
+    return residual
+
+
+def _range(columns: Sequence[Floats]) -> float:
+    values = np.concatenate([np.zeros(1), *columns])
+    known = values[1:][np.isfinite(values[1:])]
+    return max(float(np.ptp(np.quantile(known, [0.01, 0.99]))), 1e-6) if len(known) else 1.0
+
+
+def fit_joint(
+    rig: Rig,
+    runs: Sequence[Run],
+    evaluations: int = 20,
+    starts: int = 2,
+    seed: int = 0,
+    jobs: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> Fit:
+    """Fit joint and muscles, with growing horizons. Short horizons have several starts, of which the best goes on.
+
+    Args:
+        rig: as configured.
+        runs: to be fitted.
+        evaluations: the most derivatives of each fit.
+        starts: number of starts: the first is the rig file, the others are drawn from the priors.
+        seed: of the drawn starts.
+        jobs: threads.
+        progress: called with what is being done.
+    """
+    progress = progress or (lambda text: None)
+    free = unknowns(rig, runs)
+    rng = np.random.default_rng(seed)
+    short, *longer = HORIZONS
+    residual = residual_of(rig, runs, free, short)
+    tried = []
+    for number in range(starts):
+        progress(f"joint and muscles from measured pressures, start {number + 1} of {starts}")
+        begin = _START_STD * rng.standard_normal(len(free)) if number else None
+        tried.append(fitted(free, residual, begin, evaluations, jobs))
+    found = min(tried, key=lambda one: one.cost)
+    for horizon in longer:
+        progress("joint and muscles from measured pressures, whole runs")
+        found = fitted(free, residual_of(rig, runs, free, horizon), found.amounts, evaluations, jobs)
+    return found

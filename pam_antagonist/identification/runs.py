@@ -1,0 +1,159 @@
+"""Recordings as runs: what an identification from measured pressures works on.
+
+A run is a stretch without a hole, from one recording or one of its episodes. Long recordings at a kilohertz and short
+trials at 20 Hz become the same thing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import JointCondition
+
+Floats = NDArray[np.float64]
+
+_SHORTEST = 1.0
+"""[s] A shorter stretch is left out."""
+_FINEST = 4e-3
+"""[s] Rows that follow each other more quickly are averaged: the joint moves little in between."""
+_HOLE = 2.5
+"""A distance of more median periods is a hole."""
+_LONGEST_HELD = 4
+"""A sensor that is slower than the log repeats a value in at most so many rows; longer repeats are a joint at rest."""
+_HELD_SHARE = 0.15
+"""Share of repeated rows in motion from which on a sensor is called slower than the log."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A stretch of a recording without a hole (N rows).
+
+    Attributes:
+        name: of the recording.
+        time: from the begin of the recording (N,) [s].
+        pressure: measured (N, 2) [Pa].
+        command: voltages [V] or commanded pressures [Pa] over the row's step (N, 2); NaN where unknown.
+        angle: measured (N,) [rad], NaN where missing.
+        torque: measured (N,) [N m], NaN where missing.
+        velocity: slope of the measured angle (N,) [rad/s], 0 where unknown.
+        locked: whether the joint was held.
+        held: whether the pressures are slower than the log.
+    """
+
+    name: str
+    time: Floats
+    pressure: Floats
+    command: Floats
+    angle: Floats
+    torque: Floats
+    velocity: Floats
+    locked: bool
+    held: bool
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def period(self) -> float:
+        """Mean distance of rows [s]."""
+        return float(self.time[-1] - self.time[0]) / (len(self) - 1)
+
+    def part(self, begin_s: float, end_s: float) -> Run | None:
+        """The rows in a time span [s]; None if they are too few."""
+        rows = np.flatnonzero((self.time >= begin_s) & (self.time < end_s))
+        if len(rows) < 3 or self.time[rows[-1]] - self.time[rows[0]] < _SHORTEST:
+            return None
+        cut = slice(int(rows[0]), int(rows[-1]) + 1)
+        arrays = (self.time, self.pressure, self.command, self.angle, self.torque, self.velocity)
+        return Run(self.name, *(values[cut] for values in arrays), self.locked, self.held)
+
+
+def runs_of(recording: Recording, state: JointCondition, name: str) -> list[Run]:
+    """The runs of a recording.
+
+    Args:
+        recording: with its calibration applied.
+        state: of its joint.
+        name: for messages.
+
+    Raises:
+        BadInput: no stretch is long enough.
+    """
+    locked = state.condition == "locked"
+    found = [run for rows in _stretches(recording) if (run := _run(recording, rows, locked, name)) is not None]
+    if not found:
+        raise BadInput(
+            f"{name}: no stretch of {_SHORTEST:g} s without a hole, with both pressures; expected at least one"
+        )
+    return found
+
+
+def _stretches(recording: Recording) -> Iterator[NDArray[np.intp]]:
+    """Rows with both pressures, between holes and between episodes."""
+    known = np.flatnonzero(np.isfinite(recording.pressure).all(axis=1))
+    bound = _HOLE * recording.sample_period_s * 1e9
+    for episode in recording.episodes:
+        rows = known[(known >= episode.start) & (known < episode.stop)]
+        if len(rows):
+            yield from np.split(rows, np.flatnonzero(np.diff(recording.stamp_ns[rows]) > bound) + 1)
+
+
+def _run(recording: Recording, rows: NDArray[np.intp], locked: bool, name: str) -> Run | None:
+    time = recording.time_s[rows]
+    if len(rows) < 5 or time[-1] - time[0] < _SHORTEST:
+        return None
+    pressure, held = _at_own_rate(time, recording.pressure[rows])
+    missing = np.full(len(rows), np.nan)
+    angle = missing if recording.angle is None else recording.angle[rows]
+    torque = missing if recording.torque is None else recording.torque[rows]
+    columns = np.column_stack([time, pressure, recording.voltage[rows], angle, torque])
+    size = int(_FINEST / recording.sample_period_s + 1e-6)
+    if size > 1:
+        whole = len(columns) // size * size
+        columns = columns[:whole].reshape(-1, size, columns.shape[1]).mean(axis=1)
+    time, angle = columns[:, 0], columns[:, 5]
+    return Run(
+        name, time, columns[:, 1:3], columns[:, 3:5], angle, columns[:, 6], _slope(time, angle), locked, held
+    )  # fmt: skip
+
+
+def _at_own_rate(time: Floats, pressure: Floats) -> tuple[Floats, bool]:
+    """Pressures that a slow sensor repeats, linear between its own readings, and whether there are such."""
+    changed = np.any(np.diff(pressure, axis=0) != 0.0, axis=1)
+    fresh = np.concatenate([[True], changed])
+    at = np.flatnonzero(fresh)
+    apart = np.diff(at)
+    repeats = apart[(apart > 1) & (apart <= _LONGEST_HELD)]
+    if np.sum(repeats - 1) < _HELD_SHARE * np.sum(apart[apart <= _LONGEST_HELD]):
+        return pressure, False
+    # After a long rest, the last row before a change is a reading as well.
+    resting = at[1:][apart > _LONGEST_HELD] - 1
+    known = np.union1d(np.union1d(at, resting), [len(time) - 1])
+    return np.column_stack([np.interp(time, time[known], column[known]) for column in pressure.T]), True
+
+
+def _slope(time: Floats, angle: Floats) -> Floats:
+    """Velocity over a window of about 40 ms, two rows at least, to both sides."""
+    reach = max(round(0.02 / max(float(np.median(np.diff(time))), 1e-6)), 1)
+    out = np.zeros(len(time))
+    if len(time) > 2 * reach:
+        moved = angle[2 * reach :] - angle[: -2 * reach]
+        out[reach:-reach] = moved / (time[2 * reach :] - time[: -2 * reach])
+    return np.nan_to_num(out)
+
+
+def said(runs: Sequence[Run]) -> tuple[str, ...]:
+    """What a user should know of the runs, in sentences."""
+    slow = dict.fromkeys(run.name for run in runs if run.held)
+    if not slow:
+        return ()
+    return (
+        f"The pressures of {', '.join(slow)} repeat from row to row: the sensor is slower than the log. Values between "
+        "its readings are interpolated.",
+    )
