@@ -214,7 +214,7 @@ def _topic(text: str) -> tuple[str, str]:
 
 def add_recover(parser: argparse.ArgumentParser) -> None:
     """``--recover``."""
-    parser.add_argument("--recover", action="store_true", help="if the bag is damaged, read the part before the damage")
+    parser.add_argument("--recover", action="store_true", help="if the bag is damaged, read what is left of it")
 
 
 def topics(arguments: argparse.Namespace) -> dict[str, str]:

@@ -36,7 +36,7 @@ def add_names_and_report(parser: argparse.ArgumentParser) -> None:
     """Names of topics and joint, damaged bags, and what the report holds."""
     common.add_topics(parser)
     parser.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
-    parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states, where it holds several")
     common.add_recover(parser)
     add_corrections(parser)
     common.add_json(parser)

@@ -64,7 +64,7 @@ def parser() -> common.Parser:
         "the recording shows that, else none (default: auto)",
     )  # fmt: skip
     common.add_topics(out)
-    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states, where it holds several")
     out.add_argument("--namespace", metavar="/NS", help="namespace of the joint, where the bag holds several")
     out.add_argument(
         "--restarts", choices=("refuse", "last"), default="refuse",

@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording.recording import Recording
+from pam_antagonist.recording.stamps import LARGEST_DELAY
 from pam_antagonist.recording.units import UNITS, canonical
 from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 
 Floats = NDArray[np.float64]
-
-LARGEST_DELAY = 1.0
-"""[s] A larger difference of stamps is no delay, but comes from another clock."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +44,7 @@ class Corrections:
         delay_angle: by how much the angle is stamped too early [s].
         delay_torque: by how much the torque is stamped too early [s].
         delay_pressure: by how much both pressures are stamped too early [s].
+        align_clocks: topics with a clock of their own get the stamps of the pressures' clock, by times of reception.
     """
 
     pressure_unit: str = "Pa"
@@ -63,6 +62,7 @@ class Corrections:
     delay_angle: float = 0.0
     delay_torque: float = 0.0
     delay_pressure: float = 0.0
+    align_clocks: bool = False
 
     def __post_init__(self) -> None:
         for quantity in ("pressure", "angle", "torque"):
@@ -229,6 +229,7 @@ _HELP = {
     "delay_angle": "milliseconds by which the stamps of the angle are too early",
     "delay_torque": "milliseconds by which the stamps of the torque are too early",
     "delay_pressure": "milliseconds by which the stamps of the pressures are too early",
+    "align_clocks": "shift the stamps of topics that another clock stamps than the pressures, by times of reception",
 }
 
 

@@ -15,7 +15,7 @@ from . import wrong_unit
 from .csv_map import ALSO, CsvMap
 from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
-from .notes import REGULATOR, SEALED
+from .notes import REGULATOR, SEALED, Issue
 from .recording import Recording
 from .resets import resets
 from .signals import FurtherSignal
@@ -85,7 +85,7 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
     jumped = resets(recording)
     if jumped is not None:
         issues.append(jumped.sentence)
-    return _cut(where, replace(recording, issues=tuple(issues)), mapping)
+    return _cut(where, replace(recording, issues=Issue.sorted(issues)), mapping)
 
 
 def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:

@@ -41,10 +41,20 @@ def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Flo
     return np.where(bad, np.nan, values)
 
 
+def few(count: int, size: int) -> bool:
+    """Whether odd values are so rare that they say nothing of the rest.
+
+    Args:
+        count: of the odd values.
+        size: number of all values.
+    """
+    return count <= max(5, 0.001 * size) and 2 * count <= size
+
+
 def _implausible(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, issues: list[str]) -> bool:
     """Whether too many values are implausible; a few are only reported as an issue."""
     count = int(np.count_nonzero(odd))
-    if count > max(5, 0.001 * values.size) or 2 * count > values.size:
+    if not few(count, values.size):
         return True
     if count:
         issues.append(f"{count} of {values.size} values on {topic} {what}: kept, for the estimator to judge")
