@@ -12,6 +12,7 @@ from fake_bags import ESTIMATE, FIRST_NS, JOINT, PERIOD_NS, REFERENCE, FakeRig, 
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import bag_hash, read_bag
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.messages import typestore
 
 
@@ -348,3 +349,16 @@ def test_what_nodes_said_about_their_rigs(rig: FakeRig, tmp_path: Path, storage:
 def test_a_text_that_is_none_is_passed_over(rig: FakeRig, tmp_path: Path, data: bytes) -> None:
     streams = rig.streams() | {"/pam/rig": Stream("std_msgs/msg/String", [(FIRST_NS, data)])}
     assert read_bag(rig.write(tmp_path / "bag", streams)).rigs == ()
+
+
+def test_an_absolute_encoder_is_named_and_unwrapped_on_request(rig: FakeRig, tmp_path: Path) -> None:
+    rig.angle = 0.3 * np.sin(0.3 * np.arange(rig.size))
+    streams = rig.streams()
+    streams["/pam/measured/joint_states"].items = [
+        rig.joint_message(stamp, [angle % (2.0 * np.pi)], [torque])
+        for stamp, angle, torque in zip(rig.stamp_ns, rig.angle, rig.torque, strict=True)
+    ]
+    bag = rig.write(tmp_path / "bag", streams)
+    with pytest.raises(BadInput, match="jumps by a turn, as of an absolute encoder.*type --unwrap-angle"):
+        read_bag(bag)
+    np.testing.assert_allclose(read_bag(bag, corrections=Corrections(unwrap_angle=True)).angle, rig.angle, atol=1e-12)
