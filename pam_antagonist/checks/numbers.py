@@ -37,18 +37,18 @@ def without_delays(
     out = []
     for name in ("delay_voltage", "delay_pressure", "delay_angle", "delay_torque"):
         value = getattr(now, name)
-        if not value:
+        channel = _CHANNEL.get(name)
+        if not value or (channel is not None and getattr(recording, channel) is None):
             continue
         other = changed(now, {name: 0.0})
         for by_steps in (False, True):
             given, left = (
-                _agreement(each, recording, rig, joint, lock_angle, _CHANNEL.get(name), by_steps)
-                for each in (now, other)
+                _agreement(each, recording, rig, joint, lock_angle, channel, by_steps) for each in (now, other)
             )
             if max(given, left) >= GOES_WITH:
                 break
-        if 1.0 - left**2 <= _BETTER * (1.0 - given**2):
-            what = f"the {_CHANNEL.get(name, 'pressures')} agree{'s' * (name in _CHANNEL)} better with the model"
+        if 1.0 - left**2 < _BETTER * (1.0 - given**2):
+            what = f"the {channel or 'pressures'} agree{'s' * (channel is not None)} better with the model"
             text = f"{what} without the delay of {1e3 * value:.3g} ms (correlation {left:.3f}, with it {given:.3f})"
             out.append(finding(name, now, rig, text))
             now = other
@@ -149,5 +149,4 @@ def _agreement(
             min(correlation(delayed.pressure[model.rows, (i + shift) % 2], model.pressure[:, i]) for i in (0, 1))
             for shift in (0, 1)
         )
-    values = getattr(delayed, channel)
-    return 1.0 if values is None else abs(correlation(values[model.rows], getattr(model, channel)))
+    return abs(correlation(getattr(delayed, channel)[model.rows], getattr(model, channel)))

@@ -390,7 +390,13 @@ def unit_of(direction: Direction, now: Corrections, typed: Corrections, toleranc
 
 
 def fits(corrected: Recording, model: Prediction, rig: Rig) -> list[Finding]:
-    """RMS difference of the corrected pressures from the model's; a large one means another rig."""
+    """RMS difference of the corrected pressures from the model's; a large one means another rig.
+
+    Args:
+        corrected: the recording with all corrections.
+        model: prediction for it, from its first pressures.
+        rig: the rig.
+    """
     left = np.sqrt(np.nanmean((corrected.pressure[model.rows] - model.pressure) ** 2, axis=0))
     text = f"the model, driven by the voltages, is {left[0] / 1e3:.1f} and {left[1] / 1e3:.1f} kPa off (RMS"
     if np.max(left) <= NEAR:
