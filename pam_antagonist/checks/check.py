@@ -225,10 +225,11 @@ def _joint(
 
 
 def _follows(recording: Recording, rig: Rig, now: Corrections) -> bool:
-    """Whether the measured angle, in any unit, follows the measured pressures as that of a free joint."""
-    model = from_pressures(now.applied(recording), rig, "free", 0.0)
+    """Whether the measured angle, in any unit, follows the voltages or the measured pressures as of a free joint."""
     assert recording.angle is not None
-    return abs(correlation(recording.angle[model.rows], model.angle)) >= wiring.GOES_WITH
+    corrected = now.applied(recording)
+    models = (run(corrected, rig, "free", 0.0) for run in (from_pressures, predicted))
+    return any(abs(correlation(recording.angle[one.rows], one.angle)) >= wiring.GOES_WITH for one in models)
 
 
 def _encoder(recording: Recording, rig: Rig, condition: JointCondition) -> list[Finding]:

@@ -81,10 +81,11 @@ def delay_of_voltages(
     found = replace(now, delay_voltage=round(now.delay_voltage + delay, 3))
     options = tuple(replace(Corrections(), delay_voltage=found.delay_voltage).options())
     remaining = found.delay_voltage - now.delay_pressure
+    # A large delay is measured only roughly: it is left out where less than half of it remains without.
     given = replace(Corrections(), delay_voltage=now.delay_voltage, delay_pressure=now.delay_pressure).options()
-    if given and abs(remaining) < _LATE:
+    if given and abs(remaining) < max(_LATE, 0.5 * abs(now.delay_voltage - now.delay_pressure)):
         text = f"the pressures come {1e3 * abs(delay):.0f} ms {'later' if delay > 0.0 else 'earlier'} than the model's "
-        text += f"with the given delays, and {1e3 * abs(remaining):.0f} ms without them"
+        text += f"with the given delays, and about {1e3 * abs(remaining):.0f} ms without them"
         return [Finding("doubtful", text, (), tuple(given))], replace(now, delay_voltage=0.0, delay_pressure=0.0)
     if delay > 0.0:
         text = (

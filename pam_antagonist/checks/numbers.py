@@ -13,6 +13,7 @@ from pam_antagonist.checks.prediction import Prediction, correlation, from_press
 from pam_antagonist.checks.wiring import GOES_WITH, Finding
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.recording.plausible import MAX_PRESSURE, MIN_PRESSURE
 from pam_antagonist.rig import Rig
 
 _BETTER = 0.5
@@ -143,7 +144,11 @@ def _agreement(
     if by_steps and channel is None:
         steps = [in_steps(pascal, rig, joint, lock_angle, crossed) for crossed in (False, True)]
         return max(min(correlation(one[:, i], other[:, i]) for i in (0, 1)) for one, other in steps)
-    model = (from_pressures if by_steps else predicted)(pascal, rig, joint, lock_angle)
+    if by_steps:
+        model = from_pressures(pascal, rig, joint, lock_angle)
+    else:
+        known_start = MIN_PRESSURE <= float(np.nanmedian(pascal.pressure)) <= MAX_PRESSURE
+        model = predicted(pascal, rig, joint, lock_angle, known_start)
     if channel is None:
         return max(
             min(correlation(delayed.pressure[model.rows, (i + shift) % 2], model.pressure[:, i]) for i in (0, 1))
