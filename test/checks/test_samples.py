@@ -117,3 +117,28 @@ def test_a_joint_that_moves_was_not_locked(free: Recording, rig: Rig) -> None:
 def test_a_locked_joint_that_is_called_free_is_doubted(locked: Recording, rig: Rig) -> None:
     doubts = [item for item in check_recording(locked, rig, "free").findings if item.status == "doubtful"]
     assert doubts[0].options == ("--joint locked",)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("hz", [20, 100, 1000])
+@pytest.mark.parametrize("joint", ["auto", "locked"])
+def test_no_input_stops_it(twelve: Recording, rig: Rig, hz: int, joint: str) -> None:
+    rows = slice(None, None, 1000 // hz)
+    arrays = {name: getattr(twelve, name)[rows] for name in ("stamp_ns", "pressure", "voltage", "angle", "torque")}
+    recording = replace(twelve, **arrays, external_torque=None, signals={})
+    some = np.arange(len(recording))
+    short = {name: values[: int(5.5 * hz)] for name, values in arrays.items()}
+    typed = Corrections(angle_unit="deg", gauge=True, swap_valves=True, delay_pressure=0.05, encoder_zero=0.1)
+    for changes in (
+        short,
+        {"angle": None}, {"torque": None}, {"angle": None, "torque": None},
+        {"pressure": np.full((len(some), 2), 3e5)}, {"voltage": np.full((len(some), 2), 5.0)},
+        {"pressure": np.random.default_rng(1).uniform(1e5, 7e5, (len(some), 2))},
+        {"pressure": np.where(some[:, None] % 2, np.nan, arrays["pressure"])},
+        {"angle": np.where(some % 3, np.nan, arrays["angle"]), "torque": 1e9 * arrays["torque"]},
+    ):  # fmt: skip
+        for given in (Corrections(), typed):
+            texts = [
+                item.text for item in check_recording(replace(recording, **changes), rig, joint, typed=given).findings
+            ]
+            assert texts and not [text for text in texts if re.search(r"\bnan\b|\binf\b", text)]
