@@ -79,7 +79,8 @@ def _main(arguments: argparse.Namespace) -> int:
     if arguments.json != "-" and (rests_on := next(iter(results.values())).assumption) is not None:
         print(f"\n{terminal.render(in_first_lines(rests_on))}")
     if arguments.json != "-" and not any(checked.wrong for checked in results.values()):
-        print(f"\n{common.next_command('replay', arguments.bags, f'--rig {arguments.rig} --out DIR')}")
+        options = " ".join([f"--rig {arguments.rig} --out DIR", *from_options(arguments).options()])
+        print(f"\n{common.next_command('replay', arguments.bags, options)}")
     if arguments.json:
         content = {bag: checked.as_dict() for bag, checked in results.items()}
         common.give_json(arguments.json, dumps(content) + "\n")
