@@ -356,5 +356,5 @@ def _sealed(
         needed = ((), ("--gauge",)) if typed.gauge else (("--gauge",), ())
         return [Finding("wrong", text, *needed), *found], replace(now, gauge=not typed.gauge)
     text = f"the pressures are {offset[0] / 1e3:+.1f} and {offset[1] / 1e3:+.1f} kPa off the charge in the rig file"
-    status: wiring.Status = "good" if np.max(np.abs(offset)) < wiring.FAR_OFF else "doubtful"
-    return [*found, Finding(status, f"{text} ({wiring.FAR_OFF / 1e3:.0f} at most)")], now
+    status: wiring.Status = "good" if np.max(np.abs(offset)) < wiring.NEAR else "doubtful"
+    return [*found, Finding(status, f"{text} ({wiring.NEAR / 1e3:.0f} at most)")], now
