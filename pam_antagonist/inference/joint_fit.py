@@ -27,8 +27,6 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _ROUNDS = 4
-_DETERMINED = 0.5
-"""The data determine a parameter if its posterior is narrower than this share of the prior."""
 _NEAR = 0.15
 """Derivatives are used again within this distance, in standard deviations of the prior."""
 _LEAST_NOISE = {ANGLE: 1e-5, TORQUE: 1e-4, PRESSURE_1: 10.0, PRESSURE_2: 10.0}
@@ -53,6 +51,7 @@ class JointFit:
         spread: relative spread of the trials about their common values in each direction (G,); None if they share all
             parameters.
         evidence_gain: gain in log evidence of this spread over no spread.
+        step: what is left to the optimum by the derivatives at the fit (size,); about 0 if the search arrived there.
     """
 
     problem: JointProblem
@@ -63,6 +62,7 @@ class JointFit:
     cost: float
     spread: Floats | None = None
     evidence_gain: float = 0.0
+    step: Floats | None = None
 
     @property
     def covariance(self) -> Floats:
@@ -102,12 +102,6 @@ class JointFit:
     def _named(self, covariance: Floats) -> dict[str, float]:
         deviations = np.sqrt(np.diag(covariance))
         return {item.name: item.prior_std * float(s) for item, s in zip(self.problem.free, deviations, strict=True)}
-
-    @property
-    def determined(self) -> dict[str, bool]:
-        """Whether the data determine each parameter; if not, it stays near its prior."""
-        deviations = np.sqrt(np.diag(self.covariance))
-        return {item.name: bool(s < _DETERMINED) for item, s in zip(self.problem.free, deviations, strict=True)}
 
     @property
     def correlation(self) -> Floats:
@@ -162,16 +156,10 @@ def joint_fit(
             progress(f"round {number + 1} of {rounds}")
     # The covariance needs exact derivatives at the solution.
     parts, memory = _locals(problem, theta, problem.residuals(theta), weights, _Slopes(exact=True))
-    information, _ = problem.arrow(parts).whole()
+    information, pull = problem.arrow(parts).whole()
+    full = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return JointFit(
-        problem,
-        theta,
-        np.asarray(np.linalg.inv(information), dtype=np.float64),
-        tuple(weights),
-        tuple(memory),
-        cost,
-        spread,
-        gain,
+        problem, theta, full, tuple(weights), tuple(memory), cost, spread, gain, np.asarray(full @ pull - theta)
     )
 
 

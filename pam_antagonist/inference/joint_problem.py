@@ -114,8 +114,8 @@ class JointProblem:
         return Arrow.of(parts, self.between, len(self.free))
 
     def values(self, theta: Floats) -> dict[str, float]:
-        """Parameter values at a fitted vector, or at the local values of a trial."""
-        return {item.name: item.start + item.prior_std * float(t) for item, t in zip(self.free, theta, strict=False)}
+        """Parameter values at a fitted vector, or at the local values of a trial, within their bounds."""
+        return {item.name: item.value(float(t)) for item, t in zip(self.free, theta, strict=False)}
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Lowest and highest fitted vector."""
@@ -156,6 +156,18 @@ class JointProblem:
             trial.blocks((values - trial.measured)[:, self.counted(trial)])
             for trial, values in zip(self.trials, predicted, strict=True)
         ]
+
+    def changes(self, theta: Floats, others: Sequence[Floats], index: int) -> list[Floats]:
+        """Changes of a trial's :meth:`residuals` from one fitted vector to others.
+
+        Args:
+            theta: fitted vector (size,).
+            others: other vectors.
+            index: of the trial.
+        """
+        trial = self.trials[index]
+        base, *moved = self._means_each([self.local(one, index) for one in (theta, *others)], index, trial)
+        return [(one - base)[:, self.counted(trial)] for one in moved]
 
     def local_jacobians(self, theta: Floats, exact: bool = False) -> list[Floats]:
         """:meth:`local_jacobian` of every trial at a fitted vector (size,)."""

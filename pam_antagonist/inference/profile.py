@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 _POSITIONS = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0])
 """Values of a shared parameter, in standard errors from the best one."""
+_FAR = 2.0
+"""Distance in standard errors at which the rise of the posterior is compared with the parabola."""
 _STEPS = 2
 _FRACTIONS = (0.0, 0.5)
 """Values of an effect's size, as shares of the best one; at these it must lose likelihood to count as determined."""
@@ -77,6 +79,28 @@ class Profile:
                 return float(self.value[k] + share * (self.value[k + side] - self.value[k]))
             k += side
         return None
+
+
+def rises(found: JointFit) -> Floats:
+    """Loss of the log posterior two standard errors below and above each parameter's value (F, 2); a parabola has 2.
+
+    The other parameters follow along the ridge of the posterior.
+
+    Args:
+        found: the fit.
+    """
+    problem, count = found.problem, len(found.problem.free)
+    std = np.sqrt(np.diag(found.full))[:count]
+    ridge = (found.full[:, :count] / std).T
+    moved = [found.theta + side * _FAR * way for way in ridge for side in (-1.0, 1.0)]
+    base = problem.residuals(found.theta)
+    out = np.array([0.5 * float(theta @ theta - found.theta @ found.theta) for theta in moved])
+    for index, (residual, weight, memory) in enumerate(zip(base, found.weights, found.memory, strict=True)):
+        scale = weight * np.sqrt(memory)
+        before = float(np.sum(weighted(residual, scale) ** 2))
+        for k, change in enumerate(problem.changes(found.theta, moved, index)):
+            out[k] += 0.5 * (float(np.sum(weighted(residual + change, scale) ** 2)) - before)
+    return np.where(np.isfinite(out), out, np.inf).reshape(count, 2)
 
 
 def shared_profiles(

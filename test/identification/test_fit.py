@@ -11,6 +11,7 @@ import pytest
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.balance import fit_force_map
 from pam_antagonist.identification.stages import run_stages
+from pam_antagonist.inference.determined import evidence
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.free_run import Run, predict, start_of
 from pam_antagonist.inference.joint_fit import joint_fit
@@ -62,7 +63,7 @@ def test_true_parameters_come_back_with_error_bars_of_the_right_size() -> None:
     deviations = []
     for seed in (1, 3):
         found = joint_fit(problem(seed=seed), rounds=3)
-        assert all(found.determined.values())
+        assert all(item.determined for item in evidence(found, found).values())
         for name, true in TRUE.items():
             assert found.values[name] == pytest.approx(true, rel=2e-3)
             deviations.append((found.values[name] - true) / found.std[name])
@@ -74,7 +75,10 @@ def test_a_parameter_that_the_recordings_do_not_tell_stays_at_its_prior() -> Non
     chosen = [item for item in free_parameters(RIG) if item.name in ("friction.shaft", "valve_1.inflow_area")]
     locked = [trial for trial in trials(1) if trial.joint == "locked"]
     found = joint_fit(JointProblem(RIG, locked, chosen), rounds=2)
-    assert found.determined == {"valve_1.inflow_area": True, "friction.shaft": False}
+    known = evidence(found, found)
+    assert {name: item.reason for name, item in known.items()} == {
+        "valve_1.inflow_area": "", "friction.shaft": "stays near its prior"
+    }  # fmt: skip
     assert found.values["friction.shaft"] == pytest.approx(RIG.friction.shaft, rel=1e-6)
     assert found.std["friction.shaft"] == pytest.approx(0.05 * RIG.friction.shaft, rel=0.01)
 
