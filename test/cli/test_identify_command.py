@@ -179,7 +179,7 @@ def test_a_rejected_rig_is_said_first_and_nothing_proposes_it(
     first = " ".join(shown.partition("\n\n")[0].split())
     assert first.startswith("Do not use this rig: the search ended at a bound of valve_1.outflow_area (0.0777")
     assert {path.name for path in out.iterdir()} == {"rig_rejected.yaml", "report.html", "report.json"}
-    assert "rig:" not in shown and "rig_rejected" not in shown and f"--rig {rig}" in shown.partition("next:")[2]
+    assert "\nrig:" not in shown and "rig_rejected" not in shown and f"--rig {rig}" in shown.partition("next:")[2]
     (only,) = report(out)["parameters"]
     assert report(out)["rejected"] in first and not only["determined"] and only["reason"] == "met a bound"
     assert load_rig(out / "rig_rejected.yaml").valve_1.outflow_area == only["bound"]
