@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.inference.joint_problem import JointProblem
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.normal_equations import Local, weighted
@@ -140,6 +140,7 @@ def joint_fit(
     theta = np.zeros(problem.size)
     if start is not None:
         theta[: len(problem.free)] = start[: len(problem.free)]
+    theta = _simulated(problem, theta)
     weights = _first_weights(problem)
     cost, gain, slopes = np.inf, 0.0, _Slopes()
     for number in range(rounds):
@@ -160,6 +161,26 @@ def joint_fit(
     full = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return JointFit(
         problem, theta, full, tuple(weights), tuple(memory), cost, spread, gain, np.asarray(full @ pull - theta)
+    )
+
+
+def _simulated(problem: JointProblem, theta: Floats) -> Floats:
+    """A vector to start from at which no simulation diverges: the given one, or else the rig file's values.
+
+    Raises:
+        NoResult: the model diverges with both.
+    """
+    for start in (theta, np.zeros(problem.size)):
+        lost = [
+            trial.name
+            for trial, part in zip(problem.trials, problem.residuals(start), strict=True)
+            if np.isinf(part).any()
+        ]
+        if not lost:
+            return start
+    raise NoResult(
+        f"{lost[0]}: the model with the values of rig {problem.rig.name} diverges, so nothing can be fitted; expected "
+        "values near those of the joint (joint.stop, joint.inertia, the muscles' forces)"
     )
 
 
@@ -193,7 +214,10 @@ def _minimise(
     """
 
     def evaluate(t: Floats) -> Evaluated:
-        parts = [weighted(part, weight) for part, weight in zip(problem.residuals(t), weights, strict=True)]
+        residuals = problem.residuals(t)
+        if any(np.isinf(part).any() for part in residuals):
+            return Evaluated(np.inf, lambda renew: (np.eye(len(t)), np.zeros(len(t))))
+        parts = [weighted(part, weight) for part, weight in zip(residuals, weights, strict=True)]
         sums = [float(np.sum(2.0 * np.sqrt(1.0 + part**2) - 2.0 if robust else part**2)) for part in parts]
 
         def equations(renew: bool) -> tuple[Floats, Floats]:

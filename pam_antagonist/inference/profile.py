@@ -99,8 +99,9 @@ def rises(found: JointFit) -> Floats:
         scale = weight * np.sqrt(memory)
         before = float(np.sum(weighted(residual, scale) ** 2))
         for k, change in enumerate(problem.changes(found.theta, moved, index)):
-            out[k] += 0.5 * (float(np.sum(weighted(residual + change, scale) ** 2)) - before)
-    return np.where(np.isfinite(out), out, np.inf).reshape(count, 2)
+            lost = np.isinf(change).any()
+            out[k] += np.inf if lost else 0.5 * (float(np.sum(weighted(residual + change, scale) ** 2)) - before)
+    return out.reshape(count, 2)
 
 
 def shared_profiles(
@@ -126,7 +127,10 @@ def shared_profiles(
     place = {item.name: k for k, item in enumerate(problem.free)}
 
     def residuals(theta: Floats) -> tuple[list[Floats], float]:
-        parts = [weighted(r, w) for r, w in zip(problem.residuals(theta), weights, strict=True)]
+        parts = problem.residuals(theta)
+        if any(np.isinf(part).any() for part in parts):
+            return [np.zeros(part.size) for part in parts], np.inf
+        parts = [weighted(r, w) for r, w in zip(parts, weights, strict=True)]
         return parts, 0.5 * (sum(float(part @ part) for part in parts) + float(theta @ theta))
 
     def gradient(theta: Floats, parts: Sequence[Floats]) -> Floats:

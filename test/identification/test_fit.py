@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.identification.balance import fit_force_map
 from pam_antagonist.identification.stages import run_stages
 from pam_antagonist.inference.determined import evidence
@@ -81,6 +81,21 @@ def test_a_parameter_that_the_recordings_do_not_tell_stays_at_its_prior() -> Non
     }  # fmt: skip
     assert found.values["friction.shaft"] == pytest.approx(RIG.friction.shaft, rel=1e-6)
     assert found.std["friction.shaft"] == pytest.approx(0.05 * RIG.friction.shaft, rel=0.01)
+
+
+def test_a_diverged_simulation_has_no_residual_that_is_a_number() -> None:
+    """A pulley without stop or friction, muscles that pull less the longer they are: the joint turns without end."""
+    force = RIG.muscle_1.force.replaced(w1=-1e5)
+    muscle = RIG.muscle_1.replaced(force=force)
+    pulley, joint = RIG.geometry.replaced(kind="pulley"), RIG.joint.replaced(stop=None)
+    friction = RIG.friction.replaced(shaft=0.0, muscle=0.0)
+    lost = RIG.replaced(geometry=pulley, joint=joint, muscle_1=muscle, muscle_2=muscle, friction=friction)
+    task = problem(lost)
+    free, locked = task.residuals(np.zeros(task.size))
+    assert np.isinf(free).all() and np.isfinite(locked).all()
+    assert np.isfinite(task.local_jacobians(np.zeros(task.size))[0]).all()
+    with pytest.raises(NoResult, match="free: the model with the values of rig shin2022 diverges"):
+        joint_fit(task)
 
 
 def test_the_jacobian_is_the_slope_of_the_residuals() -> None:
