@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput, NoResult
+from pam_antagonist.errors import NoResult
 from pam_antagonist.inference.joint_problem import JointProblem
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.normal_equations import Local, weighted
@@ -369,13 +369,14 @@ def check_same_rig(found: JointFit, ways: tuple[Variation, ...]) -> None:
         ways: the directions, in the order of the fit's.
 
     Raises:
-        BadInput: two recordings differ by more than three standard deviations of the prior.
+        NoResult: two recordings differ by more than three standard deviations of the prior.
     """
     refused = [item for item in differences(found, ways) if item.largest - _CERTAIN * item.std > item.limit]
     if refused:
         worst = max(refused, key=lambda item: item.largest / item.limit)
         low, high = (found.problem.trials[index].name for index in worst.pair)
-        raise BadInput(
-            f"{high} and {low} are not recordings of one rig: {worst.name} differs by {100 * worst.largest:.0f} % "
-            f"(at most {100 * worst.limit:.0f} % is plausible); identify them one by one"
+        raise NoResult(
+            f"{high} and {low} do not fit together: {worst.name} would differ by {100 * worst.largest:.0f} % (at most "
+            f"{100 * worst.limit:.0f} % is plausible). They are of two rigs, or the model lacks an effect, or values "
+            "of the rig file are far off; identify them one by one, or see what close_loop finds"
         )
