@@ -29,7 +29,7 @@ from pam_antagonist.report import identify_document, terminal
 from pam_antagonist.report import identify_sealed as sealed
 from pam_antagonist.report.held_out import Judged, judge
 from pam_antagonist.report.identify_entries import IdentifyReport
-from pam_antagonist.report.identify_findings import lacks_an_effect
+from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
 
@@ -219,7 +219,8 @@ def identify(
     own = tuple(with_known_curves(each, chosen) for each in (found.own if len(read) > 1 else ()))
     identified = with_known_curves(found.tuned.rig, chosen)
     report = numbers.report(read, found, judged, refusal(identified))
-    return IdentifyResult(identified, own, found.warnings, report, found, tuple(judged), tuple(read), seed)
+    warnings = (*([do_not_use(report.rejected)] if report.rejected else []), *found.warnings)
+    return IdentifyResult(identified, own, warnings, report, found, tuple(judged), tuple(read), seed)
 
 
 def _sealed(

@@ -27,6 +27,8 @@ _NARROWED = 0.5
 _NORMAL = 1.96
 _PARABOLA = 2.0
 """Rise of the loss at two standard errors by the standard error alone."""
+_AT = 1e-6
+"""Distance from a bound, in standard deviations of the prior, that only rounding makes."""
 _FLAT = 0.5
 """A profile is flatter than the standard error says if it rises by less than this share of the parabola."""
 _FAR = 3.0
@@ -110,7 +112,7 @@ def evidence(found: JointFit, inner: JointFit, profiles: tuple[Profile, ...] = (
         if name in drawn:
             profile = drawn[name]
             moves.append(abs(float(profile.value[int(np.argmin(profile.loss))]) - values[name]))
-        met = [bound for bound in (item.low, item.high) if math.isfinite(bound) and values[name] == bound]
+        met = [bound for bound in (item.low, item.high) if abs(values[name] - bound) <= _AT * item.prior_std]
         out[name] = Evidence(
             values[name],
             item.start,
