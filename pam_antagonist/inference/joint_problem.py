@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.free_parameters import FreeParameter
-from pam_antagonist.inference.free_run import Run, predict, predict_each
+from pam_antagonist.inference.free_run import SANE, Run, predict, predict_each
 from pam_antagonist.inference.long_steps import stride_blocks
 from pam_antagonist.inference.normal_equations import Arrow, Local
 from pam_antagonist.inference.threads import side_by_side
@@ -34,8 +34,6 @@ _STEP = 0.02
 """Step of the central differences in standard deviations of the prior."""
 _FORCE_STEP = 1e-3
 """Relative change of the force by a step of a map's coefficients."""
-_SANE = 1e12
-"""Largest number of a model's course, in SI units; a simulation with larger ones, or with none, has diverged."""
 _RANGE = 0.35
 """[rad] Largest angle, to either side, at which the maps are evaluated."""
 
@@ -247,7 +245,7 @@ def diverged(values: Floats) -> bool:
     Args:
         values: of it, in SI units.
     """
-    return not bool(np.all(np.abs(values) < _SANE))
+    return not bool(np.all(np.abs(values) < SANE))
 
 
 def step_directions(rig: Rig, free: Sequence[FreeParameter]) -> Floats:

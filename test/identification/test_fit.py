@@ -94,6 +94,8 @@ def test_a_diverged_simulation_has_no_residual_that_is_a_number() -> None:
     free, locked = task.residuals(np.zeros(task.size))
     assert np.isinf(free).all() and np.isfinite(locked).all()
     assert np.isfinite(task.local_jacobians(np.zeros(task.size))[0]).all()
+    experiment = task.experiments[0]
+    assert (np.abs(experiment.residual(experiment.origin)) > 100.0 * experiment.noise).all()
     with pytest.raises(NoResult, match="free: the model with the values of rig shin2022 diverges"):
         joint_fit(task)
 
