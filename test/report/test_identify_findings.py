@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.report import identify_findings
+from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.report import identify_episodes, identify_findings
 from pam_antagonist.report.held_out import HeldOut
+from pam_antagonist.rig import load_rig
 
 
 def held_out(before: float, now: float, alone: tuple[float, float] = (1.0, 1.0), nis: float = 2.0) -> Any:
@@ -72,3 +74,14 @@ def test_a_filter_that_is_worse_than_the_model_alone_is_a_warning() -> None:
     (found,) = identify_findings._against_model(held_out(9.0, 8.4, (3.0, 2.6)))
     assert found.status == "warn" and "8.4°" in found.text and "2.6°" in found.text
     assert identify_findings._against_model(held_out(9.0, 2.6, (3.0, 2.6))) == []
+
+
+@pytest.mark.parametrize(("later", "said"), [(0.5, ""), (1.1, ""), (1.5, "on later episodes is 1.50°, with the rig")])
+def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: str) -> None:
+    errors = {name: (Interval(value, 0.0, 9.0),) * 2 for name, value in (("as configured", 1.0), ("identified", later))}
+    rig = load_rig("shin2022_regulators", regulators=True)
+    found: Any = SimpleNamespace(rig=rig, errors=errors)
+    rejected = identify_episodes.rejection(found)
+    assert said in rejected and bool(rejected) == bool(said)
+    found.rig = rig.replaced(joint=rig.joint.replaced(inertia=-1.0))
+    assert "impossible (joint.inertia" in identify_episodes.rejection(found)
