@@ -16,6 +16,7 @@ from pam_antagonist.inference.determined import Evidence
         (Evidence(0.20, 0.20, 0.01, 0.0099), "stays near its prior"),
         # A curvature that is ever so certain: fewer data lead elsewhere.
         (Evidence(701.34e3, 701.3e3, 7e3, 70.0, moves=3.7e3), "depends on the part that is fitted"),
+        (Evidence(701.34e3, 701.3e3, 7e3, 70.0, misfit=3.7e3), "errors of the model may have moved it"),
         (Evidence(-8.8, 2000.0, 5000.0, 301.0), "uncertain by more than its value"),
         (Evidence(0.31, 0.20, 0.06, 0.045), "moved, but uncertain"),
         (Evidence(0.31, 0.20, 0.06, 1e-4, rise=-0.3), "flat profile"),
