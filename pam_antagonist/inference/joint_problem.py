@@ -169,7 +169,7 @@ class JointProblem:
 
         Args:
             theta: fitted vector (size,).
-            others: other vectors.
+            others: other vectors (size,).
             index: of the trial.
         """
         trial = self.trials[index]
@@ -243,7 +243,7 @@ def diverged(values: Floats) -> bool:
     """Whether a simulation has left all numbers that a joint can have.
 
     Args:
-        values: of it, in SI units.
+        values: of it, in SI units (N, C).
     """
     return not bool(np.all(np.abs(values) < SANE))
 

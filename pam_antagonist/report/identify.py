@@ -92,6 +92,7 @@ def _parameters(found: Identified) -> tuple[ParameterEntry, ...]:
             relative(values[item.name], item.start),
             item.prior_std,
             known[item.name].moves,
+            known[item.name].misfit,
             known[item.name].bound,
             known[item.name].determined,
             known[item.name].reason,

@@ -24,6 +24,7 @@ class ParameterEntry:
         relative_change: of the value.
         prior_std: standard deviation of the prior.
         moves: how far the optimum moves beyond what the standard deviation explains.
+        misfit: how far errors of the model may have moved the value at worst.
         bound: bound of the search that the value met; None for none.
         determined: whether the recordings determine the parameter.
         reason: why they do not; empty where they do.
@@ -40,6 +41,7 @@ class ParameterEntry:
     relative_change: float
     prior_std: float
     moves: float
+    misfit: float
     bound: float | None
     determined: bool
     reason: str

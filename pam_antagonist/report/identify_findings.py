@@ -55,7 +55,8 @@ DEFINITIONS = (
         "Determined",
         "The value met no bound and does not contradict its prior, and the likelihood falls on both sides of it. Its "
         "error is less than half of the prior's standard deviation, and its 95 % interval does not contain 0. The "
-        "error is the standard error, and what the value moves to the optimum or where fewer data are fitted.",
+        "error is the standard error, what the value moves to the optimum or where fewer data are fitted, and what "
+        "errors of the model may have moved it.",
     ),
     (
         "Profile",
