@@ -42,7 +42,7 @@ def write_rig(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
     except BadInput as error:
         path.unlink()
         raise RefusedRig(str(error).removeprefix(f"{path}: ")) from None
-    if again != rig:
+    if _model(again, 0) != _model(rig, 0):
         path.unlink()
         raise RefusedRig(f"rig {rig.name}: its file would not hold the same numbers")
 

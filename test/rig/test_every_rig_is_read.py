@@ -119,7 +119,8 @@ def test_a_rig_that_its_reader_refuses_is_not_written(
 
 
 def test_a_number_of_numpy_is_written_as_a_number(rig: Rig, tmp_path: Path) -> None:
-    found = rig.replaced(joint=rig.joint.replaced(inertia=np.float64(5e-4)))
+    tuning = rig.tuning("default").replaced(process=list(rig.tuning("default").process))
+    found = rig.replaced(joint=rig.joint.replaced(inertia=np.float64(5e-4)), tunings={"default": tuning})
     write_rig(found, tmp_path / "rig.yaml")
     assert load_rig(tmp_path / "rig.yaml").joint.inertia == 5e-4
 
