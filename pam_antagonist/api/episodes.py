@@ -22,7 +22,7 @@ from pam_antagonist.report import episodes as diagnosis_report
 from pam_antagonist.report import html, terminal
 from pam_antagonist.report import identify_episodes as identify_report
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.write import write_rig, write_unread
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -61,12 +61,17 @@ class EpisodesIdentifyResult:
         """The numbers of ``report.json``."""
         return identify_report.numbers(self.found, self.hashes[0])
 
+    @property
+    def rejected(self) -> str:
+        """Why the identified rig should not be used, in a sentence; empty if it may."""
+        return identify_report.rejection(self.found)
+
     def summary(self) -> str:
         """The tables that the command prints."""
         return terminal.render(identify_report.summary(self.found, self.joint))
 
     def save(self, path: str | Path, figures: bool = True) -> Path:
-        """Write ``rig.yaml``, ``report.html`` and ``report.json``.
+        """Write ``rig.yaml``, ``report.html`` and ``report.json``; a rejected rig as ``rig_rejected.yaml``.
 
         Args:
             path: of a new folder.
@@ -81,7 +86,10 @@ class EpisodesIdentifyResult:
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {self.found.counts[0]} episodes of "
         with output_folder(Path(path)) as folder:
             html.write(folder, identify_report.document(self.found, self.joint, self.hashes[0]), self.report)
-            write_rig(self.rig, folder / "rig.yaml", [f"{remark}{self.joint.name}."])
+            if self.rejected:
+                write_unread(self.rig, folder / "rig_rejected.yaml", [f"{remark}{self.joint.name}.", self.rejected])
+            else:
+                write_rig(self.rig, folder / "rig.yaml", [f"{remark}{self.joint.name}."])
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:

@@ -205,6 +205,8 @@ class Commission:
             # An effect that acts on the free joint only lets both recordings look like two joints.
             return {"said": f"not identified, since the model does not fit ({error}); close_loop looks for the reason"}
         result.save(self._record.result("identified"), figures=False)
+        if result.rejected:
+            return {"said": f"the identified rig is not used: {result.rejected}", "warnings": list(result.warnings)}
         return {
             "said": f"{len(result.rig.directions)} uncertain directions are left",
             "warnings": list(result.warnings),

@@ -23,7 +23,7 @@ from typing import NoReturn
 
 from typing_extensions import override
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.optional import available, install
 from pam_antagonist.output import check_output, output_folder
 from pam_antagonist.program import program, typed
@@ -101,7 +101,7 @@ def ended(work: Callable[[], int]) -> int:
     except BadInput as error:
         # One line, whatever a file name may contain.
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return BAD_INPUT
+        return FAILED if isinstance(error, NoResult) else BAD_INPUT
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:

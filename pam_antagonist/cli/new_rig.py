@@ -12,7 +12,6 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli.rig_questions import OWN, QUESTIONS, Question, condition
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
-from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.new import Facts, starting_point
 from pam_antagonist.rig.parts import (
     MusclePart,
@@ -75,7 +74,6 @@ def _main(arguments: argparse.Namespace) -> int:
         write_rig(rig, path, _remarks(facts, assumed))
     except OSError as error:
         raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from None
-    load_rig(path, regulators=True)
     print(f"rig: {path}\n")
     print("Look at its head: it says what was measured and what is assumed. Then record and identify:")
     for words in ("record --out free_bag", f"check free_bag --rig {path}"):

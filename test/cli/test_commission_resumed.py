@@ -70,7 +70,9 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
     monkeypatch.setattr(
         commission_steps, "told_apart", lambda *given, **k: Verdict(short(), 0.97, {"valve_offset": 0.97})
     )
-    monkeypatch.setattr("pam_antagonist.api.identify.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=()))
+    monkeypatch.setattr(
+        "pam_antagonist.api.identify.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=(), rejected="")
+    )
     monkeypatch.setattr("pam_antagonist.api.diagnose.diagnose", diagnose)
     return out
 
