@@ -25,6 +25,8 @@ from pam_antagonist.paths import config_dir
 from pam_antagonist.program import typed
 
 if TYPE_CHECKING:
+    from rclpy.node import Node
+
     from pam_antagonist.nodes.node import PamNode
 
 PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
@@ -149,6 +151,8 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
                 return 0  # the signal was raised in a callback of the compiler, which failed with another error
             if secured() and "secur" in str(error).lower():
                 raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
+            if type(error).__name__ == "RCLError":  # by the environment or the arguments: none of this package's
+                raise BadInput(f"{name}: {_first_sentence(error)}") from None
             raise
         if alone:
             node.get_logger().info("discovery is limited to this machine (ROS_AUTOMATIC_DISCOVERY_RANGE)")
@@ -181,6 +185,30 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
     except Exception as error:
         raise BadInput(f"{name}: {_first_sentence(error)}") from None
     return options(left)
+
+
+def client_node(name: str, namespace: str) -> Node:
+    """A node of a command, in a context of its own; signals are left to the command.
+
+    Args:
+        name: of the node.
+        namespace: of the joint.
+
+    Raises:
+        BadInput: ROS 2 cannot be initialised, for example because of its environment variables.
+    """
+    import rclpy
+    from rclpy.node import Node
+    from rclpy.signals import SignalHandlerOptions
+
+    stay_on_this_machine()
+    tune_middleware()
+    context = rclpy.Context()
+    try:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        return Node(name, namespace=namespace, context=context, start_parameter_services=False)
+    except Exception as error:
+        raise BadInput(f"ROS 2 does not start: {_first_sentence(error)}") from None
 
 
 def _first_sentence(error: BaseException) -> str:
