@@ -22,7 +22,7 @@ from pam_antagonist.nodes.network import RANGE, local_only, secured, stay_on_thi
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.paths import config_dir
-from pam_antagonist.program import typed
+from pam_antagonist.program import piped, typed
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -100,15 +100,19 @@ def run_node(
         Exit status: 0, or 2 after bad input or without ROS, with an error message of one line.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if "--help" in arguments or "-h" in arguments:
-        print(usage(name, description, table))
-        return 0
-    try:
-        check(arguments)
-        return _run(create, arguments, name, options)
-    except BadInput as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+
+    def work() -> int:
+        if "--help" in arguments or "-h" in arguments:
+            print(usage(name, description, table))
+            return 0
+        try:
+            check(arguments)
+            return _run(create, arguments, name, options)
+        except BadInput as error:
+            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+            return 2
+
+    return piped(work)
 
 
 def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
