@@ -15,7 +15,7 @@ from pam_antagonist.nodes import controller, plant
 from pam_antagonist.nodes.parameters import Parameter, by_rig
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import angle_range
-from pam_antagonist.safety import EstimateSupervision
+from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
 
@@ -81,6 +81,24 @@ def test_of_another_joint_they_are_those_of_its_file(name: str, rigs: dict[str, 
             sample = still.step(tuple(source["safe_voltage"]))
         assert sample.pressure == pytest.approx((first, second), rel=0.03), "the safe voltages keep the pressures"
         assert excitation.for_rig(rig, "paper", 4.0)[0, 0] == pytest.approx(source["safe_voltage"][0], abs=0.3)
+
+
+def test_the_valves_of_a_slow_rig_may_follow_a_sample_behind() -> None:
+    """At 50 Hz a ramp of the command over four samples is no disobedience; a command that is ignored is one."""
+    period, following = 0.02, Following((400e3, 400e3), 25e3, 0.02)
+    said = []
+    for look in range(4 * 40):
+        now, sample = round(look * period / 4 * 1e9), look // 4
+        command, valves = (400e3 + 30e3 * min(max(k, 0), 4) for k in (sample, sample - 1))
+        following.saw((valves, valves), now)
+        said.append(following.astray((command, command), now))
+    assert not any(said)
+    late = [following.astray((700e3, 700e3), round((1.0 + 0.005 * k) * 1e9)) for k in range(40)]
+    assert not any(late), "valves that were not heard of for long are not known"
+    for k in range(40):
+        following.saw((400e3, 400e3), round((2.0 + 0.005 * k) * 1e9))
+        late.append(following.astray((700e3, 700e3), round((2.0 + 0.005 * k) * 1e9)))
+    assert any(late)
 
 
 def test_what_was_given_is_not_changed(rigs: dict[str, Rig]) -> None:
