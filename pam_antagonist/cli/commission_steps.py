@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,13 +16,12 @@ import yaml
 from numpy.typing import NDArray
 
 from pam_antagonist.cli.commission_record import Record
-from pam_antagonist.cli.driving import Driven, Owner, drive, limits_of, stay_apart, write_plan
+from pam_antagonist.cli.driving import Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Plan, designed
 from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
 from pam_antagonist.design.first_fill import dead_sensors, faults, first_fill, turns_visibly
 from pam_antagonist.design.loop_gains import loop_gains
-from pam_antagonist.design.optimal import steady_voltage
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE
@@ -31,6 +29,7 @@ from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report.commission import Step, write_report
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.limits import steady_voltage
 
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
@@ -81,9 +80,9 @@ class Commission:
             return
         from pam_antagonist.nodes.announcer import Announcer
 
-        stay_apart(self._owner)
-        domain = os.environ.get("ROS_DOMAIN_ID", "0")
-        print(f"to watch it in the browser: ROS_DOMAIN_ID={domain} {typed('watch')}", flush=True)
+        if self._owner.source != "none":
+            stay_apart()
+        print(how_to_watch(), flush=True)
         with Announcer("commission") as announcer:
             self._say = announcer.say
             yield
@@ -106,8 +105,9 @@ class Commission:
         begin = time.monotonic()
         try:
             result = getattr(self, f"_{name}")()
-        except StepFailed as fault:
-            self._record.steps[name] = {"done": False, "said": str(fault), "seconds": time.monotonic() - begin}
+        except (Exception, KeyboardInterrupt) as fault:
+            said = "interrupted" if isinstance(fault, KeyboardInterrupt) else str(fault) or type(fault).__name__
+            self._record.steps[name] = {"done": False, "said": said, "seconds": time.monotonic() - begin}
             self._record.keep()
             raise
         self._record.steps[name] = {"done": True, "seconds": time.monotonic() - begin, **result}
@@ -302,4 +302,10 @@ class Commission:
             Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0))
             for name, one in self._record.steps.items()
         ]
-        write_report(self._out, self._rig, steps, typed(f"commission --rig {self._arguments.rig} --out {self._out}"))
+        left = [name for name in STEPS if name not in self._record.steps and not self.left_out(name)]
+        command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
+        write_report(self._out, self._rig, steps, command, left)
+
+    def left_out(self, name: str) -> bool:
+        """Whether a step is left out, by the arguments."""
+        return name == "locked" and bool(self._arguments.no_lock)
