@@ -32,7 +32,7 @@ from pam_antagonist.inference.trial import TORQUE, Trial, check, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import random_part
 from pam_antagonist.recording import Recording, bag_name
-from pam_antagonist.recording.joint import joint_condition
+from pam_antagonist.recording.joint import joint_condition, refuse_other_condition
 from pam_antagonist.rig import Rig
 
 START = 5.0
@@ -174,8 +174,9 @@ def _valve_driven(
 ) -> Prepared:
     def trial_of(recording: Recording) -> Trial:
         lock = settings.lock_angle if settings.joint == "locked" else None
-        state = joint_condition(recording, settings.joint, lock)
-        return make_trial(recording, rig, state.condition, state.lock_angle, bag_name(recording.path))
+        state, name = joint_condition(recording, settings.joint, lock), bag_name(recording.path)
+        refuse_other_condition(recording, state.condition, name)
+        return make_trial(recording, rig, state.condition, state.lock_angle, name)
 
     trials = [trial_of(recording) for recording in recordings]
     others = [trial_of(recording) for recording in held_out]
