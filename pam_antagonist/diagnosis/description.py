@@ -122,6 +122,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         remaining=remaining,
         unseen=warnings.unseen(_as_judged(prepared, judged), {j.group.name: j.base for j in judged}, jobs),
         warnings=(
+            *prepared.notes,
             *warnings.guessed_curves(judged[0].group.experiments[0].rig, [item.name for item in effects]),
             *(warning for j in judged for warning in j.warnings),
             *warnings.few_sweeps(prepared),

@@ -24,7 +24,7 @@ from pam_antagonist.rig import Rig
 MARGIN = 1.05
 """Errors with a smaller ratio count as equal, as in a replay's findings."""
 _HALF = 0.5
-"""Where nothing was explained, the parameters were fitted to anything: such a file has to halve every error."""
+"""Parameters that were fitted without the effect that is there were fitted to anything: every error has to halve."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class RigFile:
         """Whether the file may be proposed.
 
         Args:
-            explained: whether the verdict is an effect or nothing.
+            explained: whether it has what explains the recordings: an effect, or nothing more.
         """
         if self.before is None or self.now is None or self.worse:
             return False
@@ -176,12 +176,13 @@ def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> Ri
     elif common and not explained and not extended.is_better(explained):
         no_common = f"nothing is explained, and the recalibrated rig does not halve every error of {name}"
     common = [file for file in common if not file.worse and not (no_common if file is extended else refusal(file))]
-    proposed = min((f for f in common if f.is_better(explained)), key=lambda file: file.ratio, default=None)
+    better = [file for file in common if file.is_better(explained and file is extended)]
+    proposed = min(better, key=lambda file: file.ratio, default=None)
     own = [file for file in own if not file.worse and not refusal(file)] if explained or not no_common else []
     if proposed is None and no_common:
         shows = {recording for effect in found.effects for recording in effect.recordings}
-        better = (file for file in own if file.is_better(explained))
-        proposed = next((file for file in better if found.by_recording[file.number or 0].recording in shows), None)
+        alone = (file for file in own if file.is_better(explained))
+        proposed = next((file for file in alone if found.by_recording[file.number or 0].recording in shows), None)
     written = [file for file in common if file in (extended, proposed)]
     return RigChoice((*written, *own), proposed, no_common)
 
