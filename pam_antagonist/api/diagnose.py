@@ -63,6 +63,11 @@ class DiagnoseResult(Diagnosis):
         return choose(self, self.start.name, self._refusal)
 
     @property
+    def next_rig(self) -> str | None:
+        """Name of the rig file to use; None: keep the one that there is."""
+        return None if self.choice.proposed is None else self.choice.proposed.name
+
+    @property
     def rig_files(self) -> tuple[str, ...]:
         """Names of the rig files that :meth:`save` writes, those for all recordings first."""
         return tuple(file.name for file in self.choice.files)

@@ -165,7 +165,10 @@ def _of_episodes(arguments: argparse.Namespace, rig: Rig, share: float, recordin
     )  # fmt: skip
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
-    given.announce_output(arguments, "rig_extended.yaml")
+    if found.next_rig is None:
+        common.announce_report(arguments, arguments.out)
+    else:
+        given.announce_output(arguments, found.next_rig)
     return common.DONE
 
 

@@ -223,7 +223,7 @@ class Commission:
             "effects": [effect.name for effect in result.effects],
             "rivals": [rival for rival in result.ambiguous_with if rival in CATALOGUE],
             "folder": name,
-            "rig": result.report.next_rig,
+            "rig": result.next_rig,
         }
 
     def _close_loop(self) -> dict[str, Any]:

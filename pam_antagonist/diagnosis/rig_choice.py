@@ -17,12 +17,11 @@ from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.errors import Errors, RigErrors, total_of
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
 from pam_antagonist.diagnosis.result import MODELS, Diagnosis, HeldOutComparison, RecordingEntry
+from pam_antagonist.diagnosis.thresholds import MARGIN
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
 
-MARGIN = 1.05
-"""Errors with a smaller ratio count as equal, as in a replay's findings."""
 _HALF = 0.5
 """Parameters that were fitted without the effect that is there were fitted to anything: every error has to halve."""
 
