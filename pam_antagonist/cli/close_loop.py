@@ -40,9 +40,9 @@ regulators (drive: regulator) takes such recordings as well, or many short episo
 which whole ones are held out.
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
-recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. A file is left out with which filter
-or model would be worse on held-out data than with the rig given. The last lines name the one file to use next (which
-may be DIR/rig_recalibrated.yaml, without effects), or say that the rig given is the best one.
+recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. A file is left out if it would be
+worse on held-out data than the rig given. The last lines name the one file to use next (it may be
+DIR/rig_recalibrated.yaml, without effects), or say that you keep the rig given.
 Status: 0 done (whatever the verdict), 2 bad input (one line says what and where).
 """
 _EXAMPLES = """\

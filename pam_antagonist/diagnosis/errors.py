@@ -130,18 +130,19 @@ class RigErrors:
         errors, samples = zip(*known, strict=True)
         return cls(model, total_of(errors, samples), errors if len(errors) > 1 else ())
 
-    def larger(self, now: RigErrors, share: float) -> tuple[str, ...]:
+    def larger(self, now: RigErrors, share: float, of_model: float | None = None) -> tuple[str, ...]:
         """Errors with another file that are more than a share of those with this one, in words.
 
         Args:
             now: with the other file.
             share: largest ratio of an error to the one with this file; in a single recording, chance may enlarge it.
+            of_model: the same for errors of the model alone; default: share.
         """
         # An error that is no number is larger than any.
         out = {
             what: (" ", unit, before, after)
             for what, unit, before, after in self._pairs(now)
-            if not after <= share * before
+            if not after <= (share if of_model is None or what.startswith(_FILTER) else of_model) * before
         }
         most = max(share, ESTIMATOR_WORSE)
         for one, other in zip(self.each, now.each, strict=False):

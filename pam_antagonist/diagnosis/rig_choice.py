@@ -1,7 +1,7 @@
 """Which rig files a diagnosis writes, and which one it proposes: as configured, recalibrated or extended.
 
-All are compared on the same held-out data, by the filter and by the model alone. A file with which any error is larger
-than with the user's own file is not written. The best of the others is proposed, if the filter is better with it.
+All are compared on the same held-out data, by the filter and by the model alone. The best one is proposed, if the
+filter is better with it than with the user's own file. One that is worse in anything, and not better, is not written.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.errors import Errors, RigErrors, total_of
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
 from pam_antagonist.diagnosis.result import MODELS, Diagnosis, HeldOutComparison, RecordingEntry
-from pam_antagonist.diagnosis.thresholds import MARGIN
+from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE, MARGIN
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
@@ -65,9 +65,19 @@ class RigFile:
         Args:
             explained: whether it has what explains the recordings: an effect, or nothing more.
         """
-        if self.before is None or self.now is None or self.worse:
+        if self.before is None or self.now is None:
             return False
-        return self.ratio * MARGIN < 1.0 if explained else not self.before.larger(self.now, _HALF)
+        if not explained:
+            return not self.before.larger(self.now, _HALF)
+        return self.ratio * MARGIN < 1.0 and not self.before.larger(self.now, MARGIN, ESTIMATOR_WORSE)
+
+    def is_fit(self, explained: bool) -> bool:
+        """Whether the file may be written: nothing is worse with it, or it is better in all.
+
+        Args:
+            explained: as for :meth:`is_better`.
+        """
+        return not self.worse or self.is_better(explained)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,17 +177,17 @@ def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> Ri
     own = _own(found)
     no_common = _apart(found) if own else ""
     common = [] if no_common else [extended, recalibrated] if found.effects else [extended]
-    if common and extended.worse:
+    if common and not extended.is_fit(explained):
         what = "the recalibrated rig" if not found.effects else "one rig for all recordings" if own else "this rig"
         no_common = f"{what} would be worse than {name} ({'; '.join(extended.worse)})"
     elif common and (why := refusal(extended)):
         no_common = f"no command would read it ({why})"
     elif common and not explained and not extended.is_better(explained):
         no_common = f"nothing is explained, and the recalibrated rig does not halve every error of {name}"
-    common = [file for file in common if not file.worse and not (no_common if file is extended else refusal(file))]
+    common = [file for file in common if not (no_common if file is extended else refusal(file))]
     better = [file for file in common if file.is_better(explained and file is extended)]
     proposed = min(better, key=lambda file: file.ratio, default=None)
-    own = [file for file in own if not file.worse and not refusal(file)] if explained or not no_common else []
+    own = [file for file in own if file.is_fit(explained) and not refusal(file)] if explained or not no_common else []
     if proposed is None and no_common:
         shows = {recording for effect in found.effects for recording in effect.recordings}
         alone = (file for file in own if file.is_better(explained))
