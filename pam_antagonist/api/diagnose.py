@@ -137,8 +137,8 @@ class DiagnoseResult(Diagnosis):
             try:
                 write_rig(self._written(file), Path(folder) / file.name)
                 load_rig(Path(folder) / file.name, regulators=True)
-            except BadInput as error:
-                return str(error).removeprefix(f"{folder}/{file.name}: ")
+            except (BadInput, ValueError) as error:
+                return " ".join(str(error).removeprefix(f"{folder}/{file.name}: ").split())
         return ""
 
 
