@@ -128,6 +128,11 @@ class EpisodesDiagnoseResult:
         return diagnosis_report.verdict(self.found)
 
     @property
+    def next_rig(self) -> str | None:
+        """Name of the rig file to use; None: keep the one that there is."""
+        return "rig_extended.yaml" if self.found.is_better else None
+
+    @property
     def rig_extended(self) -> Rig:
         """The rig with the effects, and the further signals that they need."""
         values = self.joint.values(self.found.model)
@@ -142,7 +147,7 @@ class EpisodesDiagnoseResult:
         return terminal.render(diagnosis_report.summary(self.found, self.joint))
 
     def save(self, path: str | Path, figures: bool = True) -> Path:
-        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
+        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``), if it is the better one.
 
         Args:
             path: of a new folder.
@@ -159,7 +164,8 @@ class EpisodesDiagnoseResult:
             html.write(
                 folder, diagnosis_report.document(self.found, self.joint, self.hashes, figures), self.report
             )  # fmt: skip
-            write_rig(self.rig_extended, folder / "rig_extended.yaml", [about])
+            if self.next_rig is not None:
+                write_rig(self.rig_extended, folder / self.next_rig, [about])
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:

@@ -225,6 +225,7 @@ class Commission:
             "effects": [effect.name for effect in result.effects],
             "rivals": [rival for rival in result.ambiguous_with if rival in CATALOGUE],
             "folder": name,
+            "rig": result.next_rig,
         }
 
     def _close_loop(self) -> dict[str, Any]:
@@ -234,8 +235,10 @@ class Commission:
         before = self._record.steps["close_loop"]
         if not (before["effects"] and before["rivals"]):
             return {"said": "not needed, since no two effects explain the data equally well"}
-        rig = load_rig(str(self._out / "found" / "rig_extended.yaml"))
-        given = rig, before["effects"][0], before["rivals"]
+        found = self._out / "found" / "rig_extended.yaml"
+        if not found.exists():
+            return {"said": "not done, since no rig with the effect is better than the rig given"}
+        given = load_rig(str(found)), before["effects"][0], before["rivals"]
         channels, seed = self._measured(), self._arguments.seed
         self._at("apart", "designing the experiment")
         with counted(60.0, "design") as advance:
@@ -269,7 +272,7 @@ class Commission:
         """
         steps = self._record.steps
         last = steps["apart"] if "folder" in steps["apart"] else steps["close_loop"]
-        extended = self._out / last["folder"] / "rig_extended.yaml"
+        extended = self._out / last["folder"] / (last.get("rig") or "rig_extended.yaml")
         chosen = (
             extended if last["verdict"] == "effect" and extended.exists() else self._out / "identified" / "rig.yaml"
         )

@@ -178,7 +178,13 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
             f"{folder}: {effects[0]} is decided, so no experiment is needed; expected a folder whose report.json "
             "lists effects in ambiguous_with"
         )
-    return load_rig(str(folder / "rig_extended.yaml")), effects[0], rivals
+    extended = folder / "rig_extended.yaml"
+    if not extended.is_file():
+        raise BadInput(
+            f"{extended}: not there, since no rig with the effect was better than the one given; expected a folder of "
+            "close_loop with it"
+        )
+    return load_rig(str(extended)), effects[0], rivals
 
 
 def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path) -> int:
