@@ -145,7 +145,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         Exit status of the executable; 2 for an unknown name.
     """
+    from pam_antagonist.program import piped
+
     arguments = list(sys.argv[1:] if argv is None else argv)
+    return piped(lambda: _main(arguments))
+
+
+def _main(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         print(usage())
         return 0 if arguments else 2
@@ -157,8 +163,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(importlib.import_module("pam_antagonist.cli.completion").main(rest, COMMANDS))
     if name not in COMMANDS:
         close = difflib.get_close_matches(name, COMMANDS, 1)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        print(f"error: unknown command {name!r}: expected one of {', '.join(COMMANDS)}{hint}", file=sys.stderr)
+        hint = f"did you mean {close[0]}? " if close else ""
+        print(f"error: unknown command {name!r}: {hint}Expected one of {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     module, function = COMMANDS[name].target.split(":")
     return int(getattr(importlib.import_module(module), function)(rest) or 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 VARIABLE = "PAM_PROGRAM"
@@ -21,6 +22,29 @@ def program() -> str:
     if path.name == "__main__.py" and path.parent.name == "pam_antagonist":
         return "python -m pam_antagonist"
     return "pam"
+
+
+def piped(work: Callable[[], int]) -> int:
+    """Do some work and flush what it printed; a reader of the output that has gone (``| head``) is no error.
+
+    Args:
+        work: returns an exit status.
+
+    Returns:
+        That status; 0 where the reader had gone.
+    """
+    try:
+        status = work()
+    except BrokenPipeError:
+        status = 0
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            # The interpreter flushes once more at its end, and would complain then.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            status = 0
+    return status
 
 
 def typed(command: str) -> str:

@@ -56,6 +56,22 @@ def test_help_lists_every_executable(checkout: Path) -> None:
     assert not (checkout / ".venv").exists()
 
 
+def test_help_of_the_documentation_builds_nothing(checkout: Path) -> None:
+    for option in ("--help", "-h"):
+        done = start("docs", option, root=checkout)
+        assert done.returncode == 0 and "--build" in done.stdout and not done.stderr
+    done = start("docs", "--bulid", root=checkout)
+    assert done.returncode == 2 and "expected --build" in done.stderr
+    assert not (checkout / ".venv").exists()
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("relpay", "replay"), ("tset", "test"), ("newrig", "new_rig")])
+def test_a_name_with_a_slip_is_answered_with_the_nearest_one(checkout: Path, typed: str, meant: str) -> None:
+    done = start(typed, root=checkout)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert f"did you mean {meant}?" in done.stderr
+
+
 def test_unknown_name_is_refused_before_anything_is_set_up(checkout: Path) -> None:
     done = start("replya", root=checkout)
     assert (done.returncode, done.stdout) == (2, "")

@@ -10,6 +10,7 @@ from pam_antagonist.api.given import Bag, RigGiven, as_rig, calibration
 from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.optional import needs
 from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report.assumption import assumption
 from pam_antagonist.strict_json import write_json
 
@@ -23,7 +24,7 @@ class CheckResult(Checked):
 
     Attributes:
         findings: the worst first.
-        corrections: all corrections that were found.
+        corrections: all corrections that the recording needs, with those that were given and are right.
         joint: ``free`` or ``locked``.
         assumption: the uncertainty that the rig claims; None for an identified one.
     """
@@ -37,10 +38,13 @@ class CheckResult(Checked):
             "joint": self.joint,
             "options": self.corrections.options(),
             "findings": [
-                {"status": finding.status, "text": finding.text, "options": list(finding.options)}
+                {
+                    "status": finding.status, "text": finding.text, "options": list(finding.options),
+                    "leave_out": list(finding.leave_out),
+                }
                 for finding in self.findings
             ],
-        }
+        }  # fmt: skip
 
     def save(self, path: str | Path) -> Path:
         """Write the findings as JSON to a file; returns its path."""
@@ -48,23 +52,31 @@ class CheckResult(Checked):
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:
-        """A row for each finding: ``status``, ``text``, ``options`` (needs pandas)."""
+        """A row for each finding: ``status``, ``text``, ``options``, ``leave_out`` (needs pandas)."""
         with needs("import", "a data frame"):
             import pandas as pd
-        return pd.DataFrame(self.as_dict()["findings"], columns=["status", "text", "options"])
+        return pd.DataFrame(self.as_dict()["findings"], columns=["status", "text", "options", "leave_out"])
 
 
-def check(recording: Bag, rig: RigGiven, joint: str = "auto", lock_angle: float | None = None) -> CheckResult:
+def check(
+    recording: Bag,
+    rig: RigGiven,
+    joint: str = "auto",
+    lock_angle: float | None = None,
+    corrections: Corrections | None = None,
+) -> CheckResult:
     """Compare a recording with the model of its rig, driven by the recorded voltages.
 
     The check finds gauge pressures and other units, exchanged lines or valves, sensors with the wrong sign, delays, and
     recordings of another rig.
 
     Args:
-        recording: a bag, or a recording that was read with ``read_bag(..., judge=False)``.
+        recording: a bag, or a recording that was read with ``read_bag(..., judge=False)`` and without corrections.
         rig: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (detected).
         lock_angle: of a locked joint [rad], where it is known.
+        corrections: that are given for the recording: the check says which of them make it wrong. Default: those of
+            the rig file (``calibration``).
 
     Returns:
         The findings, with command line options that correct them.
@@ -79,7 +91,8 @@ def check(recording: Bag, rig: RigGiven, joint: str = "auto", lock_angle: float 
         ('free', 0)
     """
     configured = as_rig(rig, regulators=True)
-    known = calibration(configured)
-    read = recording if isinstance(recording, Recording) else read_bag(recording, corrections=known, judge=False)
-    found = check_recording(read, configured, joint, lock_angle)
+    given = calibration(configured) if corrections is None else corrections
+    if not isinstance(recording, Recording):
+        recording = read_bag(recording, corrections=Corrections(align_clocks=given.align_clocks), judge=False)
+    found = check_recording(recording, configured, joint, lock_angle, given)
     return CheckResult(found.findings, found.corrections, found.joint, assumption(configured))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from pam_antagonist.api import episodes
@@ -14,6 +16,7 @@ from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig, corre
 from pam_antagonist.diagnosis import Diagnosis, found_calibrations
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.optional import needs
@@ -23,16 +26,12 @@ from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import terminal
 from pam_antagonist.report.close_loop_document import summary, write_report
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.write import write_rig
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-
-_MARGIN = 1.05
-"""Errors with a smaller ratio count as equal, as in a replay's findings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,55 +55,22 @@ class DiagnoseResult(Diagnosis):
     @property
     def report(self) -> numbers.CloseLoopReport:
         """The numbers of ``report.json``."""
-        return numbers.report(
-            self, self.start, self.hashes, self.seed, self.kept, self.typed, self.rig_files, self.no_common_rig
-        )
+        return numbers.report(self, self.start, self.hashes, self.seed, self.kept, self.typed, self.choice)
+
+    @cached_property
+    def choice(self) -> RigChoice:
+        """The rig files that :meth:`save` writes, and the one to use."""
+        return choose(self, self.start.name, self._refusal)
 
     @property
-    def worse(self) -> tuple[str, ...]:
-        """Errors on held-out data that are larger with the rig for all recordings than as configured, in words.
-
-        Tested if nothing was explained, or if one rig must fit several recordings. Such a rig is not written.
-        """
-        if self.errors_of_one_rig is not None:
-            now = self.errors_of_one_rig
-        elif self.verdict == "unexplained":
-            now = self.errors.extended
-        else:
-            return ()
-        before = self.errors.as_configured
-        pairs = [("angle", a.rmse, b.rmse, "°") for a, b in ((before.angle, now.angle),) if a and b]
-        pairs += [("torque", a.rmse, b.rmse, " N m") for a, b in ((before.torque, now.torque),) if a and b]
-        pressures = zip(before.rmse_pa, now.rmse_pa, strict=True)
-        pairs += [(f"pressure {k}", a / 1e3, b / 1e3, " kPa") for k, (a, b) in enumerate(pressures, 1)]
-        return tuple(
-            f"{name} error {b:.3g}{unit}, before {a:.3g}{unit}" for name, a, b, unit in pairs if b > _MARGIN * a
-        )
-
-    @property
-    def no_common_rig(self) -> str:
-        """Why no rig suits all recordings, in a sentence; empty if there is one."""
-        apart = [
-            (one, other)
-            for number, one in enumerate(self.effects)
-            for other in self.effects[number + 1 :]
-            if one.name == other.name and not set(one.recordings) & set(other.recordings)
-        ]
-        if apart and len(self.own) > 1:
-            where = " and ".join(f"on muscle {item.muscle} in {', '.join(item.recordings)}" for item in apart[0])
-            return f"no rig suits all recordings: {apart[0][0].name} is {where}"
-        if not self.worse:
-            return ""
-        what = "the recalibrated rig" if self.verdict == "unexplained" else "one rig for all recordings"
-        return f"{what} would be worse than {self.start.name} ({'; '.join(self.worse)})"
+    def next_rig(self) -> str | None:
+        """Name of the rig file to use; None: keep the one that there is."""
+        return None if self.choice.proposed is None else self.choice.proposed.name
 
     @property
     def rig_files(self) -> tuple[str, ...]:
-        """Names of the rig files that :meth:`save` writes, the one for all recordings first."""
-        if self.no_common_rig and self.verdict == "unexplained":
-            return ()
-        own = [f"rig_extended_{number}.yaml" for number in range(1, len(self.own) + 1)] if len(self.own) > 1 else []
-        return (*([] if self.no_common_rig else ["rig_extended.yaml"]), *own)
+        """Names of the rig files that :meth:`save` writes, those for all recordings first."""
+        return tuple(file.name for file in self.choice.files)
 
     def summary(self) -> str:
         """The tables that the command prints."""
@@ -114,7 +80,7 @@ class DiagnoseResult(Diagnosis):
         """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
 
         With several recordings, it also writes the rig of each (``rig_extended_1.yaml`` ...). A rig that is worse than
-        configured is not written, see :attr:`no_common_rig`.
+        configured on held-out data is not written, see :attr:`choice`.
 
         Args:
             path: of a new folder.
@@ -142,9 +108,6 @@ class DiagnoseResult(Diagnosis):
         ]
         return pd.DataFrame(rows, columns=["effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"])
 
-    def _written(self, rig: Rig, source: str) -> Rig:
-        return _named(with_known_curves(rig, self.start), self.start.name, source)
-
     def _write_rigs(self, folder: Path) -> None:
         about = [
             f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}",
@@ -153,22 +116,30 @@ class DiagnoseResult(Diagnosis):
             *(f"Attention: {warning}." for warning in self.warnings),
         ]
         remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
+        for file in self.choice.files:
+            alone = [] if file.number is None else [f"The values of {self.own[file.number][0]} alone."]
+            write_rig(self._written(file), folder / file.name, [*remarks, *alone])
+
+    def _written(self, file: RigFile) -> Rig:
+        """The content of a rig file: with its source, and with the calibration of its recordings."""
         names = ", ".join(own for own, _ in self.own)
         source = f"extended by close_loop from {names}; started from: {self.start.source}"
-        if "rig_extended.yaml" in self.rig_files:
-            found = {item.name: item.value for item in self.calibrations}
-            common = _calibrated(self.rig_extended, self.typed, found)
-            write_rig(self._written(common, source), folder / "rig_extended.yaml", remarks)
-        for number, (own, rig) in enumerate(self.own, 1):
-            file = f"rig_extended_{number}.yaml"
-            if file not in self.rig_files:
-                continue
-            remark = f"The values of {own} alone."
-            if not self.no_common_rig:
-                remark += " Those that suit all recordings are in rig_extended.yaml."
+        found = {item.name: item.value for item in self.calibrations}
+        if file.number is not None:
+            own = self.own[file.number][0]
+            source += f"; with the values of {own} alone"
             found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
-            named = self._written(rig, f"{source}; with the values of {own} alone")
-            write_rig(_calibrated(named, self.typed, found), folder / file, [*remarks, remark])
+        return _calibrated(_named(with_known_curves(file.rig, self.start), self.start.name, source), self.typed, found)
+
+    def _refusal(self, file: RigFile) -> str:
+        """Why no command would read a rig file; empty if all would."""
+        with TemporaryDirectory() as folder:
+            try:
+                write_rig(self._written(file), Path(folder) / file.name)
+                load_rig(Path(folder) / file.name, regulators=True)
+            except (BadInput, ValueError) as error:
+                return " ".join(str(error).removeprefix(f"{folder}/{file.name}: ").split())
+        return ""
 
 
 def diagnose(
@@ -243,7 +214,10 @@ def diagnose(
 
 def _calibrated(rig: Rig, typed: Corrections, found: Mapping[str, float]) -> Rig:
     """A rig with the calibration of its recordings: as read, combined with the found one."""
-    corrected = typed.followed_by(found_calibrations.corrections(found))
+    try:
+        corrected = typed.followed_by(found_calibrations.corrections(found))
+    except BadInput:
+        raise BadInput("its calibration would be larger than any that a rig file may have") from None
     return rig.replaced(calibration=Calibration(**corrected.calibration()))
 
 

@@ -22,7 +22,7 @@ from pam_antagonist.report import episodes as diagnosis_report
 from pam_antagonist.report import html, terminal
 from pam_antagonist.report import identify_episodes as identify_report
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.write import write_rig, write_unread
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -61,12 +61,17 @@ class EpisodesIdentifyResult:
         """The numbers of ``report.json``."""
         return identify_report.numbers(self.found, self.hashes[0])
 
+    @property
+    def rejected(self) -> str:
+        """Why the identified rig should not be used, in a sentence; empty if it may."""
+        return identify_report.rejection(self.found)
+
     def summary(self) -> str:
         """The tables that the command prints."""
         return terminal.render(identify_report.summary(self.found, self.joint))
 
     def save(self, path: str | Path, figures: bool = True) -> Path:
-        """Write ``rig.yaml``, ``report.html`` and ``report.json``.
+        """Write ``rig.yaml``, ``report.html`` and ``report.json``; a rejected rig as ``rig_rejected.yaml``.
 
         Args:
             path: of a new folder.
@@ -81,7 +86,10 @@ class EpisodesIdentifyResult:
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {self.found.counts[0]} episodes of "
         with output_folder(Path(path)) as folder:
             html.write(folder, identify_report.document(self.found, self.joint, self.hashes[0]), self.report)
-            write_rig(self.rig, folder / "rig.yaml", [f"{remark}{self.joint.name}."])
+            if self.rejected:
+                write_unread(self.rig, folder / "rig_rejected.yaml", [f"{remark}{self.joint.name}.", self.rejected])
+            else:
+                write_rig(self.rig, folder / "rig.yaml", [f"{remark}{self.joint.name}."])
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:
@@ -120,6 +128,11 @@ class EpisodesDiagnoseResult:
         return diagnosis_report.verdict(self.found)
 
     @property
+    def next_rig(self) -> str | None:
+        """Name of the rig file to use; None: keep the one that there is."""
+        return "rig_extended.yaml" if self.found.is_better else None
+
+    @property
     def rig_extended(self) -> Rig:
         """The rig with the effects, and the further signals that they need."""
         values = self.joint.values(self.found.model)
@@ -134,7 +147,7 @@ class EpisodesDiagnoseResult:
         return terminal.render(diagnosis_report.summary(self.found, self.joint))
 
     def save(self, path: str | Path, figures: bool = True) -> Path:
-        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
+        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``), if it is the better one.
 
         Args:
             path: of a new folder.
@@ -151,7 +164,8 @@ class EpisodesDiagnoseResult:
             html.write(
                 folder, diagnosis_report.document(self.found, self.joint, self.hashes, figures), self.report
             )  # fmt: skip
-            write_rig(self.rig_extended, folder / "rig_extended.yaml", [about])
+            if self.next_rig is not None:
+                write_rig(self.rig_extended, folder / self.next_rig, [about])
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:

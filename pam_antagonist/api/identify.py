@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import datetime
+import textwrap
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,9 +29,9 @@ from pam_antagonist.report import identify_document, terminal
 from pam_antagonist.report import identify_sealed as sealed
 from pam_antagonist.report.held_out import Judged, judge
 from pam_antagonist.report.identify_entries import IdentifyReport
-from pam_antagonist.report.identify_findings import lacks_an_effect
+from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -62,6 +64,11 @@ class IdentifyResult:
     seed: int = 0
 
     @property
+    def rejected(self) -> str:
+        """Why the identified rig should not be used, in a sentence; empty if it may."""
+        return self.report.rejected
+
+    @property
     def lacks_an_effect(self) -> bool:
         """Whether the filter got worse on held-out data; :func:`diagnose` then searches for the missing effect."""
         return isinstance(self.report, IdentifyReport) and lacks_an_effect(self.report)
@@ -74,6 +81,8 @@ class IdentifyResult:
 
     def save(self, path: str | Path, figures: bool = True) -> Path:
         """Write ``rig.yaml``, ``report.html`` and ``report.json``, and ``rig_1.yaml`` ... for several recordings.
+
+        A rejected rig is written as ``rig_rejected.yaml`` alone, of several recordings none.
 
         Args:
             path: of a new folder.
@@ -126,12 +135,17 @@ class IdentifyResult:
             )
         names = ", ".join(name for _, _, name in self.recordings)
         source = f"identified from {names}; started from: {start.source.strip()}"
+        if self.rejected:
+            lines = textwrap.wrap(f"Do not use this rig: {self.rejected}", 110)
+            write_unread(_named(self.rig, start.name, source, names), folder / "rig_rejected.yaml", [*lines, *about])
+            return
         write_rig(_named(self.rig, start.name, source, names), folder / "rig.yaml", about)
         for index, own in enumerate(self.own):
             name = self.recordings[index][2]
             remark = f"The values of {name} alone, which deviate a little from the common ones in rig.yaml."
             named = _named(own, start.name, f"{source}; with the values of {name} alone", names)
-            write_rig(named, folder / f"rig_{index + 1}.yaml", [*about, remark])
+            with suppress(RefusedRig):  # nobody is asked to use it
+                write_rig(named, folder / f"rig_{index + 1}.yaml", [*about, remark])
 
 
 @one_blas_thread
@@ -202,10 +216,11 @@ def identify(
     options = Options(tuple(free), tuple(freeze), holdout, starts, seed, jobs)
     found = _identify(read, chosen, options, progress)
     judged = judge(read, numbers.rigs_of(found), found.held_from, progress)
-    report = numbers.report(read, found, judged)
     own = tuple(with_known_curves(each, chosen) for each in (found.own if len(read) > 1 else ()))
     identified = with_known_curves(found.tuned.rig, chosen)
-    return IdentifyResult(identified, own, found.warnings, report, found, tuple(judged), tuple(read), seed)
+    report = numbers.report(read, found, judged, refusal(identified))
+    warnings = (*([do_not_use(report.rejected)] if report.rejected else []), *found.warnings)
+    return IdentifyResult(identified, own, warnings, report, found, tuple(judged), tuple(read), seed)
 
 
 def _sealed(

@@ -71,7 +71,7 @@ def simulate(
     if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
         raise BadInput(f"voltage has shape {given.shape}, expected (N, 2)")
     # Regulators start at the first command; the voltage of a valve does not determine a pressure.
-    before = (450e3, 450e3) if chosen.drive == "valve" else (float(given[0, 0]), float(given[0, 1]))
+    before = None if chosen.drive == "valve" else (float(given[0, 0]), float(given[0, 1]))
     plant = Plant(chosen, joint, lock_angle, seed, mismatch=mismatch, noise=noise, initial_pressure=before)
     count = len(given)
     pressure, (angle, torque, encoder) = np.empty((count, 2)), np.empty((3, count))

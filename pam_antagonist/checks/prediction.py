@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -18,6 +19,10 @@ SETTLE = 2.0
 """[s] After this time the model no longer depends on the pressures at its start."""
 _START_S = 0.01
 """[s] Time at the beginning over which pressures are averaged for the start."""
+STEP_S = 0.5
+"""[s] Length of the steps that begin at measured pressures: long enough for a change above noise and lags."""
+_MOST_STEPS, _MOST_ROWS = 200, 3000
+"""Steps and rows that are compared at most, evenly spaced."""
 _STEP = 0.02
 """Relative change of an orifice area, to find its effect on the pressures."""
 
@@ -98,6 +103,67 @@ def _in_one_piece(recording: Recording, rig: Rig, joint: str, lock_angle: float,
         torque=run.torque[at],
         rows=rows,
     )
+
+
+def in_steps(
+    recording: Recording, rig: Rig, joint: str, lock_angle: float, crossed: bool = False
+) -> tuple[Floats, Floats]:
+    """Changes of the pressures over short steps, each of which begins at the measured pressures.
+
+    Over a whole recording, a valve that is closed in its middle integrates each error of the model. Over a step it
+    does not.
+
+    Args:
+        recording: with absolute pressures in Pa.
+        rig: the rig.
+        joint: ``free`` or ``locked``.
+        lock_angle: of a locked joint [rad].
+        crossed: whether each pressure belongs to the other muscle's valve.
+
+    Returns:
+        Measured and simulated changes (K, 2) each [Pa], in the order of the valves.
+    """
+    pressure = recording.pressure[:, ::-1] if crossed else recording.pressure
+    known = np.asarray(np.isfinite(np.column_stack([recording.voltage, pressure])).all(axis=1))
+    rows = max(2, round(STEP_S / recording.sample_period_s))
+    begins = [k for one in recording.episodes for k in range(one.start, one.stop - rows, rows)
+              if known[k : k + rows + 1].all()]  # fmt: skip
+    measured, simulated = [], []
+    period = recording.even_grid(rig.sample_period)[0]
+    for begin in begins[:: max(1, len(begins) // _MOST_STEPS)]:
+        start = np.clip(pressure[begin], rig.atmosphere.pressure, rig.supply.pressure)
+        run = simulate_model(rig, recording.voltage[begin : begin + rows + 1], start, joint, lock_angle, period=period)
+        measured.append(pressure[begin + rows] - pressure[begin])
+        simulated.append(run.pressure[-1] - run.pressure[0])
+    return np.reshape(measured, (-1, 2)), np.reshape(simulated, (-1, 2))
+
+
+def from_pressures(recording: Recording, rig: Rig, joint: str, lock_angle: float) -> Prediction:
+    """Angle and torque of the joint at rest under the measured pressures, where voltages do not give the pressures.
+
+    Args:
+        recording: corrected: absolute pressures in Pa, each in the order of the valves, and the angle in rad.
+        rig: the rig.
+        joint: ``free`` or ``locked``.
+        lock_angle: of a locked joint [rad].
+    """
+    rows = np.flatnonzero(np.isfinite(recording.pressure).all(axis=1))
+    rows = rows[:: max(1, len(rows) // _MOST_ROWS)]
+    pressure = recording.pressure[rows]
+    p = rig.parameters(joint, lock_angle)
+    angle = np.array(
+        [lock_angle if joint == "locked" else equilibrium.rest_angle(one, two, p) for one, two in pressure]
+    )
+    if joint == "locked":
+        at = np.full(len(rows), lock_angle)
+    else:
+        at = np.full(len(rows), np.nan) if recording.angle is None else recording.angle[rows]
+    bound = equilibrium.largest_angle(p)
+    torque = np.full(len(rows), np.nan)
+    for k in np.flatnonzero(np.abs(at) <= bound):
+        state = equilibrium.initial_state(at[k], *pressure[k], np.nan_to_num(recording.voltage[rows[k]]), p)
+        torque[k] = dynamics.torque(state, p)
+    return Prediction(recording.time_s[rows], pressure, np.zeros_like(pressure), angle, torque, rows)
 
 
 def with_other_areas(rig: Rig) -> list[Rig]:

@@ -45,7 +45,11 @@ def commands(recording: Recording, rig: Rig) -> list[Finding]:
             f"{100 * share:.0f} % of the samples: are these gauge pressures, or is regulator_limits wrong?"
         )
         out.append(Finding("doubtful", text))
-    return out or [Finding("good", "the commanded pressures lie within the regulators' range")]
+    text = (
+        f"the commanded pressures lie within the regulators' range, {low / 1e3:.0f} to {high / 1e3:.0f} kPa absolute "
+        f"(beyond it: {100.0 * share:.2g} % of the samples, {100.0 * _SATURATED:g} at most)"
+    )
+    return out or [Finding("good", text)]
 
 
 def _unit(recording: Recording) -> str:

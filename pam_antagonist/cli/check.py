@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
-from pam_antagonist.recording.corrections import add_options, from_options
+from pam_antagonist.recording.corrections import Corrections, add_options, from_options
 from pam_antagonist.strict_json import dumps
 
 if TYPE_CHECKING:
@@ -66,19 +66,21 @@ def _main(arguments: argparse.Namespace) -> int:
 
     rig = load_rig(arguments.rig, regulators=True)
     lock_angle = common.lock_angle(arguments)
+    given = from_options(arguments, dict(rig.calibration))
     results = {}
     for bag in arguments.bags:
         recording = read_bag(
             bag, topics=common.topics(arguments), namespace=arguments.namespace, joint_name=arguments.joint_name,
-            recover=arguments.recover, corrections=from_options(arguments, dict(rig.calibration)), judge=False,
+            recover=arguments.recover, corrections=Corrections(align_clocks=given.align_clocks), judge=False,
         )  # fmt: skip
-        results[str(bag)] = check(recording, rig, arguments.joint, lock_angle)
+        results[str(bag)] = check(recording, rig, arguments.joint, lock_angle, given)
         if arguments.json != "-":
             print(_text(bag, recording, rig, results[str(bag)]))
     if arguments.json != "-" and (rests_on := next(iter(results.values())).assumption) is not None:
         print(f"\n{terminal.render(in_first_lines(rests_on))}")
     if arguments.json != "-" and not any(checked.wrong for checked in results.values()):
-        print(f"\n{common.next_command('replay', arguments.bags, f'--rig {arguments.rig} --out DIR')}")
+        options = " ".join([f"--rig {arguments.rig} --out DIR", *from_options(arguments).options()])
+        print(f"\n{common.next_command('replay', arguments.bags, options)}")
     if arguments.json:
         content = {bag: checked.as_dict() for bag, checked in results.items()}
         common.give_json(arguments.json, dumps(content) + "\n")
@@ -91,10 +93,10 @@ def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> st
     lines = [f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}"]
     for finding in checked.findings:
         text = finding.text
-        if finding.options:
-            text += f". Type {' '.join(finding.options)}"
+        if finding.todo:
+            text += f". {finding.todo[0].upper()}{finding.todo[1:]}"
         lines.append(terminal.marked(text if text.endswith("?") else f"{text}.", _MARKS[finding.status]))
     options = checked.corrections.options()
-    if options:
+    if options and checked.wrong:
         lines.append(f"With these options every command corrects this recording: {' '.join(options)}")
     return "\n".join(lines)

@@ -40,8 +40,9 @@ regulators (drive: regulator) takes such recordings as well, or many short episo
 which whole ones are held out.
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
-recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. DIR/rig_extended.yaml is left out
-where it would be worse than the rig given: where nothing is explained, or where the recordings show different faults.
+recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. A file is left out if it would be
+worse on held-out data than the rig given. The last lines name the one file to use next (it may be
+DIR/rig_recalibrated.yaml, without effects), or say that you keep the rig given.
 Status: 0 done (whatever the verdict), 2 bad input (one line says what and where).
 """
 _EXAMPLES = """\
@@ -143,13 +144,13 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     found.save(arguments.out, figures=not arguments.no_figures)
     shutil.rmtree(kept, ignore_errors=True)
     print(found.summary())
-    rigs = found.rig_files
-    if not rigs:
+    proposed = found.choice.proposed
+    if proposed is None:
         common.announce_report(arguments, arguments.out)
         return common.DONE
-    given.announce_output(arguments, rigs[0])
-    bags = arguments.bags[:1] if found.no_common_rig else arguments.bags
-    print(common.next_command("replay", bags, f"--rig {arguments.out / rigs[0]} --out DIR"))
+    given.announce_output(arguments, proposed.name)
+    bags = arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
+    print(common.next_command("replay", bags, f"--rig {arguments.out / proposed.name} --out DIR"))
     return common.DONE
 
 
@@ -164,7 +165,10 @@ def _of_episodes(arguments: argparse.Namespace, rig: Rig, share: float, recordin
     )  # fmt: skip
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
-    given.announce_output(arguments, "rig_extended.yaml")
+    if found.next_rig is None:
+        common.announce_report(arguments, arguments.out)
+    else:
+        given.announce_output(arguments, found.next_rig)
     return common.DONE
 
 

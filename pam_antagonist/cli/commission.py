@@ -82,9 +82,8 @@ def _main(arguments: argparse.Namespace) -> int:
     try:
         with work.announced():
             for name in STEPS:
-                if name == "locked" and arguments.no_lock:
-                    continue
-                work.step(name)
+                if not work.left_out(name):
+                    work.step(name)
     except StepFailed as fault:
         print(f"{fault}\nwhen that is done, type the same command again", file=sys.stderr)
         return common.FAILED

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,13 +16,12 @@ import yaml
 from numpy.typing import NDArray
 
 from pam_antagonist.cli.commission_record import Record
-from pam_antagonist.cli.driving import Driven, Owner, drive, limits_of, stay_apart, write_plan
+from pam_antagonist.cli.driving import Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Plan, designed
 from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
 from pam_antagonist.design.first_fill import dead_sensors, faults, first_fill, turns_visibly
 from pam_antagonist.design.loop_gains import loop_gains
-from pam_antagonist.design.optimal import steady_voltage
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE
@@ -31,6 +29,7 @@ from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report.commission import Step, write_report
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.limits import steady_voltage
 
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
@@ -81,9 +80,9 @@ class Commission:
             return
         from pam_antagonist.nodes.announcer import Announcer
 
-        stay_apart(self._owner)
-        domain = os.environ.get("ROS_DOMAIN_ID", "0")
-        print(f"to watch it in the browser: ROS_DOMAIN_ID={domain} {typed('watch')}", flush=True)
+        if self._owner.source != "none":
+            stay_apart()
+        print(how_to_watch(), flush=True)
         with Announcer("commission") as announcer:
             self._say = announcer.say
             yield
@@ -106,8 +105,9 @@ class Commission:
         begin = time.monotonic()
         try:
             result = getattr(self, f"_{name}")()
-        except StepFailed as fault:
-            self._record.steps[name] = {"done": False, "said": str(fault), "seconds": time.monotonic() - begin}
+        except (Exception, KeyboardInterrupt) as fault:
+            said = "interrupted" if isinstance(fault, KeyboardInterrupt) else str(fault) or type(fault).__name__
+            self._record.steps[name] = {"done": False, "said": said, "seconds": time.monotonic() - begin}
             self._record.keep()
             raise
         self._record.steps[name] = {"done": True, "seconds": time.monotonic() - begin, **result}
@@ -205,6 +205,8 @@ class Commission:
             # An effect that acts on the free joint only lets both recordings look like two joints.
             return {"said": f"not identified, since the model does not fit ({error}); close_loop looks for the reason"}
         result.save(self._record.result("identified"), figures=False)
+        if result.rejected:
+            return {"said": f"the identified rig is not used: {result.rejected}", "warnings": list(result.warnings)}
         return {
             "said": f"{len(result.rig.directions)} uncertain directions are left",
             "warnings": list(result.warnings),
@@ -223,6 +225,7 @@ class Commission:
             "effects": [effect.name for effect in result.effects],
             "rivals": [rival for rival in result.ambiguous_with if rival in CATALOGUE],
             "folder": name,
+            "rig": result.next_rig,
         }
 
     def _close_loop(self) -> dict[str, Any]:
@@ -232,8 +235,10 @@ class Commission:
         before = self._record.steps["close_loop"]
         if not (before["effects"] and before["rivals"]):
             return {"said": "not needed, since no two effects explain the data equally well"}
-        rig = load_rig(str(self._out / "found" / "rig_extended.yaml"))
-        given = rig, before["effects"][0], before["rivals"]
+        found = self._out / "found" / "rig_extended.yaml"
+        if not found.exists():
+            return {"said": "not done, since no rig with the effect is better than the rig given"}
+        given = load_rig(str(found)), before["effects"][0], before["rivals"]
         channels, seed = self._measured(), self._arguments.seed
         self._at("apart", "designing the experiment")
         with counted(60.0, "design") as advance:
@@ -267,7 +272,7 @@ class Commission:
         """
         steps = self._record.steps
         last = steps["apart"] if "folder" in steps["apart"] else steps["close_loop"]
-        extended = self._out / last["folder"] / "rig_extended.yaml"
+        extended = self._out / last["folder"] / (last.get("rig") or "rig_extended.yaml")
         chosen = (
             extended if last["verdict"] == "effect" and extended.exists() else self._out / "identified" / "rig.yaml"
         )
@@ -300,4 +305,10 @@ class Commission:
             Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0))
             for name, one in self._record.steps.items()
         ]
-        write_report(self._out, self._rig, steps, typed(f"commission --rig {self._arguments.rig} --out {self._out}"))
+        left = [name for name in STEPS if name not in self._record.steps and not self.left_out(name)]
+        command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
+        write_report(self._out, self._rig, steps, command, left)
+
+    def left_out(self, name: str) -> bool:
+        """Whether a step is left out, by the arguments."""
+        return name == "locked" and bool(self._arguments.no_lock)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import os
 import shlex
 import signal
 import sys
@@ -23,10 +22,10 @@ from typing import NoReturn
 
 from typing_extensions import override
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.optional import available, install
 from pam_antagonist.output import check_output, output_folder
-from pam_antagonist.program import program, typed
+from pam_antagonist.program import piped, program, typed
 
 __all__ = ["check_output", "output_folder"]  # beside what is defined here
 
@@ -93,21 +92,21 @@ def ended(work: Callable[[], int]) -> int:
     Returns:
         The status to exit with.
     """
+    return piped(lambda: _ended(work))
+
+
+def _ended(work: Callable[[], int]) -> int:
     try:
         with _terminable():
-            status = work()
-            sys.stdout.flush()
-        return status
+            return work()
     except BadInput as error:
         # One line, whatever a file name may contain.
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return BAD_INPUT
+        return FAILED if isinstance(error, NoResult) else BAD_INPUT
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # The reader of our output has gone (`| head`), which is its right: the interpreter need not complain at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
+        raise
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else (DONE if end.code is None else FAILED)
     except Exception as error:
@@ -214,7 +213,7 @@ def _topic(text: str) -> tuple[str, str]:
 
 def add_recover(parser: argparse.ArgumentParser) -> None:
     """``--recover``."""
-    parser.add_argument("--recover", action="store_true", help="if the bag is damaged, read the part before the damage")
+    parser.add_argument("--recover", action="store_true", help="if the bag is damaged, read what is left of it")
 
 
 def topics(arguments: argparse.Namespace) -> dict[str, str]:

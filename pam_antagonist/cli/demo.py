@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -13,14 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.demo_steps import GAINS, MODEL, Task, law_of, task
+from pam_antagonist.cli.driving import how_to_watch, stay_apart
 from pam_antagonist.cli.numbers import SEED, real
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.control import FAST_GAINS, PUBLISHED_GAINS, Mode
+from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import DISTURBANCE
-from pam_antagonist.nodes.processes import Processes, ProcessFailed, free_domain, ros_arguments
+from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.limits import angle_range
 
 if TYPE_CHECKING:
     from pam_antagonist.nodes.client import ReferenceClient
@@ -29,17 +31,19 @@ _DESCRIPTION = """\
 Run a sensor-less closed loop live and judge it.
 
 Starts a simulated joint, the estimator and the controller as three processes at the rig's sample rate (1 kHz), and a
-recorder. The reference of the joint's angle steps to ±20° and back, or that of its torque to ±2 N m with the joint
-locked at 0°. With --mode stiffness the controller's law goes through the model: angle and stiffness step together, in
-smaller steps, for 30 s. With --mode impedance somebody pushes the joint by up to 1 N m, which yields as a spring and
-damper; it knows the torque by its estimate alone, for 30 s. Everything is recorded into a rosbag2 bag (MCAP), which is
-then replayed through the estimator. The results are printed as tables and written to DIR/report.html and
-DIR/report.json.
+recorder. The reference of the joint's angle steps to both sides and back, by four fifths of the joint's range (20° of
+shin2022), or that of its torque by five eighths of the largest (2 N m) with the joint locked at 0°. With --mode
+stiffness the controller's law goes through the model: angle and stiffness step together, in smaller steps, for 30 s.
+With --mode impedance somebody pushes the joint, which yields as a spring and damper; it knows the torque by its
+estimate alone, for 30 s. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the
+estimator. The results are printed as tables and written to DIR/report.html and DIR/report.json. Limits are those of
+the rig file. A stop for safety ends the demo, and its reason is the first line of what is printed and written.
 
 The simulated joint differs a little from the rig file (--mismatch), as a real one does. It is a simulator all the
 same: only a recording of a real joint shows how well a real joint does (see replay).
 
-Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed.
+Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed, or
+stopped for safety.
 """
 _EXAMPLES = """\
 examples:
@@ -50,30 +54,16 @@ examples:
   {run} demo --rig shin2022_regulators --no-pressures
 """
 
-_SHARES = (1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0)  # of the largest reference, one a step; a short demo takes the extremes
-_STIFFNESS = (
-    6.0,
-    7.0,
-    6.5,
-    5.0,
-    9.0,
-    4.0,
-    8.0,
-)  # by turns; within reach of the paper's joint [N m/rad]
-_SOFT, _DAMPING = (6.0, 4.0, 8.0), 0.5  # of the spring that yields, one after the other [N m/rad], [N m s/rad]
-_PUSHES, _PUSH = (1.0, 0.0, -1.0, 0.0, 0.6, 0.0, -0.6, 0.0), 2.5  # by turns [N m]; each as long [s]
 _MODES = {
     "angle": Mode.ANGLE, "torque": Mode.TORQUE, "stiffness": Mode.ANGLE_STIFFNESS, "impedance": Mode.IMPEDANCE,
 }  # fmt: skip
 _RIGS = {Mode.IMPEDANCE: "shin2022_external_torque"}
 """Rigs of modes for which shin2022 will not do: the torque from outside has to be estimated."""
-_LARGEST = {Mode.ANGLE: math.radians(20.0), Mode.TORQUE: 2.0}  # as in the paper [rad], [N m]
-_STEP = 2.75  # length of a step, about [s]; the slowest settles in 2.1 s
-_REST = 1.0  # at the reference 0 before the first step [s]
-_GAINS = {"fast": FAST_GAINS, "published": PUBLISHED_GAINS}
 _DRAIN = 0.3  # from the last sample to the end of those who wait for it [s]
 _LOOP = 0.05  # [s]
 _PATIENCE = 8.0  # longer starts than this one are told why they are long [s]
+_SWEEP = 0.25  # in which the reference passes half of the range: quick regulators overshoot a step [s]
+_AFTER_STOP = 0.5  # for so long a demo goes on that was stopped for safety [s]
 
 
 def parser() -> common.Parser:
@@ -88,10 +78,10 @@ def parser() -> common.Parser:
     )
     add("--mode", choices=tuple(_MODES), default="angle", help="what is controlled (default: angle)")
     gains_help = (
-        "gains of the PI: fast (default), or paper, with which a step of the angle takes 9 s; modes stiffness and "
-        "impedance use another law"
+        "gains of the PI for shin2022: fast, or published, with which a step of the angle takes 9 s; or model, the law "
+        "through the model (default: fast for shin2022; model for other joints and in modes stiffness and impedance)"
     )
-    add("--gains", choices=tuple(_GAINS), default="fast", help=gains_help)
+    add("--gains", choices=(*GAINS, MODEL), help=gains_help)
     rig_help = (
         "a YAML file, or the name of a rig that comes with the package (default: shin2022; for impedance "
         "shin2022_external_torque)"
@@ -118,46 +108,6 @@ def main(argv: list[str] | None = None) -> int:
     return common.run(parser, _main, argv)
 
 
-def references(mode: Mode, duration: float, largest_angle: float = math.inf) -> list[tuple[float, float, float]]:
-    """The steps of the reference: time [s], value [rad] or [N m], and stiffness [N m/rad], NaN where none is asked for.
-
-    A joint that yields is asked for one angle all the time, with one stiffness after the other.
-
-    Args:
-        mode: what is controlled.
-        duration: of the experiment [s].
-        largest_angle: what the joint can reach [rad]; larger steps are scaled down to four fifths of it.
-    """
-    if mode is Mode.IMPEDANCE:
-        return [(k * duration / len(_SOFT), 0.0, stiffness) for k, stiffness in enumerate(_SOFT)]
-    rest = min(_REST, 0.1 * duration)
-    count = max(2, round((duration - rest) / _STEP))
-    length = (duration - rest) / count
-    shares = _SHARES if count > 2 else (1.0, -1.0)
-    largest = _LARGEST[mode.quantity] if mode is not Mode.ANGLE_STIFFNESS else 0.5 * _LARGEST[Mode.ANGLE]
-    if mode.quantity is Mode.ANGLE:
-        largest = min(largest, 0.8 * largest_angle)
-
-    def stiffness(k: int) -> float:
-        return _STIFFNESS[k % len(_STIFFNESS)] if mode.has_stiffness else math.nan
-
-    steps = ((rest + k * length, largest * shares[k % len(shares)], stiffness(k + 1)) for k in range(count))
-    return [(0.0, 0.0, stiffness(0)), *steps]
-
-
-def pushes(mode: Mode, duration: float) -> list[tuple[float, float]]:
-    """When somebody pushes the joint [s], and by how much from then on [N m].
-
-    Args:
-        mode: what is controlled; nobody pushes but where the joint is to yield.
-        duration: of the experiment [s].
-    """
-    if mode is not Mode.IMPEDANCE:
-        return []
-    count = math.ceil((duration - _REST) / _PUSH)
-    return [(0.0, 0.0), *((_REST + k * _PUSH, _PUSHES[k % len(_PUSHES)]) for k in range(count))]
-
-
 def _main(arguments: argparse.Namespace) -> int:
     needs_ros("demo")
     common.only_available_figures(arguments)
@@ -177,14 +127,16 @@ def _main(arguments: argparse.Namespace) -> int:
         )
     out: Path = arguments.out or Path(datetime.now().strftime("demo-%Y%m%d-%H%M%S"))
     common.check_output(out)
+    if arguments.duration is None:
+        arguments.duration = 30.0 if mode.has_stiffness else 12.0
+    law = law_of(rig, mode, arguments.gains)
+    asked = task(rig, mode, law, arguments.duration)
     try:
         (out / "logs").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
-    if arguments.duration is None:
-        arguments.duration = 30.0 if mode.has_stiffness else 12.0
     try:
-        _experiment(arguments, rig, mode, out)
+        stopped = _experiment(arguments, rig, mode, law, asked, out)
     except ProcessFailed as error:
         print(f"error: {error} (logs: {out / 'logs'})", file=sys.stderr)
         return common.FAILED
@@ -192,14 +144,14 @@ def _main(arguments: argparse.Namespace) -> int:
         print(f"\ninterrupted: what was recorded until now is in {out / 'bag'}", file=sys.stderr)
         return common.INTERRUPTED
     try:
-        _judge(out, rig, mode, arguments)
+        _judge(out, rig, mode, law, stopped, arguments)
     except KeyboardInterrupt:
         print(f"\ninterrupted: the recording is in {out / 'bag'}, there is no report", file=sys.stderr)
         return common.INTERRUPTED
-    return common.DONE
+    return common.FAILED if stopped else common.DONE
 
 
-def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> None:
+def _judge(out: Path, rig: Rig, mode: Mode, law: str, stopped: str, arguments: argparse.Namespace) -> None:
     """Replay OUT/bag, print the tables, write OUT/report.html and OUT/report.json.
 
     Raises:
@@ -215,8 +167,7 @@ def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> No
     joint, lock_angle = ("free", None) if mode.quantity is Mode.ANGLE else ("locked", 0.0)
     with counted(len(recording.stamp_ns), "replay") as advance:
         done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=advance)
-    gains = "model" if mode.has_stiffness or rig.drive == "regulator" else arguments.gains
-    judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), gains)
+    judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), law, stopped)
     print(f"\n{terminal.render(demo.summary(judged))}\n")
     demo.write_report(out, judged, with_figures=not arguments.no_figures)
     print(f"recording: {out / 'bag'}")
@@ -224,12 +175,10 @@ def _judge(out: Path, rig: Rig, mode: Mode, arguments: argparse.Namespace) -> No
     print(common.next_command("replay", [out / "bag"], f"--rig {arguments.rig} --out DIR"))
 
 
-def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) -> None:
-    """Run the processes and step the reference."""
-    # A domain of its own keeps two demos, or a demo and a rig, from hearing each other.
-    if "ROS_DOMAIN_ID" not in os.environ:
-        os.environ["ROS_DOMAIN_ID"] = str(free_domain())
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, law: str, asked: Task, out: Path) -> str:
+    """Run the processes and step the reference; returns why the joint was stopped for safety, else nothing."""
+    stay_apart()
+    print(how_to_watch(), flush=True)
     name = str(Path(arguments.rig).resolve()) if arguments.rig.endswith((".yaml", ".yml")) else arguments.rig
     shared: dict[str, object] = {"rig": name}
     if arguments.no_pressures:
@@ -239,15 +188,14 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
     )
     with Processes(out / "logs") as processes:
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
-        processes.start("controller", ros_arguments({**shared, **_gains(arguments.gains, mode, rig)}, {}))
+        processes.start("controller", ros_arguments({**shared, **_gains(law, mode, rig)}, {}))
         simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
         if arguments.no_pressures:
             # The controller listens to what is left as well.
             simulated["wait_for_subscribers"] = 3
         processes.start("plant", ros_arguments({**shared, **joint, **simulated}, {}))
         try:
-            steps = references(mode, arguments.duration, rig.joint.stop or math.inf)
-            _steps(processes, mode, steps, pushes(mode, arguments.duration), arguments.duration, out / "bag", rig.drive)
+            return _steps(processes, mode, asked, arguments.duration, out / "bag", rig.drive)
         finally:
             # From the source to the sink, so that every sample that was sent is estimated, commanded and recorded.
             processes.stop("plant")
@@ -255,28 +203,32 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, out: Path) 
             processes.stop(*(name for name in ("controller", "estimator", "record") if name in processes.running))
 
 
-def _gains(name: str, mode: Mode, rig: Rig) -> dict[str, object]:
+def _gains(law: str, mode: Mode, rig: Rig) -> dict[str, object]:
     """Parameters of the controller."""
-    if mode.has_stiffness or rig.drive == "regulator":
+    if law == MODEL and mode is Mode.IMPEDANCE:
         return {"law": "model"}
-    gains, of = _GAINS[name][mode], mode.name.lower()
+    if law == MODEL:
+        # A new rig's estimate is very uncertain: with a margin for that, its joint would hardly move.
+        return {"law": "model", "governor_level": 0.5, "max_angle_rate": angle_range(rig) / _SWEEP}
+    gains, of = GAINS[law][mode], mode.name.lower()
     return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
 
 
 def _steps(
     processes: Processes,
     mode: Mode,
-    steps: list[tuple[float, float, float]],
-    pushed: list[tuple[float, float]],
+    asked: Task,
     duration: float,
     bag: Path,
     drive: str,
-) -> None:
+) -> str:
+    """Step the reference; returns why the joint was stopped for safety, else nothing."""
     from tqdm import tqdm
 
     # ROS is imported while the nodes are starting.
     from pam_antagonist.nodes.client import ReferenceClient
 
+    steps, pushed, stopped = asked.references, list(asked.pushes), ""
     with ReferenceClient(drive=drive) as watch:
         begin = time.monotonic()
 
@@ -295,11 +247,14 @@ def _steps(
         print(f"{took}; recording {duration:g} s", flush=True)
         look = "{percentage:3.0f} %|{bar:20}| {n:.1f}/{total:g} s{postfix}"
         with tqdm(total=duration, bar_format=look, disable=None) as bar:
-            start, shown = time.monotonic(), -1
-            while (elapsed := time.monotonic() - start) < duration:
+            start, shown, end = time.monotonic(), -1, duration
+            while (elapsed := time.monotonic() - start) < end:
                 processes.check()
+                if not stopped and (stopped := processes.stopped()):
+                    tqdm.write(f"stopped for safety after {elapsed:.1f} s: {stopped}", file=sys.stderr)
+                    end = min(duration, elapsed + _AFTER_STOP)
                 index = max(k for k, (at, _, _) in enumerate(steps) if at <= elapsed)
-                watch.send(mode, *steps[index][1:], damping=_DAMPING if mode is Mode.IMPEDANCE else math.nan)
+                watch.send(mode, *steps[index][1:], damping=asked.damping)
                 while pushed and pushed[0][0] <= elapsed:
                     watch.push(pushed.pop(0)[1])
                 bar.n = elapsed
@@ -310,9 +265,10 @@ def _steps(
                 shown = index
                 time.sleep(_LOOP)
             if bar.disable:
-                print(f"  {duration:5.1f} s: {_seen(watch, mode, steps[shown][1])}", flush=True)
-            bar.n = duration
+                print(f"  {end:5.1f} s: {_seen(watch, mode, steps[shown][1])}", flush=True)
+            bar.n = end
             bar.refresh()
+    return stopped or processes.stopped()
 
 
 def _patient(missing: Callable[[], str]) -> Callable[[], str]:

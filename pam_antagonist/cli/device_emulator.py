@@ -95,6 +95,7 @@ def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.hardware.protocol import Feature
     from pam_antagonist.nodes.spin import hurry
     from pam_antagonist.rig import load_rig
+    from pam_antagonist.rig.limits import rest_voltage
     from pam_antagonist.simulation.plant import Plant
 
     faults = _faults(arguments)
@@ -107,11 +108,12 @@ def _main(arguments: argparse.Namespace) -> int:
     converter, regulated = Converter(calibration), rig.drive == "regulator"
     converter.suits(rig.drive)
     low, high = rig.command_limits
-    before = power_on = (5.5, 5.5)
     if regulated:
         before = (0.5 * (low + high), 0.5 * (low + high))
         power_on = converter.output(before)
         low, high = min(converter.output((low, low))), max(converter.output((high, high)))
+    else:
+        before = power_on = rest_voltage(rig)
     angle = common.lock_angle(arguments) or 0.0
     plant = Plant(
         rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise

@@ -15,6 +15,7 @@ import numpy as np
 
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
+from pam_antagonist.program import typed
 
 if TYPE_CHECKING:
     from pam_antagonist.design import Limits, Plan
@@ -213,20 +214,19 @@ def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
     return document
 
 
-def stay_apart(owner: Owner) -> None:
-    """Have the nodes of this process hear those that it starts, and no others, unless the environment says otherwise.
-
-    Args:
-        owner: of the valves; one that runs already is heard.
-    """
-    if owner.source == "none":
-        return
+def stay_apart() -> None:
+    """Have the nodes of this process hear only those that it starts, unless the environment says otherwise."""
     # A domain of its own keeps two experiments, or an experiment and a rig, from hearing each other.
     if "ROS_DOMAIN_ID" not in os.environ:
         from pam_antagonist.nodes.processes import free_domain
 
         os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def how_to_watch() -> str:
+    """The line that shows the joint of this process in the browser: it is in a ROS domain of its own."""
+    return f"to watch it in the browser: ROS_DOMAIN_ID={os.environ.get('ROS_DOMAIN_ID', '0')} {typed('watch')}"
 
 
 def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
@@ -258,9 +258,10 @@ def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
 def _through_nodes(owner: Owner, plan: Plan, out: Path) -> tuple[int, str]:
     """Stamp at which the plan began [ns], and in words why it ended early; empty where it did not."""
     from pam_antagonist.nodes.drive import DriveClient
-    from pam_antagonist.nodes.processes import Processes
+    from pam_antagonist.nodes.processes import Processes, ProcessFailed
 
-    stay_apart(owner)
+    if owner.source != "none":  # a node that runs already is heard
+        stay_apart()
     rest, ready = np.array(plan.rest), 0.5 * (plan.pressure + plan.limits.pressure[1])
     (out / "logs").mkdir(exist_ok=True)
     with Processes(out / "logs") as processes, DriveClient() as client:
@@ -273,11 +274,16 @@ def _through_nodes(owner: Owner, plan: Plan, out: Path) -> tuple[int, str]:
                 client.send(rest)
                 return client.missing()
 
+            def check() -> None:
+                processes.check()
+                if reason := processes.stopped():
+                    raise ProcessFailed(f"stopped for safety, {reason}")
+
             processes.wait(missing)
-            client.settle(rest, lambda seen: bool(np.all(seen <= ready)), processes.check, _LONGEST_VENT_S)
+            client.settle(rest, lambda seen: bool(np.all(seen <= ready)), check, _LONGEST_VENT_S)
             with counted(plan.duration, f"excite, joint {plan.joint}") as advance:
                 begun_ns = client.now_ns()
-                ended = client.drive(plan.voltage, plan.period, rest, plan.limits.broken, processes.check, advance)
+                ended = client.drive(plan.voltage, plan.period, rest, plan.limits.broken, check, advance)
         finally:
             if owner.source in processes.running:
                 processes.stop(owner.source)

@@ -11,7 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.driving import Owner, add_limits, add_source, drive, limits_of, write_plan
+from pam_antagonist.cli.driving import (
+    Owner,
+    add_limits,
+    add_source,
+    drive,
+    how_to_watch,
+    limits_of,
+    stay_apart,
+    write_plan,
+)
 from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
@@ -169,12 +178,21 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
             f"{folder}: {effects[0]} is decided, so no experiment is needed; expected a folder whose report.json "
             "lists effects in ambiguous_with"
         )
-    return load_rig(str(folder / "rig_extended.yaml")), effects[0], rivals
+    extended = folder / "rig_extended.yaml"
+    if not extended.is_file():
+        raise BadInput(
+            f"{extended}: not there, since no rig with the effect was better than the one given; expected a folder of "
+            "close_loop with it"
+        )
+    return load_rig(str(extended)), effects[0], rivals
 
 
 def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path) -> int:
     from pam_antagonist.nodes.processes import ProcessFailed
 
+    if owner.source in ("plant", "bridge"):
+        stay_apart()
+        print(how_to_watch(), flush=True)
     try:
         ended = drive(owner, plan, out).ended
     except ProcessFailed as error:

@@ -24,8 +24,10 @@ where you can. The end of each is not fitted but kept to judge the result by. A 
 regulator) takes many short episodes in one recording as well (import_csv), of which whole ones are held out.
 
 Writes DIR/rig.yaml, which every command and node takes, DIR/report.html and DIR/report.json; of several
-recordings also DIR/rig_1.yaml, rig_2.yaml ..., each with one recording's own values.
-Status: 0 done, 2 bad input (one line says what and where).
+recordings also DIR/rig_1.yaml, rig_2.yaml ..., each with one recording's own values. A rig that should not be used (the
+model diverges with it, the search ended at a bound, or it is worse on held-out data than the rig file) is written as
+DIR/rig_rejected.yaml alone; the first sentence says why.
+Status: 0 done, 1 the rig was rejected, 2 bad input (one line says what and where).
 """
 _EXAMPLES = """\
 examples:
@@ -99,12 +101,22 @@ def _run(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
+    if found.rejected:
+        return _rejected(arguments)
     given.announce_output(arguments)
     if isinstance(found, IdentifyResult) and found.lacks_an_effect:
         print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
     else:
         print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE
+
+
+def _rejected(arguments: argparse.Namespace) -> int:
+    """Say where the report of a rejected rig is; the next command takes the rig that was given."""
+    print()
+    common.announce_report(arguments, arguments.out)
+    print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
+    return common.FAILED
 
 
 def _of_episodes(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[Recording]) -> int:
@@ -120,6 +132,8 @@ def _of_episodes(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[R
     )  # fmt: skip
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
+    if found.rejected:
+        return _rejected(arguments)
     given.announce_output(arguments)
     print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,8 +14,8 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli.rig_questions import OWN, QUESTIONS, Question, condition
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
-from pam_antagonist.rig import load_rig
-from pam_antagonist.rig.new import Facts, starting_point
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.new import Contradiction, Facts, starting_point
 from pam_antagonist.rig.parts import (
     MusclePart,
     RegulatorPart,
@@ -68,14 +70,20 @@ def _main(arguments: argparse.Namespace) -> int:
         raise BadInput(f"--out {path}: expected a file that ends in .yaml")
     if path.exists():
         raise BadInput(f"--out {path}: exists; expected a new file, nothing is overwritten")
-    values, assumed = _answers(vars(arguments))
-    facts = _facts(values)
-    rig = starting_point(facts)
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise BadInput(f"--out {path}: expected a file in a folder that exists and can be written to")
+    answers = _Answers(vars(arguments))
+    try:
+        facts, rig = answers.rig()
+    except (BadInput, KeyboardInterrupt):
+        if answers.asked:
+            print(f"\nnothing was written; your answers up to now:\n{answers.command(path)}", file=sys.stderr)
+        raise
+    assumed = [question for question in QUESTIONS if question.name in answers.taken]
     try:
         write_rig(rig, path, _remarks(facts, assumed))
     except OSError as error:
         raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from None
-    load_rig(path, regulators=True)
     print(f"rig: {path}\n")
     print("Look at its head: it says what was measured and what is assumed. Then record and identify:")
     for words in ("record --out free_bag", f"check free_bag --rig {path}"):
@@ -84,57 +92,119 @@ def _main(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-def _answers(given: Mapping[str, str | None]) -> tuple[dict[str, Any], list[Question]]:
-    """Values by name, from options first, then from the person; and the questions whose default was taken.
+class _Answers:
+    """Answers of options first, then of the person at the terminal, where there is one.
 
-    Raises:
-        BadInput: an option that makes no sense, or nobody to ask for what is missing.
+    Args:
+        given: texts of the options by name, None where not given.
+
+    Attributes:
+        asked: whether a person was asked.
+        taken: names of the questions whose default was taken.
     """
-    values: dict[str, Any] = {}
-    assumed, missing = [], []
-    person = sys.stdin.isatty()
-    for question in QUESTIONS:
-        text = given[question.name]
-        if not question.wanted(values):
-            if text is not None:
-                raise BadInput(f"--{question.option}: only with {condition(question.option)}")
-            continue
-        if text is not None:
+
+    def __init__(self, given: Mapping[str, str | None]) -> None:
+        self._given = given
+        self._person = sys.stdin.isatty()
+        self._values: dict[str, Any] = {}
+        self._texts: dict[str, str] = {}
+        self.asked = False
+        self.taken: set[str] = set()
+
+    def rig(self) -> tuple[Facts, Rig]:
+        """What the answers say, and the rig file that they make; answers that contradict each other are asked again.
+
+        Raises:
+            BadInput: an option that makes no sense, answers that contradict each other, or nobody to ask.
+        """
+        self._read()
+        while True:
+            facts = _facts(self._values)
             try:
-                values[question.name] = question.read(text)
+                return facts, starting_point(facts)
+            except Contradiction as error:
+                again = [
+                    question
+                    for question in QUESTIONS
+                    if question.option in error.answers and self._values.get(question.name, OWN) != OWN
+                ]
+                if not (self._person and again):
+                    options = ", ".join(f"--{question.option}" for question in again)
+                    raise BadInput(f"{options}: {error}" if options else str(error)) from None
+                print(f"\n{error}\nPlease answer again; Enter keeps an answer.")
+                for question in again:
+                    self._ask(question, self._texts[question.name])
+                self._complete()
+
+    def _complete(self) -> None:
+        """Ask what a new answer makes necessary, and forget what it makes needless."""
+        for question in QUESTIONS:
+            if not question.wanted(self._values):
+                self._values.pop(question.name, None)
+                self._texts.pop(question.name, None)
+            elif question.name not in self._values:
+                self._ask(question, question.default)
+
+    def _read(self) -> None:
+        missing = []
+        for question in QUESTIONS:
+            text = self._given[question.name]
+            if not question.wanted(self._values):
+                if text is not None:
+                    raise BadInput(f"--{question.option}: only with {condition(question.option)}")
+            elif text is not None:
+                try:
+                    self._take(question, text)
+                except BadInput as error:
+                    raise BadInput(f"--{question.option} {error}") from None
+            elif self._person:
+                self._ask(question, question.default)
+            elif question.default is not None:
+                self._take(question, question.default)
+                self.taken.add(question.name)
+            else:
+                missing.append(f"--{question.option} ({question.how})")
+                self._values[question.name] = None
+        if missing:
+            raise BadInput(
+                f"missing: {', '.join(missing)}; give them as options, or start the command in a terminal, where it "
+                "asks for them"
+            )
+
+    def _take(self, question: Question, text: str) -> None:
+        self._values[question.name] = question.read(text)
+        self._texts[question.name] = text
+
+    def _ask(self, question: Question, default: str | None) -> None:
+        """Ask until an answer makes sense."""
+        print(f"\n{question.text}\n  ({question.how})")
+        while True:
+            try:
+                text = input(f"  [{default}] > " if default is not None else "  > ").strip()
+            except EOFError:
+                raise BadInput(f"{question.text}: the input ended") from None
+            self.asked = True
+            try:
+                self._take(question, default if not text and default is not None else text)
             except BadInput as error:
-                raise BadInput(f"--{question.option} {error}") from None
-        elif person:
-            values[question.name], taken = _asked(question)
-            assumed += [question] if taken else []
-        elif question.default is not None:
-            values[question.name] = question.read(question.default)
-            assumed.append(question)
-        else:
-            missing.append(f"--{question.option} ({question.how})")
-            values[question.name] = None
-    if missing:
-        raise BadInput(
-            f"missing: {', '.join(missing)}; give them as options, or start the command in a terminal, where it asks "
-            "for them"
-        )
-    return values, assumed
+                print(f"  {error}")
+                continue
+            self.taken.discard(question.name)
+            if not text and default == question.default:
+                self.taken.add(question.name)
+            return
 
+    def command(self, path: Path) -> str:
+        """The command line with these answers.
 
-def _asked(question: Question) -> tuple[Any, bool]:
-    """Ask until an answer makes sense; the value, and whether it is the default."""
-    default = f" [{question.default}]" if question.default is not None else ""
-    print(f"\n{question.text}\n  ({question.how})")
-    while True:
-        try:
-            text = input(f"  {default.lstrip() + ' ' if default else ''}> ").strip()
-        except EOFError:
-            raise BadInput(f"{question.text}: the input ended; nothing was written") from None
-        taken = not text and question.default is not None
-        try:
-            return question.read(question.default if taken and question.default is not None else text), taken
-        except BadInput as error:
-            print(f"  {error}")
+        Args:
+            path: of the rig file.
+        """
+        words = ["new_rig", "--out", str(path)]
+        for question in QUESTIONS:
+            if question.name in self._texts:
+                words += [f"--{question.option}", self._texts[question.name]]
+        return typed(shlex.join(words))
 
 
 def _facts(values: Mapping[str, Any]) -> Facts:

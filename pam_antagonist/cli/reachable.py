@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pam_antagonist.cli import common
 from pam_antagonist.control import Box
-from pam_antagonist.control.stiffness import LEAST_FORCE, LOWEST_PRESSURE, SUPPLY_MARGIN
+from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
 from pam_antagonist.report import terminal
 from pam_antagonist.report.reachable import ReachableReport, summary, write_report
 from pam_antagonist.rig import load_rig
@@ -30,8 +30,9 @@ def parser() -> common.Parser:
     out = common.Parser("reachable", _DESCRIPTION, _EXAMPLES)
     common.add_rig(out)
     out.add_argument("--out", type=Path, metavar="DIR", help="folder of report.html and report.json; a new one")
+    lowest = "least pressure of a muscle, absolute [Pa] (default: a sixth of the supply's gauge pressure)"
+    out.add_argument("--lowest-pressure", type=_number, metavar="PA", help=lowest)
     for name, default, unit, text in (
-        ("--lowest-pressure", LOWEST_PRESSURE, "PA", "least pressure of a muscle, absolute [Pa]"),
         ("--supply-margin", SUPPLY_MARGIN, "PA", "how far the pressures stay below the supply's pressure [Pa]"),
         ("--least-force", LEAST_FORCE, "N", "least contraction force of a muscle [N]"),
     ):

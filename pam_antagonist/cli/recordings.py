@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
@@ -36,7 +36,7 @@ def add_names_and_report(parser: argparse.ArgumentParser) -> None:
     """Names of topics and joint, damaged bags, and what the report holds."""
     common.add_topics(parser)
     parser.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
-    parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states, where it holds several")
     common.add_recover(parser)
     add_corrections(parser)
     common.add_json(parser)
@@ -52,28 +52,56 @@ def add_corrections(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def refuse_wrong(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> None:
-    """Refuse a recording that is certainly not what it is taken for; ``--no-check`` goes on all the same.
+def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> Recording:
+    """A bag, corrected as asked and checked against the rig; ``--no-check`` goes on although it is wrong.
 
     Args:
-        recording: read with the corrections that were asked for.
+        bag: the bag.
         rig: the rig.
         arguments: of a command with :func:`add_corrections`.
+        how: how it is read, as for ``read_bag``.
 
     Raises:
-        BadInput: what is wrong, and what to type.
+        BadInput: a bag that cannot be read, or that is certainly not what it is taken for: what is wrong, and what to
+            type or to leave out.
     """
     from pam_antagonist.checks import SHORTEST, check_recording
+    from pam_antagonist.recording import read_bag
 
+    known = dict(rig.calibration)
+    given = corrections.from_options(arguments, known)
+    own = corrections.from_options(arguments).options()
+    try:
+        recording = read_bag(bag, corrections=given, **how)
+    except BadInput as exc:
+        if own and _can_be_read(bag, corrections.Corrections(**known), how):
+            raise BadInput(f"{exc}; it can be read without {' '.join(own)}: leave that out") from None
+        raise
     if arguments.no_check or recording.duration_s < SHORTEST or recording.drive != rig.drive:
-        return
+        return recording
     checked = check_recording(recording, rig, arguments.joint, arguments.lock_angle)
     if checked.wrong:
-        first = checked.wrong[0]
-        todo = f"type {' '.join(first.options)}" if first.options else "correct that"
+        if own:
+            # As it was recorded, it tells which of the given corrections are wrong.
+            raw = corrections.Corrections(align_clocks=given.align_clocks)
+            recorded = read_bag(bag, corrections=raw, **how, judge=False)
+            checked = check_recording(recorded, rig, arguments.joint, arguments.lock_angle, given)
+        first = (*checked.wrong, *checked.findings)[0]
         raise BadInput(
-            f"{recording.path}: {first.text}; {todo}, or --no-check to go on as it is (see {typed('check --help')})"
+            f"{bag}: {first.text}; {first.todo or 'correct that'}, or type --no-check to go on as it is "
+            f"(see {typed('check --help')})"
         )
+    return recording
+
+
+def _can_be_read(bag: Path, known: corrections.Corrections, how: Mapping[str, Any]) -> bool:
+    from pam_antagonist.recording import read_bag
+
+    try:
+        read_bag(bag, corrections=known, **how)
+    except BadInput:
+        return False
+    return True
 
 
 def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) -> list[Recording]:
@@ -87,18 +115,19 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
     Raises:
         BadInput: a bag that cannot be read, or the same one twice, or a recording that is certainly wrong.
     """
-    from pam_antagonist.recording import bag_hash, read_bag
+    from pam_antagonist.recording import bag_hash
 
     names = common.topics(arguments)
     bags = [*arguments.bags, *further]
     recordings = [
-        read_bag(
+        read_one(
             bag,
+            rig,
+            arguments,
             topics=names,
             namespace=arguments.namespace,
             joint_name=arguments.joint_name,
             recover=arguments.recover,
-            corrections=corrections.from_options(arguments, dict(rig.calibration)),
             also=getattr(arguments, "also", ()),
         )
         for bag in bags
@@ -107,8 +136,6 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
     for k, value in enumerate(hashes):
         if value in hashes[:k]:
             raise BadInput(f"{bags[k]}: the same recording as {bags[hashes.index(value)]}")
-    for recording in recordings:
-        refuse_wrong(recording, rig, arguments)
     return recordings
 
 

@@ -12,7 +12,6 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import corrections
 
 if TYPE_CHECKING:
     from pam_antagonist.api.replay import ReplayResult
@@ -64,7 +63,7 @@ def parser() -> common.Parser:
         "the recording shows that, else none (default: auto)",
     )  # fmt: skip
     common.add_topics(out)
-    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states, where it holds several")
     out.add_argument("--namespace", metavar="/NS", help="namespace of the joint, where the bag holds several")
     out.add_argument(
         "--restarts", choices=("refuse", "last"), default="refuse",
@@ -138,19 +137,18 @@ def _replay(
     bag: Path, names: dict[str, str], namespace: str | None, rig: Rig, arguments: argparse.Namespace
 ) -> ReplayResult:
     from pam_antagonist.api.replay import replay
-    from pam_antagonist.recording import read_bag
 
     begin = time.perf_counter()
-    recording = read_bag(
+    recording = given.read_one(
         bag,
+        rig,
+        arguments,
         topics=names,
         namespace=namespace,
         joint_name=arguments.joint_name,
         restarts=arguments.restarts,
         recover=arguments.recover,
-        corrections=corrections.from_options(arguments, dict(rig.calibration)),
     )
-    given.refuse_wrong(recording, rig, arguments)
     read_seconds = time.perf_counter() - begin
     with counted(len(recording.stamp_ns), f"replay {bag.name}") as done:
         return replay(

@@ -14,6 +14,7 @@ from pam_antagonist.rig.parts import muscle_parts, named, regulator_parts, valve
 
 OWN = "own"
 """Answer for a muscle, a valve or a regulator that is in no list."""
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _NUMBER = re.compile(r"\s*([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*)\s*")
 
 
@@ -92,6 +93,16 @@ def _part(what: str, parts: Callable[[], Mapping[str, Any]]) -> Callable[[str], 
     return read
 
 
+def _list(parts: Callable[[], Mapping[str, Any]]) -> str:
+    return f"{', '.join(parts())}, or own where none of these is yours"
+
+
+def _name(text: str) -> str:
+    if _NAME.fullmatch(text) is None:
+        raise BadInput(f"{text!r}: expected letters, digits, - and _, such as left_elbow")
+    return text
+
+
 def _stop(text: str) -> float | None:
     return None if text == "none" else _quantity("angle", math.radians(1.0), math.radians(89.0))(text)
 
@@ -107,8 +118,9 @@ def _volts(text: str) -> tuple[float, float]:
 
 def _gauge_range(text: str) -> tuple[float, float]:
     low, colon, high = text.partition(":")
-    read = _quantity("pressure", 0.0, 1.5e6)
-    values = (read(low), read(high)) if colon else (math.nan, math.nan)
+    values = (math.nan, math.nan)
+    if colon:
+        values = _quantity("pressure", 0.0, 9e5)(low), _quantity("pressure", 2e4, 1.5e6)(high)
     if not values[0] < values[1]:
         raise BadInput(f"{text!r}: expected the least and the largest gauge pressure, such as 0bar:6bar")
     return values
@@ -137,7 +149,7 @@ def _is_own(name: str) -> Callable[[Mapping[str, Any]], bool]:
 
 _SHEET = "its data sheet"
 QUESTIONS = (
-    Question("name", "Name of the rig", "letters, digits, - and _", str, "my_rig"),
+    Question("name", "Name of the rig", "letters, digits, - and _", _name, "my_rig"),
     Question(
         "kind",
         "Lever or pulley",
@@ -151,7 +163,7 @@ QUESTIONS = (
         "from the axis to where a muscle pulls, by ruler",
         _quantity("length", 2e-3, 0.4),
     ),
-    Question("muscle", "Muscle", "a name of the list above, or own", _part("muscle", muscle_parts)),
+    Question("muscle", "Muscle", _list(muscle_parts), _part("muscle", muscle_parts)),
     Question(
         "muscle-diameter",
         "Inner diameter of the muscle without pressure",
@@ -203,7 +215,7 @@ QUESTIONS = (
     Question(
         "regulator",
         "Pressure regulator",
-        "a name of the list above, or own",
+        _list(regulator_parts),
         _part("regulator", regulator_parts),
         OWN,
         _is_driven_by("regulator"),
@@ -227,7 +239,7 @@ QUESTIONS = (
     Question(
         "valve",
         "Valve",
-        "a name of the list above, or own",
+        _list(valve_parts),
         _part("valve", valve_parts),
         wanted=_is_driven_by("valve"),
     ),

@@ -118,7 +118,6 @@ def _run(arguments: argparse.Namespace) -> int:
     with common.output_folder(arguments.out) as folder:
         if result.fitted is not None:
             write_rig(result.fitted, folder / "rig.yaml", _remarks(result))
-            load_rig(folder / "rig.yaml")
         write_report(folder, result, with_figures=not arguments.no_figures)
     print(f"{terminal.render(summary(result))}\n")
     if result.fitted is not None:

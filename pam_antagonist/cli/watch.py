@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import ipaddress
+import os
 import signal
 import sys
 import webbrowser
@@ -30,6 +31,8 @@ examples:
   {run} watch --namespace /left/elbow --port 8766
   {run} watch --allow-commands
 """
+_LOOK_S = 4.0
+"""[s] Between two looks for the joint; discovery takes a second or two."""
 
 
 def parser() -> common.Parser:
@@ -79,16 +82,29 @@ def _serve(arguments: argparse.Namespace) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, loop.stop)
     watch = PipelineWatch(arguments.namespace, arguments.joint_name, arguments.allow_commands)
+    looking: asyncio.TimerHandle | None = None
+
+    def look(said: str) -> None:
+        nonlocal looking
+        absent = watch.look()
+        if absent != said:
+            print(absent or "the joint is there", flush=True)
+        looking = loop.call_later(_LOOK_S, look, absent)
+
     try:
         server = Server(watch, arguments.host, arguments.port, arguments.allow_commands)
         try:
-            print(f"{watch.namespace or '/'}: {server.address}  (Ctrl-C ends)", flush=True)
+            where = f"{watch.namespace or '/'} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}"
+            print(f"{where}: {server.address}  (Ctrl-C ends)", flush=True)
+            looking = loop.call_later(_LOOK_S, look, "")
             if not _loopback(arguments.host):
                 print("warning: everybody who can reach this machine on that port can see the joint", file=sys.stderr)
             if arguments.open:
                 webbrowser.open(server.address)
             loop.run_forever()
         finally:
+            if looking is not None:
+                looking.cancel()
             server.stop()
     finally:
         watch.close()

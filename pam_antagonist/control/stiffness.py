@@ -34,8 +34,9 @@ _PRESSURE_STEP = 1e3
 """[Pa] Step of the difference quotients, which only force maps need that are not linear in the pressure."""
 
 
-LOWEST_PRESSURE = 200e3
-"""[Pa] The least pressure of the paper's experiments; a muscle empties slowly below it."""
+_LOWEST_SHARE = (200.0 - 101.3) / (710.0 - 101.3)
+"""[-] Least pressure as a share of the supply's gauge pressure: 200 of 710 kPa absolute in the paper's experiments. A
+muscle empties slowly below it."""
 SUPPLY_MARGIN = 20e3
 """[Pa] Margin below the supply's pressure, at which air still flows in at a fifth of the choked flow."""
 LEAST_FORCE = 2.0
@@ -57,13 +58,13 @@ class Box(NamedTuple):
 
     @classmethod
     def of(
-        cls, p: np.ndarray, lowest: float = LOWEST_PRESSURE, margin: float = SUPPLY_MARGIN, force: float = LEAST_FORCE
+        cls, p: np.ndarray, lowest: float | None = None, margin: float = SUPPLY_MARGIN, force: float = LEAST_FORCE
     ) -> Box:
         """The box of a rig.
 
         Args:
             p: parameter vector (parameters.SIZE,); its supply, or the range of its regulators, is the upper bound.
-            lowest: pressure [Pa].
+            lowest: pressure [Pa]; None: about a sixth of the supply's gauge pressure.
             margin: below the supply's pressure, so that air still flows [Pa].
             force: least contraction force of either muscle [N].
 
@@ -74,6 +75,8 @@ class Box(NamedTuple):
         # Regulators hold any pressure of their range, so no margin is needed there.
         if p[_HIGHEST] > 0.0:
             highest = min(highest, float(p[_HIGHEST]))
+        if lowest is None:
+            lowest = float(round(p[ATMOSPHERE] + _LOWEST_SHARE * (p[SUPPLY] - p[ATMOSPHERE])))
         lowest = max(lowest, float(p[_LOWEST]))
         if not p[ATMOSPHERE] <= lowest < highest <= p[SUPPLY]:
             raise BadInput(

@@ -35,7 +35,7 @@ from pam_antagonist.design.information import (
     unknowns,
 )
 from pam_antagonist.design.limits import Limits, uncertainty_of
-from pam_antagonist.design.optimal import BLOCK, FORBIDDEN, REST, STEP, TAIL, Plan, best_block, held, steady_voltage
+from pam_antagonist.design.optimal import BLOCK, FORBIDDEN, REST, STEP, TAIL, Plan, best_block, held
 from pam_antagonist.diagnosis.thresholds import STRONG
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Candidate, moved
@@ -43,6 +43,7 @@ from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import steady_voltage
 from pam_antagonist.simulation import excitation
 
 Floats = NDArray[np.float64]

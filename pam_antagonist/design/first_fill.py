@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from pam_antagonist.design.information import STEP, Information
 from pam_antagonist.design.limits import Limits
-from pam_antagonist.design.optimal import Plan, steady_voltage
+from pam_antagonist.design.optimal import Plan
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import ANGLE
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import steady_voltage
 
 Floats = NDArray[np.float64]
 

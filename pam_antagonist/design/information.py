@@ -18,6 +18,7 @@ from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1,
 from pam_antagonist.model import equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import rest_pressure
 
 Floats = NDArray[np.float64]
 
@@ -214,7 +215,7 @@ def standard_errors(
     period: float,
     joint: str = "free",
     lock_angle: float = 0.0,
-    pressure: tuple[float, float] = (450e3, 450e3),
+    pressure: tuple[float, float] | None = None,
 ) -> dict[str, float]:
     """Standard errors of the parameters that ``identify`` moves, as shares of their priors.
 
@@ -224,8 +225,9 @@ def standard_errors(
         period: [s].
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
-        pressure: of both muscles at the start [Pa].
+        pressure: of both muscles at the start [Pa]; None: at rest.
     """
+    pressure = pressure or (rest_pressure(rig),) * 2
     free = unknowns(rig)
     work = Information(rig, free, joint, lock_angle, central=True, step=min(period, STEP))
     rows = np.repeat(voltage, max(1, round(period / work.dt)), axis=0)

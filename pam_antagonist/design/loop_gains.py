@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.design.optimal import steady_voltage
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import steady_voltage
 
 Floats = NDArray[np.float64]
 

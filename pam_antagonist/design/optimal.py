@@ -22,9 +22,8 @@ from scipy.stats import qmc
 from pam_antagonist.design.information import Information, predicted_std, unknowns
 from pam_antagonist.design.limits import Limits, uncertainty_of
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.valve_curve import steady_open_rate
-from pam_antagonist.model import flow
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import steady_voltage
 
 Floats = NDArray[np.float64]
 
@@ -209,19 +208,6 @@ class Design:
         self._information = self._information + self._work.matrix(course, self._count)
         self._states = course.ends
         return rows
-
-
-def steady_voltage(rig: Rig, pressure: float) -> tuple[float, float]:
-    """Voltages under which both muscles keep a pressure, by the valves' law (5).
-
-    Args:
-        rig: the joint.
-        pressure: wanted one [Pa].
-    """
-    p = rig.parameters()
-    alpha = float(steady_open_rate(np.array([pressure]), p)[0])
-    first, second = (float(flow.voltage_for(i, alpha, p)) for i in (0, 1))
-    return first, second
 
 
 def designed(

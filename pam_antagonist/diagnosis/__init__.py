@@ -13,7 +13,7 @@
    :mod:`splits` says how firm they are.
 5. Describe. :mod:`description` makes the :class:`Diagnosis`: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
-   :mod:`found_calibrations` the corrections that a user enters.
+   :mod:`found_calibrations` the corrections that a user enters, :mod:`rig_choice` the rig files.
 
 All of them use :mod:`thresholds`. :mod:`common_values` has the mean of a number over several recordings. :mod:`result`
 and :mod:`errors` hold the data that are passed on. :mod:`checkpoint` keeps finished candidates on disk.

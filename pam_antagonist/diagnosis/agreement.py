@@ -210,7 +210,7 @@ def effect_contradictions(
         if experiment.trial.name not in effect.recordings
     ]
     losses = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(_loss)(experiments[r], model.fits[r], _parameters_of(effect.name, values)) for effect, r in tasks
+        delayed(_loss)(experiments[r], model.fits[r], f"effects.{effect.name}.", values) for effect, r in tasks
     )
     return [
         f"the recordings contradict each other: {' and '.join(effect.recordings)} shows {effect.name}, "
@@ -220,15 +220,12 @@ def effect_contradictions(
     ]
 
 
-def _parameters_of(effect: str, values: Mapping[str, float]) -> dict[str, float]:
-    return {path: value for path, value in values.items() if path.startswith(f"effects.{effect}.")}
-
-
-def _loss(experiment: Experiment, fitted: Fitted, values: Mapping[str, float]) -> float:
-    effect = next(iter(values)).rsplit(".", 1)[0] + "."
-    own = {path: value for path, value in fitted.point.effects.items() if not path.startswith(effect)}
+def _loss(experiment: Experiment, fitted: Fitted, prefix: str, values: Mapping[str, float]) -> float:
+    """Evidence against the others' values of an effect, whose parameters have a prefix."""
+    own = {path: value for path, value in fitted.point.effects.items() if not path.startswith(prefix)}
+    theirs = {path: value for path, value in values.items() if path.startswith(prefix)}
     before, after = (
         refit(experiment, Point(fitted.point.theta, effects), blocks_per_error=fitted.scale.blocks_per_error)
-        for effects in (own, {**own, **values})
+        for effects in (own, {**own, **theirs})
     )
     return -evidence(experiment, before, after)

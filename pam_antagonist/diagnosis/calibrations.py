@@ -23,6 +23,8 @@ from pam_antagonist.inference.starts import best_of_starts
 
 _IMITATED = ("torque_scale",)
 """Calibrations that base parameters imitate exactly: muscles, inertia and friction larger by the same factor."""
+_EDGE = 1e-3
+"""A calibration nearer to a bound than this share of its range is at the bound."""
 _STAMP_STD = 12.0**-0.5
 """[sample periods] Standard deviation of a stamp's error, which is uniform over one sample period."""
 
@@ -63,6 +65,7 @@ def tried(
         for name, fit in other.items():
             gains = [evidence(experiments[r], model.fits[r], one) for one in (done[name, r], fit)]
             done[name, r] = fit if gains[1] > gains[0] else done[name, r]
+    done = {(name, r): fit for (name, r), fit in done.items() if _is_within(fit, name)}
     out = []
     for name in dict.fromkeys(name for name, _ in tasks):
         each = [done.get((name, r)) for r in range(len(experiments))]
@@ -114,7 +117,7 @@ def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: i
         fits, total, held = list(model.fits), 0.0, 0.0
         for r, (experiment, _) in enumerate(pairs):
             new = done.get((name, r))
-            if new is None or not _is_certain(new, name):
+            if new is None or not _is_within(new, name) or not _is_certain(new, name):
                 continue
             gain, later = _posterior_gain(experiment, plain[r], new)
             if gain > 0.0:
@@ -147,6 +150,13 @@ def _posterior_gain(experiment: Experiment, before: Fitted, after: Fitted) -> tu
     later = [float(scale.misfits(part).sum()) for part in left]
     share = scale.blocks_per_error / length
     return share * (old - new) - price, share * (later[0] - later[1])
+
+
+def _is_within(fitted: Fitted, name: str) -> bool:
+    """Whether a model has a calibration within its bounds. At a bound it stands for something else."""
+    item, value = calibration.CALIBRATIONS[name], fitted.point.effects.get(calibration.path(name), 0.0)
+    edge = _EDGE * (item.high - item.low)
+    return item.low + edge < value < item.high - edge
 
 
 def _is_certain(fitted: Fitted, name: str) -> bool:
@@ -207,7 +217,7 @@ def taken(
 
 
 def needed(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> tuple[Model, Model]:
-    """Both models without the calibrations and effects that are not significant beside the others.
+    """Both models without calibrations at a bound, and without what is not significant beside the others.
 
     Args:
         experiments: the recordings.
@@ -215,6 +225,10 @@ def needed(experiments: Sequence[Experiment], base: Model, model: Model, jobs: i
         model: the chosen model.
         jobs: threads.
     """
+    for name in calibrations_of(model):
+        if not all(_is_within(fitted, name) for fitted in (*base.fits, *model.fits)):
+            prefix = calibration.path(name)
+            base, model = (without(experiments, each, prefix, jobs) for each in (base, model))
     while model.effects:
         names = calibrations_of(model)
         if not names:

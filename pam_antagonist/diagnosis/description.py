@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import ambiguity, found_calibrations, held_out, splits, warnings
+from pam_antagonist.diagnosis import ambiguity, found_calibrations, held_out, rig_choice, splits, warnings
 from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
@@ -73,16 +73,18 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     progress("errors before and after")
     entries = held_out.by_recording(prepared, compared, tunings, settings.estimator, jobs)
     totals = held_out.total_errors(compared, entries)
+    rigs = {name: with_tuning(common[name], tunings.get(name)) for name in common}
+    models: dict[str, list[tuple[Group, Model, Mapping[str, float]]]] = {
+        "recalibrated": [(group, base, {}) for group, base, _ in ended],
+        "extended": [(group, model, j.values) for (group, _, model), j in zip(ended, judged, strict=True)],
+    }
+    of_one_rig = rig_choice.rig_errors(prepared, models, rigs, compared, entries, settings)
     timings.end("errors")
     remaining = tuple(
         item for j in judged if j.verdict != "none" for item in describe_remaining(j.group.experiments, j.model)
     )
     timings.end("remaining residual")
     verdict, share = _overall(judged)
-    one_rig = None
-    if verdict == "effect" and prepared.fitted > 1:
-        models = [(group, model, j.values) for (group, _, model), j in zip(ended, judged, strict=True)]
-        one_rig = held_out.errors_of_one_rig(models, common["extended"])
     ranking = tuple(_ranked(j, tried) for j in judged for tried in j.selection.tried)
     reference = held_out.static_map(prepared)
     return Diagnosis(
@@ -114,12 +116,13 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         share=share,
         parts=tuple(PartVerdict(j.group.name, j.verdict, j.share) for j in judged),
         errors=totals,
-        errors_of_one_rig=one_rig,
+        of_one_rig=of_one_rig,
         by_recording=entries,
         reference=reference,
         remaining=remaining,
         unseen=warnings.unseen(_as_judged(prepared, judged), {j.group.name: j.base for j in judged}, jobs),
         warnings=(
+            *prepared.notes,
             *warnings.guessed_curves(judged[0].group.experiments[0].rig, [item.name for item in effects]),
             *(warning for j in judged for warning in j.warnings),
             *warnings.few_sweeps(prepared),
@@ -128,8 +131,8 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
             *warnings.estimator_worse(entries),
         ),
         profiles=tuple(profiles),
-        rig_recalibrated=with_tuning(common["recalibrated"], tunings.get("recalibrated")),
-        rig_extended=with_tuning(common["extended"], tunings.get("extended")),
+        rig_recalibrated=rigs["recalibrated"],
+        rig_extended=rigs["extended"],
         own=_own_rigs(prepared, compared, tunings),
         base_friction_removed=prepared.friction_removed,
         experiments=tuple(experiment for j in judged for experiment in j.group.experiments),
@@ -329,29 +332,35 @@ def sentence(
         along_motion: whether the verdict rests on the model along the measured motion, not on the one that runs by
             itself.
     """
-    recalibrated, extended = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
+    each = [_errors(own, mean_pressure) for own in errors.all]
+    configured, recalibrated, extended = map(_listed, each)
     beside = f" The recordings need a calibration: {'; '.join(calibrated)}." if calibrated else ""
     others = "; ".join(_instead(name) for name in ambiguous)
     doubts = f" The recordings do not exclude another explanation: {others}." if others else ""
     if verdict == "none":
         return (
             f"The model lacks nothing that these recordings show.{beside} After {'calibration and ' if beside else ''}"
-            "recalibration its errors are as small as the sensors' noise allows "
-            f"({recalibrated} on held-out data).{doubts}"
+            f"recalibration its errors on held-out data are {recalibrated}, as small as the sensors' noise allows; as "
+            f"configured they are {configured}.{doubts}"
         )
     if verdict == "effect":
         what = " ".join(f"{words[0].upper()}{words[1:]}." for words in effects)
         these = "these effects" if len(effects) > 1 else "this effect"
-        gone = "" if share is None else f"{100 * share:.0f} % of the excess over the sensors' noise is explained"
+        gone = ""
+        if share is not None:
+            gone = f"Of the excess over the sensors' noise after recalibration, {100 * share:.0f} % is explained"
         if along_motion:
+            gone = "" if share is None else f": {gone[0].lower()}{gone[1:]} on held-out data"
             text = (
-                f"{what} The joint sticks, so the balance of its torques along the measured motion decides: with "
-                f"{these} {gone} on held-out data. The errors there of the model that gets the commands only are "
-                f"{recalibrated} without {these} and {extended} with."
+                f"{what} The joint sticks, so the balance of its torques along the measured motion decides{gone}. The "
+                "errors there of the model that gets the commands only are "
+                f"{configured} as configured and {extended} with {these}."
             )
         else:
-            text = f"{what} With {these} the model's errors on held-out data fall from {recalibrated} to {extended}"
-            text += f": {gone}." if gone else "."
+            falls = all(after < before for (before, _), (after, _) in zip(each[0], each[2], strict=True))
+            change = "fall" if falls else "change"
+            text = f"{what} With {these} the model's errors on held-out data {change} from {configured} as configured "
+            text += f"to {extended}." + (f" {gone}." if gone else "")
         text += beside + (f" {firmness}." if firmness else "")
         if reference is not None:
             straight = reference["angle_and_pressures"]
@@ -364,8 +373,9 @@ def sentence(
         gone = f"{100 * max(best.shares[0], 0.0):.0f} %"
         closest = f" The effect that comes closest, {best.effect}, explains {gone} of that, which is not enough."
     return (
-        "The model lacks something, and no effect of the catalogue explains it. After recalibration its errors on "
-        f"held-out data are {recalibrated}, well above the sensors' noise.{closest}{beside}"
+        "The model lacks something, and no effect of the catalogue explains it. Its errors on held-out data are "
+        f"{configured} as configured and {recalibrated} after recalibration, well above the sensors' noise.{closest}"
+        f"{beside}"
     )
 
 
@@ -376,13 +386,15 @@ def _instead(name: str) -> str:
     return effect.sealed.instead or f"{effect.title} would explain the data as well"
 
 
-def _errors(own: Errors, mean_pressure: bool) -> str:
-    parts = []
-    if own.angle:
-        parts.append(f"{own.angle.rmse:.2g}°")
-    if own.torque:
-        parts.append(f"{own.torque.rmse:.2g} N m")
+def _errors(own: Errors, mean_pressure: bool) -> list[tuple[float, str]]:
+    """Each error with its unit."""
+    out = [(item.rmse, unit) for item, unit in ((own.angle, "°"), (own.torque, " N m")) if item]
     if mean_pressure and own.mean_rmse_pa is not None:
-        return ", ".join([*parts, f"{own.mean_rmse_pa / 1e3:.2g} kPa (mean pressure)"])
-    parts.append("{:.2g} and {:.2g} kPa".format(*(value / 1e3 for value in own.rmse_pa)))
-    return ", ".join(parts)
+        return [*out, (own.mean_rmse_pa / 1e3, " kPa (mean pressure)")]
+    first, second = own.rmse_pa
+    return [*out, (first / 1e3, " kPa (pressure 1)"), (second / 1e3, " kPa (pressure 2)")]
+
+
+def _listed(errors: Sequence[tuple[float, str]]) -> str:
+    text = ", ".join(f"{value:.2g}{unit}" for value, unit in errors)
+    return text.replace(" kPa (pressure 1), ", " and ").replace(" kPa (pressure 2)", " kPa")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, course, forecast
 from pam_antagonist.diagnosis.episode_lines import StraightLines
+from pam_antagonist.diagnosis.thresholds import MARGIN
 from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
 from pam_antagonist.inference.episode_search import Tried, search, with_effect
 from pam_antagonist.inference.episodes import EpisodeModel
@@ -46,6 +47,11 @@ class Row:
     later: Interval
     recent: Interval | None
     interleaved: Interval | None
+
+    @property
+    def forecast(self) -> Interval:
+        """The error on later episodes of the model that is meant for them."""
+        return self.later if self.recent is None else self.recent
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +91,14 @@ class EpisodeDiagnosis:
     ratio: Interval | None = None
     left: Interval | None = None
     longest_step: float = 0.0
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the extended rig is better on held-out episodes than the rig as configured: then it is proposed."""
+        given, extended = self.rows[0], self.rows[-1]
+        pairs = [(given.forecast, extended.forecast), (given.interleaved, extended.interleaved)]
+        ratios = [after.value / before.value for before, after in pairs if before is not None and after is not None]
+        return all(ratio <= MARGIN for ratio in ratios) and ratios[0] * MARGIN < 1.0
 
 
 @one_blas_thread

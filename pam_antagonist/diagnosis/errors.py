@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE
 from pam_antagonist.estimation import metrics
 from pam_antagonist.estimation.errors import ChannelErrors, channel_errors
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
 
 Floats = NDArray[np.float64]
+_FILTER = "the filter's"
+_Pair = tuple[str, str, float, float]
+"""Name of an error, its unit, and the error before and after."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,104 @@ class ModelErrors:
     def all(self) -> tuple[Errors, Errors, Errors]:
         """In the order of the table's columns."""
         return self.as_configured, self.recalibrated, self.extended
+
+
+@dataclass(frozen=True)
+class RigErrors:
+    """Errors on held-out data with one rig file.
+
+    Attributes:
+        model: of the model alone.
+        ukf: of the estimator over all recordings; None where it was not run.
+        each: of the estimator in each recording.
+    """
+
+    model: Errors
+    ukf: Errors | None = None
+    each: tuple[Errors, ...] = ()
+
+    @classmethod
+    def total(cls, model: Errors, each: Sequence[tuple[Errors | None, int]]) -> RigErrors:
+        """Errors over several recordings.
+
+        Args:
+            model: of the model alone over all recordings.
+            each: of the estimator in each recording, and its samples; None where it was not run.
+        """
+        known = [(errors, samples) for errors, samples in each if errors is not None]
+        if not known:
+            return cls(model)
+        errors, samples = zip(*known, strict=True)
+        return cls(model, total_of(errors, samples), errors if len(errors) > 1 else ())
+
+    def larger(self, now: RigErrors, share: float, of_model: float | None = None) -> tuple[str, ...]:
+        """Errors with another file that are more than a share of those with this one, in words.
+
+        Args:
+            now: with the other file.
+            share: largest ratio of an error to the one with this file; in a single recording, chance may enlarge it.
+            of_model: the same for errors of the model alone; default: share.
+        """
+        # An error that is no number is larger than any.
+        out = {
+            what: (" ", unit, before, after)
+            for what, unit, before, after in self._pairs(now)
+            if not after <= (share if of_model is None or what.startswith(_FILTER) else of_model) * before
+        }
+        most = max(share, ESTIMATOR_WORSE)
+        for one, other in zip(self.each, now.each, strict=False):
+            for what, unit, before, after in _pairs(_FILTER, one, other):
+                if not after <= most * before:
+                    out.setdefault(what, (" in one recording ", unit, before, after))
+        return tuple(
+            f"{what} error{where}{_number(after)}{unit}, before {_number(before)}{unit}"
+            for what, (where, unit, before, after) in out.items()
+        )
+
+    def ratio(self, now: RigErrors) -> float:
+        """Geometric mean of the ratios of errors with another file to those with this one.
+
+        Args:
+            now: with the other file.
+
+        Returns:
+            The mean over all errors, or over those of the filter, whichever is larger.
+        """
+        ratios = np.array([_finite(after) / _finite(before) for *_, before, after in self._pairs(now)])
+        of_filter = [what.startswith(_FILTER) for what, *_ in self._pairs(now)]
+        means = [float(np.exp(np.mean(np.log(some)))) for some in (ratios, ratios[of_filter]) if len(some)]
+        return max(means)
+
+    def in_words(self, now: RigErrors) -> str:
+        """The first error that was measured: the filter's, if it was run, of the angle, if it was measured.
+
+        Args:
+            now: with another file.
+        """
+        what, unit, before, after = self._pairs(now)[0]
+        return f"{what} error {_number(after)}{unit} instead of {_number(before)}{unit}"
+
+    def _pairs(self, now: RigErrors) -> list[_Pair]:
+        """Each error with this file and with another one, the most important first."""
+        out = [] if self.ukf is None or now.ukf is None else _pairs(_FILTER, self.ukf, now.ukf)
+        out += _pairs("the model's", self.model, now.model)
+        before, after = (float(np.sqrt(np.mean(np.square(one.rmse_pa)))) / 1e3 for one in (self.model, now.model))
+        return [*out, ("the model's pressure", " kPa", before, after)]
+
+
+def _pairs(whose: str, before: Errors, after: Errors) -> list[_Pair]:
+    """The errors of angle and torque before and after, where they were measured."""
+    named = ("angle", "°", before.angle, after.angle), ("torque", " N m", before.torque, after.torque)
+    return [(f"{whose} {what}", unit, old.rmse, new.rmse) for what, unit, old, new in named if old and new]
+
+
+def _finite(value: float) -> float:
+    """An error above 0, very large where it is no number."""
+    return max(value, 1e-12) if np.isfinite(value) else 1e12
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else "without bound"
 
 
 def errors_of(measured: Floats, shown: Floats, channels: Collection[int]) -> Errors:

@@ -169,6 +169,9 @@ def found_effects(
     effects: list[FoundEffect] = []
     for effect in model.effects:
         sizes, shapes = _sizes_and_shapes(model, effect)
+        if not sizes:
+            # No recording needs any of it: all of its sizes are 0.
+            continue
         where = {muscle: {s.recording for seen in group.values() for s in seen} for muscle, group in sizes.items()}
         shown = [{muscle for muscle in where if r in where[muscle]} for r in range(len(experiments))]
         visible = [muscles for muscles in shown if muscles]
@@ -208,7 +211,8 @@ def _sizes_and_shapes(model: Model, effect: str) -> tuple[dict[int | None, _Numb
     free = free_of(model, effect)
     sized = {one: _sizes(model, one) for one in free}
     if not any(seen for one, seen in sized.items() if one.item.is_size):
-        # Size and shape may compensate each other: neither is certain then, but both together are.
+        # Size and shape may compensate each other: neither is certain then, but both together are. And where friction
+        # that is anything above a level balances all torques, the derivative is 0, and with it the certainty.
         sized = {one: _sizes(model, one, certain=False) for one in free}
     by_muscle: dict[int | None, _Numbers] = {}
     for one, seen in sized.items():
@@ -249,10 +253,12 @@ def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> lis
         if free not in fitted.free:
             continue
         k = fitted.free.index(free)
-        if not np.any(fitted.effect[:, :, k]):
+        shows = bool(np.any(fitted.effect[:, :, k]))
+        if certain and not shows:
             continue
         value = fitted.point.effects.get(free.path, free.item.neutral)
-        std = float(np.sqrt(fitted.effect_covariance[k, k])) * free.slope(value)
+        # Without a derivative, only the magnitude is known.
+        std = float(np.sqrt(fitted.effect_covariance[k, k])) * free.slope(value) if shows else abs(value)
         if free.item.is_size:
             stem = free.path.rstrip("12")
             siblings = [abs(v) for path, v in fitted.point.effects.items() if path.startswith(stem)]
@@ -292,6 +298,8 @@ def profile_sizes(
                 continue
             progress(f"profile of {parameter.path}")
             profile = effect_profile(experiments[r], model.fits[r], parameter, jobs)
+            # Friction above a level may explain as much as friction at that level.
+            open_ended = profile.loss[-1] < 0.5 and profile.value[-1] > profile.best + profile.std
             result.append(
                 SizeProfile(
                     parameter.path.removeprefix("effects."),
@@ -301,7 +309,7 @@ def profile_sizes(
                     parameter.item.unit,
                     tuple(profile.value.tolist()),
                     tuple((2.0 * profile.loss).tolist()),
-                    profile.flat,
+                    profile.flat or bool(open_ended),
                 )
             )
     return tuple(result)

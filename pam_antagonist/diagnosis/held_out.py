@@ -23,7 +23,6 @@ from pam_antagonist.identification.tuning import innovation_likelihood
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.angle_driven import sweeps
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.recording import Recording
@@ -129,7 +128,7 @@ def _entry(
     }
     ukf = None
     if estimator:
-        runs = {model: estimator_errors(*_calibrated(recording, first, model), rigs[model]) for model in MODELS}
+        runs = {model: estimator_errors(*corrected(recording, first, model), rigs[model]) for model in MODELS}
         ukf = ModelErrors(*(runs[model].errors for model in MODELS))
         for model, rows in residuals.items():
             run = runs[model]
@@ -182,34 +181,6 @@ def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[Record
     return ModelErrors(*(total_of(parts, [count for _, count in known]) for parts in by_model))
 
 
-def errors_of_one_rig(models: Sequence[tuple[Group, Model, Mapping[str, float]]], rig: Rig) -> Errors:
-    """Errors of the model alone with one extended rig for all recordings, on the samples that were held out.
-
-    Args:
-        models: each group of recordings, its extended model, and values of its effects for one rig, by dotted path.
-        rig: the common rig.
-    """
-    found: dict[int, tuple[Errors, int]] = {}
-    for group, model, effects in models:
-        common = common_point(group.experiments, model, effects)
-        # Zeros, scales and late stamps belong to a recording, not to the rig.
-        runs = [
-            (experiment, number, Point(common.theta, {**common.effects, **_calibrations(fitted.point)}))
-            for experiment, number, fitted in zip(group.experiments, group.numbers, model.fits, strict=True)
-        ]
-        if group.held_out:
-            runs = [(other, number, common) for number, other in enumerate(group.held_out, len(group.experiments))]
-        for experiment, number, point in runs:
-            if number not in found:
-                part = HeldOutComparison(experiment.free_run, {"extended": experiment.started(point)}, "both", number)
-                found[number] = model_errors(part, "extended", rig), int(part.experiment.held_samples.sum())
-    return total_of(*map(list, zip(*found.values(), strict=True)))
-
-
-def _calibrations(point: Point) -> dict[str, float]:
-    return {dotted: value for dotted, value in point.effects.items() if calibration.is_calibration(dotted)}
-
-
 @dataclass(frozen=True, eq=False)
 class EstimatorErrors:
     """The estimator over a recording, on the samples that were held out.
@@ -237,8 +208,14 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
     return run, held[np.minimum(sample, len(held) - 1)]
 
 
-def _calibrated(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
-    """A recording corrected by the calibrations of a model: as read, and on its even grid."""
+def corrected(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
+    """A recording corrected by the calibrations of a model: as read, and on its even grid.
+
+    Args:
+        recording: as read.
+        part: the recording, with its models.
+        model: one of them.
+    """
     point = part.points[model]
     corrections = found_calibrations.corrections(calibration.values_of(point.effects))
     return corrections.applied(recording), part.experiment.corrected(point)[0]
@@ -317,7 +294,7 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
 
     def likelihood(part: HeldOutComparison, model: str) -> float:
         rig = own_rig(part.experiment, part.points[model])
-        recording, experiment = _calibrated(prepared.recordings[part.number], part, model)
+        recording, experiment = corrected(prepared.recordings[part.number], part, model)
         run, held = _estimated(recording, rig, experiment)
         return innovation_likelihood(run, held)[0]
 

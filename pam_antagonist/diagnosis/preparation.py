@@ -18,6 +18,7 @@ import numpy as np
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
 from pam_antagonist.identification.sealed import (
     SealedTrial,
     balance,
@@ -32,7 +33,7 @@ from pam_antagonist.inference.trial import TORQUE, Trial, check, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import random_part
 from pam_antagonist.recording import Recording, bag_name
-from pam_antagonist.recording.joint import joint_condition
+from pam_antagonist.recording.joint import joint_condition, refuse_other_condition
 from pam_antagonist.rig import Rig
 
 START = 5.0
@@ -118,6 +119,7 @@ class Prepared:
         trials: the same on an even grid.
         groups: the experiments.
         fitted: how many of the recordings are fitted.
+        notes: warnings about the recordings.
     """
 
     rig: Rig
@@ -126,6 +128,7 @@ class Prepared:
     trials: tuple[Trial, ...]
     groups: tuple[Group, ...]
     fitted: int
+    notes: tuple[str, ...] = ()
 
     @property
     def friction_removed(self) -> bool:
@@ -153,14 +156,51 @@ def prepare(recordings: Sequence[Recording], held_out: Sequence[Recording], rig:
     """
     if not recordings:
         raise BadInput("no recording: expected one at least")
+    least = thresholds.SHORTEST_DRIVEN if rig.valves.sealed else thresholds.SHORTEST
+    pieces = [longest_piece(recording, least) for recording in (*recordings, *held_out)]
+    notes = tuple(note for _, note in pieces if note)
+    whole = [recording for recording, _ in pieces]
+    recordings, held_out = whole[: len(recordings)], whole[len(recordings) :]
     low, high = thresholds.HOLDOUT
     if not low <= settings.holdout <= high:
         raise BadInput(f"holdout {settings.holdout:g}: expected a share of each recording from {low:g} to {high:g}")
     if not rig.valves.sealed:
-        return _valve_driven(recordings, held_out, rig, settings)
+        return replace(_valve_driven(recordings, held_out, rig, settings), notes=notes)
     if held_out:
         raise BadInput(f"rig {rig.name} is sealed: expected a share to be held out, not whole recordings")
-    return _angle_driven(recordings, rig, settings)
+    return replace(_angle_driven(recordings, rig, settings), notes=notes)
+
+
+def longest_piece(recording: Recording, least: float) -> tuple[Recording, str]:
+    """The longest piece without a hole: what was commanded in a hole is not known, and the model errs after it.
+
+    Args:
+        recording: the recording.
+        least: length of a piece [s].
+
+    Returns:
+        The piece, and what to say about it; the recording itself and nothing if there is no hole.
+
+    Raises:
+        BadInput: no piece is long enough.
+    """
+    known = np.flatnonzero(np.isfinite(recording.voltage).all(axis=1))
+    time = recording.time_s[known]
+    holes = np.flatnonzero(np.diff(time) > LONGEST_GAP_NS * 1e-9)
+    if not len(holes):
+        return recording, ""
+    begin, end = time[np.append(0, holes + 1)], time[np.append(holes, len(time) - 1)]
+    best, name = int(np.argmax(end - begin)), bag_name(recording.path)
+    first, last = float(begin[best]), float(end[best])
+    count = f"{len(holes)} holes" if len(holes) > 1 else "a hole"
+    where = f"{name}: has {count}, the first from {time[holes[0]]:.1f} to {time[holes[0] + 1]:.1f} s"
+    if last - first < least:
+        raise BadInput(
+            f"{where}; the longest piece without one has {last - first:.1f} s, expected at least {least:g} s"
+        )
+    return recording.slice(first, last + 0.5 * recording.sample_period_s), (
+        f"{where}, so only the piece from {first:.1f} to {last:.1f} s is used; times below count from its start"
+    )
 
 
 def cut(trial: Trial, holdout: float) -> int:
@@ -174,8 +214,9 @@ def _valve_driven(
 ) -> Prepared:
     def trial_of(recording: Recording) -> Trial:
         lock = settings.lock_angle if settings.joint == "locked" else None
-        state = joint_condition(recording, settings.joint, lock)
-        return make_trial(recording, rig, state.condition, state.lock_angle, bag_name(recording.path))
+        state, name = joint_condition(recording, settings.joint, lock), bag_name(recording.path)
+        refuse_other_condition(recording, state.condition, name)
+        return make_trial(recording, rig, state.condition, state.lock_angle, name)
 
     trials = [trial_of(recording) for recording in recordings]
     others = [trial_of(recording) for recording in held_out]

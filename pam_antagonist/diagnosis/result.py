@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
-from pam_antagonist.diagnosis.errors import Errors, ModelErrors
+from pam_antagonist.diagnosis.errors import ModelErrors, RigErrors
 from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.remaining import RemainingResidual
@@ -283,7 +283,7 @@ class Diagnosis:
             is a disturbance torque in recordings of which nothing is held out.
         parts: the verdict on each part of the joint that was judged by itself.
         errors: of the three models, on each recording with its own values.
-        errors_of_one_rig: of ``rig_extended`` on all of several recordings; None where nothing was found in several.
+        of_one_rig: errors with one rig file for all recordings, by the name of the model.
         by_recording: errors of the three models and more, for each recording.
         reference: errors of maps without physics, by name [N m]; None where there is none to compare with.
         remaining: what is not explained, described.
@@ -312,7 +312,7 @@ class Diagnosis:
     share: float | None
     parts: tuple[PartVerdict, ...]
     errors: ModelErrors
-    errors_of_one_rig: Errors | None
+    of_one_rig: Mapping[str, RigErrors]
     by_recording: tuple[RecordingEntry, ...]
     reference: Mapping[str, float] | None
     remaining: tuple[RemainingResidual, ...]

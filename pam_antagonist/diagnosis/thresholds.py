@@ -93,6 +93,9 @@ IMPLAUSIBLE = 5.0
 ESTIMATOR_WORSE = 1.5
 """Growth of an estimator's error that is not chance."""
 
+MARGIN = 1.05
+"""Errors on held-out data with a smaller ratio count as equal, as in a replay's findings."""
+
 # Disturbance torques.
 
 DISTURBANCE_STANDS_OUT = 3.0

@@ -214,7 +214,7 @@ def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
                 warnings.append(
                     f"the estimator is worse in {entry.recording} with the values fitted here ({what} "
                     f"{after.rmse:.2g}{unit}) than with the rig as configured ({before.rmse:.2g}{unit}): the base "
-                    "parameters were fitted to something that no effect explains; keep the rig file that you have"
+                    "parameters were fitted to something that no effect explains"
                 )
     return warnings
 

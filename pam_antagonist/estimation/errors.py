@@ -99,6 +99,8 @@ def channel_errors(
     """
     if measured is None or not np.isfinite(measured).any():
         return None
+    if variance is None and not np.isfinite(value).all():
+        return ChannelErrors(unit, math.inf, math.inf, math.inf)  # a model that diverged has no error that is a number
     error, scale = value - measured, math.degrees(1.0) if unit == "deg" else 1.0
     rmse, coverage, width = metrics.rmse(error), None, None
     if variance is not None:
@@ -110,6 +112,8 @@ def channel_errors(
 
 def pressure_errors(measured: FloatArray, value: FloatArray) -> PressureErrors:
     """Errors of both pressures, measured and estimated (N, 2) [Pa]."""
+    if not np.isfinite(value).all():
+        return PressureErrors(*((math.inf, math.inf),) * 3)
     error = value - measured
     return PressureErrors(
         (metrics.rmse(error[:, 0]), metrics.rmse(error[:, 1])),

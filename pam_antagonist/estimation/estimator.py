@@ -18,6 +18,7 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
 from pam_antagonist.model.effects.external_torque import UNBOUNDED
 from pam_antagonist.rig import NO_ENCODER, Rig, Tuning, fingerprint
+from pam_antagonist.rig.physical import varied
 
 # Limits of set_state: velocity [rad/s] and absolute pressures [Pa]. The gauge pressure of a vented muscle is below.
 _FASTEST = 100.0
@@ -101,7 +102,8 @@ def parameter_sets(rig: Rig, tuning: Tuning, joint: str = "free", lock_angle: fl
     sets = [nominal]
     for step in steps:
         for way in (reach, -reach):
-            sets.append(rig.parameters(joint, lock_angle, {name: rig.value(name) + way * step[name] for name in step}))
+            moved = {name: varied(name, rig.value(name), way * step[name]) for name in step}
+            sets.append(rig.parameters(joint, lock_angle, moved))
     return np.array(sets)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from pam_antagonist.errors import NoResult
 from pam_antagonist.estimation import EstimateRun, Estimator
 from pam_antagonist.inference.free_parameters import Direction, FreeParameter, moved
 from pam_antagonist.inference.trial import PRESSURE_1, Trial
@@ -118,6 +119,9 @@ class Sensitivity:
         near = 0.1
         steps = [np.zeros(len(free)), *(near * roots.T)]
         (before, at_rest), *others = Parallel(n_jobs=jobs, prefer="threads")(delayed(moved_by)(step) for step in steps)
+        for k, trial in enumerate(trials):
+            if any(other[k].shape != before[k].shape for other, _ in others) or not np.isfinite(before[k]).any():
+                raise NoResult(f"{trial.name}: the filter with the identified values loses the joint")
         moves = [np.stack([(other[k] - part) / near for other, _ in others], axis=2) for k, part in enumerate(before)]
         rests = np.stack([(rest - at_rest) / near for _, rest in others], axis=1)
         return cls(tuple(free), roots, tuple(moves), rests)

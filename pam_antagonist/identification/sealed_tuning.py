@@ -140,5 +140,8 @@ def _likelihood(rig: Rig, recordings: Sequence[Recording]) -> float:
         total -= 0.5 * float(np.sum(error[good] ** 2 / variance[good] + np.log(variance[good])))
         count += int(good.sum())
         nis.append(run.rows["nis"])
-    mean = float(np.nanmean(np.concatenate(nis)))
-    return total / count - math.log(mean / OUTPUTS) ** 2 if count else math.nan
+    known = np.concatenate(nis)
+    known = known[np.isfinite(known)]
+    if not (count and len(known)):
+        return math.nan  # the filter has followed nothing
+    return total / count - math.log(float(np.mean(known)) / OUTPUTS) ** 2

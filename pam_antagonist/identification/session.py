@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.stages import Stage, run_stages
 from pam_antagonist.identification.tuning import INNER_SHARE, Tuned, own_tuning, tune
+from pam_antagonist.inference.determined import Evidence, evidence
 from pam_antagonist.inference.free_parameters import FreeParameter, free_parameters, moved
 from pam_antagonist.inference.joint_fit import Difference, JointFit, check_same_rig, differences, joint_fit
 from pam_antagonist.inference.profile import Profile, shared_profiles
@@ -103,6 +104,7 @@ class Identified:
         free: the parameters that could move.
         stages: steps of the identification.
         fit: the joint refinement.
+        evidence: what is known about each parameter.
         ways: in which recordings may deviate from each other.
         differences: how recordings deviate from each other.
         profiles: profile likelihoods of a few parameters.
@@ -120,6 +122,7 @@ class Identified:
     free: tuple[FreeParameter, ...]
     stages: tuple[Stage, ...]
     fit: JointFit
+    evidence: Mapping[str, Evidence]
     ways: tuple[Variation, ...]
     differences: tuple[Difference, ...]
     profiles: tuple[Profile, ...]
@@ -185,6 +188,7 @@ def identify(
         tuple(free),
         tuple(stages),
         found,
+        evidence(found, inner, tuple(drawn)),
         ways,
         tuple(differences(found, ways)),
         tuple(drawn),

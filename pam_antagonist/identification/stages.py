@@ -241,7 +241,7 @@ def padded(problem: JointProblem, theta: Floats) -> list[Floats]:
     out = []
     for trial, part in zip(problem.trials, problem.residuals(theta), strict=True):
         full = np.full((len(trial) // trial.block, len(CHANNELS)), np.nan)
-        full[:, problem.counted(trial)] = part
+        full[:, problem.counted(trial)] = np.where(np.isinf(part), np.nan, part)
         out.append(full)
     return out
 

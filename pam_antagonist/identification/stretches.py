@@ -7,6 +7,7 @@ of stretches that no fit has seen.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -72,8 +73,7 @@ def _stretches(rig: Rig, trials: Sequence[Trial], jobs: int) -> CommandDriven:
         angle = np.where(np.isfinite(trial.measured[:, ANGLE]), trial.measured[:, ANGLE], trial.lock_angle)
         pressure = trial.measured[:, PRESSURE_1 : PRESSURE_1 + 2]
         begins = _begins(trial)
-        ends = [*begins[1:].tolist(), len(trial)]
-        for begin, end in zip(begins.tolist(), ends, strict=True):
+        for begin, end in itertools.pairwise([*begins.tolist(), len(trial)]):
             rows = slice(begin, min(end, begin + trial.samples(_LONGEST_S)))
             if rows.stop - begin >= trial.samples(_LEAST_S) and np.isfinite(pressure[rows]).all():
                 parts.append({

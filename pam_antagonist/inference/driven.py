@@ -17,6 +17,7 @@ from pam_antagonist.inference.free_parameters import FreeDirection, start_values
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.schema import limits
 
 Floats = NDArray[np.float64]
 
@@ -80,7 +81,8 @@ class Driven(ABC):
     def changes(self, point: Point) -> dict[str, float]:
         """Values of the base parameters that differ from the rig file's, by dotted path."""
         start, change = self._line
-        return dict(zip(self._moved, (start + point.theta[: len(change)] @ change).tolist(), strict=True))
+        values = np.clip(start + point.theta[: len(change)] @ change, *self._limits)
+        return dict(zip(self._moved, values.tolist(), strict=True))
 
     @cached_property
     def _moved(self) -> tuple[str, ...]:
@@ -93,6 +95,12 @@ class Driven(ABC):
         start = list(start_values(self.rig, self.directions).values())
         change = [[direction.changes.get(name, 0.0) for name in self._moved] for direction in self.directions]
         return np.array(start), np.array(change).reshape(len(self.directions), len(start))
+
+    @cached_property
+    def _limits(self) -> tuple[Floats, Floats]:
+        """Least and largest value of these parameters that a rig file may have (M,)."""
+        low, high = np.array([limits(name) for name in self._moved]).reshape(-1, 2).T
+        return low, high
 
     def jacobian(self, point: Point, residual: Floats) -> Floats:
         """Derivatives of the residual by the base coordinates (B, C, K + S)."""

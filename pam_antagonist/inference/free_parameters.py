@@ -14,14 +14,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.expected import expected_sizes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, Form, parameter_path
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import is_positive
+from pam_antagonist.rig.schema import limits
 
 RELATIVE_PRIOR = 0.05
 """Standard deviation before identification of a parameter for which the rig file gives none."""
@@ -86,6 +85,10 @@ class FreeParameter:
     low: float
     high: float
 
+    def value(self, amount: float) -> float:
+        """Value at an amount of the prior's standard deviations, within the bounds."""
+        return min(max(self.start + self.prior_std * amount, self.low), self.high)
+
 
 def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = ()) -> list[FreeParameter]:
     """The parameters of a fit.
@@ -93,7 +96,8 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     By default these are all parameters that cannot be measured directly (Proposition 1): the force maps, the orifice
     areas, the polytropic indices, the friction, the sizes of the effects that the rig has or expects. The supply
     pressure, which a gauge shows to a per cent, is free as well. Priors and bounds come from the rig file (``priors``,
-    ``bounds``). The default prior is 5 % of the value, the default bounds are a factor of five either way.
+    ``bounds``). The default prior is 5 % of the value. The bounds are those of a rig file at most, and a factor of five
+    either way; a number that may be negative changes by five times its value at most.
 
     Args:
         rig: start values and priors.
@@ -120,7 +124,8 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
             raise BadInput(
                 f"{name} is {start:g} in rig {rig.name}: to free it, give its prior in the rig file (priors)"
             )
-        low, high = rig.bounds.get(name, _bounds(name, start, std))
+        low, high = rig.bounds.get(name, _bounds(name, start))
+        low, high = max(low, limits(name)[0]), min(high, limits(name)[1])
         chosen.append(FreeParameter(name, start, std, low, high))
     if not chosen:
         raise BadInput("every parameter is frozen: nothing is left to identify")
@@ -156,13 +161,14 @@ def _matches(name: str, word: str) -> bool:
     return name == word or name.startswith(word if word.endswith(".") else word + ".")
 
 
-def _bounds(name: str, start: float, std: float) -> tuple[float, float]:
-    if name in EFFECT_PARAMETERS:
-        return min(EFFECT_PARAMETERS[name].low, start - std), max(EFFECT_PARAMETERS[name].high, start + std)
+def _bounds(name: str, start: float) -> tuple[float, float]:
+    """Usual bounds of a parameter: those of a rig file, and a factor of five; what may be 0 there may become 0."""
+    low, high = limits(name)
+    if name in EFFECT_PARAMETERS or start == 0.0:
+        return low, high
     if is_positive(name):
-        return (start / 5.0, start * 5.0) if start > 0.0 else (0.0, 10.0 * std)
-    width = 5.0 * abs(start) if start else np.inf
-    return start - width, start + width
+        return max(low, start / 5.0 if low > 0.0 else 0.0), min(high, start * 5.0)
+    return start - 5.0 * abs(start), start + 5.0 * abs(start)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ _Result = TypeVar("_Result")
 Course = tuple[Floats, Floats]
 """States (N, n) and torques (N,) [N m]."""
 
+SANE = 1e12
+"""Largest number of a model's course, in SI units; a simulation with larger ones, or with none, has diverged."""
 _START_S = 0.02
 """[s] At the beginning of a recording: a straight line through it tells the first sample's true values."""
 _LATEST_ANGLE_S = 0.5
@@ -166,12 +168,17 @@ def predict_each(
 
 
 def _shown(trial: Trial, model: Run, course: Course) -> Floats:
-    """What the sensors show (N, 4) of a model's course."""
+    """What the sensors show (N, 4) of a model's course; from where it diverges on, :data:`SANE`."""
     states, torque = course
     shown = np.empty((len(states), 2))
-    for rows, vector in _parts(trial, model):
-        shown[rows] = sensor.readings(states[rows, 2:4], vector)
-    return np.column_stack([states[:, 0], torque, shown])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for rows, vector in _parts(trial, model):
+            shown[rows] = sensor.readings(states[rows, 2:4], vector)
+    out = np.column_stack([states[:, 0], torque, shown])
+    lost = ~np.all(np.abs(out) < SANE, axis=1)
+    if lost.any():
+        out[int(np.argmax(lost)) :] = SANE
+    return out
 
 
 def courses(trial: Trial, models: Sequence[Run], start: Start) -> list[Course]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.errors import NoResult
 from pam_antagonist.inference.joint_problem import JointProblem
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.normal_equations import Local, weighted
@@ -27,8 +27,6 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 _ROUNDS = 4
-_DETERMINED = 0.5
-"""The data determine a parameter if its posterior is narrower than this share of the prior."""
 _NEAR = 0.15
 """Derivatives are used again within this distance, in standard deviations of the prior."""
 _LEAST_NOISE = {ANGLE: 1e-5, TORQUE: 1e-4, PRESSURE_1: 10.0, PRESSURE_2: 10.0}
@@ -53,6 +51,7 @@ class JointFit:
         spread: relative spread of the trials about their common values in each direction (G,); None if they share all
             parameters.
         evidence_gain: gain in log evidence of this spread over no spread.
+        step: what is left to the optimum by the derivatives at the fit (size,); about 0 if the search arrived there.
     """
 
     problem: JointProblem
@@ -63,6 +62,7 @@ class JointFit:
     cost: float
     spread: Floats | None = None
     evidence_gain: float = 0.0
+    step: Floats | None = None
 
     @property
     def covariance(self) -> Floats:
@@ -104,12 +104,6 @@ class JointFit:
         return {item.name: item.prior_std * float(s) for item, s in zip(self.problem.free, deviations, strict=True)}
 
     @property
-    def determined(self) -> dict[str, bool]:
-        """Whether the data determine each parameter; if not, it stays near its prior."""
-        deviations = np.sqrt(np.diag(self.covariance))
-        return {item.name: bool(s < _DETERMINED) for item, s in zip(self.problem.free, deviations, strict=True)}
-
-    @property
     def correlation(self) -> Floats:
         """Correlations of the common parameters (F, F)."""
         deviations = np.sqrt(np.diag(self.covariance))
@@ -146,6 +140,7 @@ def joint_fit(
     theta = np.zeros(problem.size)
     if start is not None:
         theta[: len(problem.free)] = start[: len(problem.free)]
+    theta = _simulated(problem, theta)
     weights = _first_weights(problem)
     cost, gain, slopes = np.inf, 0.0, _Slopes()
     for number in range(rounds):
@@ -162,16 +157,30 @@ def joint_fit(
             progress(f"round {number + 1} of {rounds}")
     # The covariance needs exact derivatives at the solution.
     parts, memory = _locals(problem, theta, problem.residuals(theta), weights, _Slopes(exact=True))
-    information, _ = problem.arrow(parts).whole()
+    information, pull = problem.arrow(parts).whole()
+    full = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return JointFit(
-        problem,
-        theta,
-        np.asarray(np.linalg.inv(information), dtype=np.float64),
-        tuple(weights),
-        tuple(memory),
-        cost,
-        spread,
-        gain,
+        problem, theta, full, tuple(weights), tuple(memory), cost, spread, gain, np.asarray(full @ pull - theta)
+    )
+
+
+def _simulated(problem: JointProblem, theta: Floats) -> Floats:
+    """A vector to start from at which no simulation diverges: the given one, or else the rig file's values.
+
+    Raises:
+        NoResult: the model diverges with both.
+    """
+    for start in (theta, np.zeros(problem.size)):
+        lost = [
+            trial.name
+            for trial, part in zip(problem.trials, problem.residuals(start), strict=True)
+            if np.isinf(part).any()
+        ]
+        if not lost:
+            return start
+    raise NoResult(
+        f"{lost[0]}: the model with the values of rig {problem.rig.name} diverges, so nothing can be fitted; expected "
+        "values near those of the joint (joint.stop, joint.inertia, the muscles' forces)"
     )
 
 
@@ -205,7 +214,10 @@ def _minimise(
     """
 
     def evaluate(t: Floats) -> Evaluated:
-        parts = [weighted(part, weight) for part, weight in zip(problem.residuals(t), weights, strict=True)]
+        residuals = problem.residuals(t)
+        if any(np.isinf(part).any() for part in residuals):
+            return Evaluated(np.inf, lambda renew: (np.eye(len(t)), np.zeros(len(t))))
+        parts = [weighted(part, weight) for part, weight in zip(residuals, weights, strict=True)]
         sums = [float(np.sum(2.0 * np.sqrt(1.0 + part**2) - 2.0 if robust else part**2)) for part in parts]
 
         def equations(renew: bool) -> tuple[Floats, Floats]:
@@ -357,13 +369,14 @@ def check_same_rig(found: JointFit, ways: tuple[Variation, ...]) -> None:
         ways: the directions, in the order of the fit's.
 
     Raises:
-        BadInput: two recordings differ by more than three standard deviations of the prior.
+        NoResult: two recordings differ by more than three standard deviations of the prior.
     """
     refused = [item for item in differences(found, ways) if item.largest - _CERTAIN * item.std > item.limit]
     if refused:
         worst = max(refused, key=lambda item: item.largest / item.limit)
         low, high = (found.problem.trials[index].name for index in worst.pair)
-        raise BadInput(
-            f"{high} and {low} are not recordings of one rig: {worst.name} differs by {100 * worst.largest:.0f} % "
-            f"(at most {100 * worst.limit:.0f} % is plausible); identify them one by one"
+        raise NoResult(
+            f"{high} and {low} do not fit together: {worst.name} would differ by {100 * worst.largest:.0f} % (at most "
+            f"{100 * worst.limit:.0f} % is plausible). They are of two rigs, or the model lacks an effect, or values "
+            "of the rig file are far off; identify them one by one, or see what close_loop finds"
         )

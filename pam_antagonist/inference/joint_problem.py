@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.free_parameters import FreeParameter
-from pam_antagonist.inference.free_run import Run, predict, predict_each
+from pam_antagonist.inference.free_run import SANE, Run, predict, predict_each
 from pam_antagonist.inference.long_steps import stride_blocks
 from pam_antagonist.inference.normal_equations import Arrow, Local
 from pam_antagonist.inference.threads import side_by_side
@@ -114,8 +114,8 @@ class JointProblem:
         return Arrow.of(parts, self.between, len(self.free))
 
     def values(self, theta: Floats) -> dict[str, float]:
-        """Parameter values at a fitted vector, or at the local values of a trial."""
-        return {item.name: item.start + item.prior_std * float(t) for item, t in zip(self.free, theta, strict=False)}
+        """Parameter values at a fitted vector, or at the local values of a trial, within their bounds."""
+        return {item.name: item.value(float(t)) for item, t in zip(self.free, theta, strict=False)}
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Lowest and highest fitted vector."""
@@ -150,12 +150,32 @@ class JointProblem:
         return [channel for channel in self.channels if trial.has(channel)]
 
     def residuals(self, theta: Floats) -> list[Floats]:
-        """Prediction minus measurement in blocks, one array (B, counted channels) a trial."""
+        """Prediction minus measurement in blocks, one array (B, counted channels) a trial.
+
+        NaN where nothing was measured; all of a trial is infinite if its simulation diverged.
+        """
         predicted = side_by_side(lambda index: self.predict(theta, index), range(len(self.trials)), self.jobs)
-        return [
-            trial.blocks((values - trial.measured)[:, self.counted(trial)])
-            for trial, values in zip(self.trials, predicted, strict=True)
-        ]
+        out = []
+        for trial, values in zip(self.trials, predicted, strict=True):
+            counted = self.counted(trial)
+            if diverged(values):
+                out.append(np.full((len(trial) // trial.block, len(counted)), np.inf))
+            else:
+                out.append(trial.blocks((values - trial.measured)[:, counted]))
+        return out
+
+    def changes(self, theta: Floats, others: Sequence[Floats], index: int) -> list[Floats]:
+        """Changes of a trial's :meth:`residuals` from one fitted vector to others.
+
+        Args:
+            theta: fitted vector (size,).
+            others: other vectors (size,).
+            index: of the trial.
+        """
+        trial = self.trials[index]
+        base, *moved = self._means_each([self.local(one, index) for one in (theta, *others)], index, trial)
+        counted, none = self.counted(trial), np.full((len(base), len(self.counted(trial))), np.inf)
+        return [none if diverged(one) else (one - base)[:, counted] for one in moved]
 
     def local_jacobians(self, theta: Floats, exact: bool = False) -> list[Floats]:
         """:meth:`local_jacobian` of every trial at a fitted vector (size,)."""
@@ -179,8 +199,15 @@ class JointProblem:
         steps[: len(self.free), : len(self.free)] = self._steps
         moved = [local + sign * steps[:, k] for k in range(width) for sign in (1.0, -1.0)]
         means = self._means_each(moved, index, simulated)
-        sides = zip(means[::2], means[1::2], strict=True)
-        columns = np.stack([(up - down)[:, self.counted(trial)] / 2.0 for up, down in sides], axis=2)
+        counted, none = self.counted(trial), np.zeros((len(means[0]), len(self.counted(trial))))
+        # A step with which the simulation diverges says nothing.
+        columns = np.stack(
+            [
+                none if diverged(up) or diverged(down) else (up - down)[:, counted] / 2.0
+                for up, down in zip(means[::2], means[1::2], strict=True)
+            ],
+            axis=2,
+        )
         return np.asarray(columns @ np.linalg.inv(steps))
 
     def _means(self, local: Floats, index: int, steps: Trial) -> Floats:
@@ -205,10 +232,20 @@ class JointProblem:
         # Long steps cannot follow short lags, so the derivative by an effect's time constant would be 0.
         if not any(item.name.startswith("effects.") for item in self.free):
             exact = self._means(local, index, experiment.trial)[:, channels]
-            for steps in experiment.in_long_steps:
-                if experiment.goes_its_way(self._means(local, index, steps)[:, channels] - exact):
+            for steps in experiment.in_long_steps if not diverged(exact) else ():
+                longer = self._means(local, index, steps)[:, channels]
+                if not diverged(longer) and experiment.goes_its_way(longer - exact):
                     return steps
         return experiment.trial
+
+
+def diverged(values: Floats) -> bool:
+    """Whether a simulation has left all numbers that a joint can have.
+
+    Args:
+        values: of it, in SI units (N, C).
+    """
+    return not bool(np.all(np.abs(values) < SANE))
 
 
 def step_directions(rig: Rig, free: Sequence[FreeParameter]) -> Floats:

@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 _POSITIONS = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0])
 """Values of a shared parameter, in standard errors from the best one."""
+_FAR = 2.0
+"""Distance in standard errors at which the rise of the posterior is compared with the parabola."""
 _STEPS = 2
 _FRACTIONS = (0.0, 0.5)
 """Values of an effect's size, as shares of the best one; at these it must lose likelihood to count as determined."""
@@ -79,6 +81,29 @@ class Profile:
         return None
 
 
+def rises(found: JointFit) -> Floats:
+    """Loss of the log posterior two standard errors below and above each parameter's value (F, 2); a parabola has 2.
+
+    The other parameters follow along the ridge of the posterior.
+
+    Args:
+        found: the fit.
+    """
+    problem, count = found.problem, len(found.problem.free)
+    std = np.sqrt(np.diag(found.full))[:count]
+    ridge = (found.full[:, :count] / std).T
+    moved = [found.theta + side * _FAR * way for way in ridge for side in (-1.0, 1.0)]
+    base = problem.residuals(found.theta)
+    out = np.array([0.5 * float(theta @ theta - found.theta @ found.theta) for theta in moved])
+    for index, (residual, weight, memory) in enumerate(zip(base, found.weights, found.memory, strict=True)):
+        scale = weight * np.sqrt(memory)
+        before = float(np.sum(weighted(residual, scale) ** 2))
+        for k, change in enumerate(problem.changes(found.theta, moved, index)):
+            lost = np.isinf(change).any()
+            out[k] += np.inf if lost else 0.5 * (float(np.sum(weighted(residual + change, scale) ** 2)) - before)
+    return out.reshape(count, 2)
+
+
 def shared_profiles(
     found: JointFit, names: Sequence[str], jobs: int = 1, progress: Callable[[str], None] | None = None
 ) -> list[Profile]:
@@ -102,7 +127,10 @@ def shared_profiles(
     place = {item.name: k for k, item in enumerate(problem.free)}
 
     def residuals(theta: Floats) -> tuple[list[Floats], float]:
-        parts = [weighted(r, w) for r, w in zip(problem.residuals(theta), weights, strict=True)]
+        parts = problem.residuals(theta)
+        if any(np.isinf(part).any() for part in parts):
+            return [np.zeros(part.size) for part in parts], np.inf
+        parts = [weighted(r, w) for r, w in zip(parts, weights, strict=True)]
         return parts, 0.5 * (sum(float(part @ part) for part in parts) + float(theta @ theta))
 
     def gradient(theta: Floats, parts: Sequence[Floats]) -> Floats:

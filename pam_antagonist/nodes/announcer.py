@@ -7,13 +7,10 @@ import time
 from types import TracebackType
 
 import rclpy
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from pam_antagonist.nodes.diagnostics import DiagnosticsPublisher
 from pam_antagonist.nodes.health import Health, Level
-from pam_antagonist.nodes.network import stay_on_this_machine
-from pam_antagonist.nodes.spin import tune_middleware
+from pam_antagonist.nodes.spin import client_node
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 
 STATUS = "step"
@@ -32,11 +29,7 @@ class Announcer:
     """
 
     def __init__(self, name: str, namespace: str = DEFAULT_NAMESPACE) -> None:
-        stay_on_this_machine()
-        tune_middleware()
-        self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node(name, namespace=namespace, context=self._context, start_parameter_services=False)
+        self._node = client_node(name, namespace)
         self._publisher = DiagnosticsPublisher(self._node, namespace)
         self._said: tuple[str, float, float | None] | None = None
         self._ended = threading.Event()
@@ -52,7 +45,7 @@ class Announcer:
         self._ended.set()
         self._thread.join()
         self._node.destroy_node()
-        rclpy.shutdown(context=self._context)
+        rclpy.shutdown(context=self._node.context)
 
     def say(self, text: str, seconds: float | None = None) -> None:
         """Begin a step of the command.

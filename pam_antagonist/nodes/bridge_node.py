@@ -101,6 +101,7 @@ class BridgeNode(PamNode):
                 "without a bridge"
             )
         rig = load_rig(values["rig"], regulators=True)
+        values = self.with_rig(rig)
         first, second = values["pressure_rest"]
         self._converter = Converter(load_calibration(values["hardware"]), (first, second))
         self.port = _SharedPort(self._lock, self, rig)

@@ -13,15 +13,13 @@ import numpy as np
 import rclpy
 from numpy.typing import NDArray
 from rcl_interfaces.srv import SetParameters
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 from pam_antagonist.control import Mode
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.spin import tune_middleware
+from pam_antagonist.nodes.spin import client_node
 from pam_antagonist.recording.topics import COMMAND_TOPICS, DEFAULT_NAMESPACE, TOPICS
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, PressureCommand, ValveCommand
 
@@ -49,10 +47,7 @@ class PipelineClient:
     def __init__(
         self, name: str, namespace: str, subscribed: Mapping[str, type], published: tuple[str, type, QoSProfile]
     ) -> None:
-        tune_middleware()
-        self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node(name, namespace=namespace, context=self._context, start_parameter_services=False)
+        self._node = client_node(name, namespace)
         self._published, kind, profile = published
         self._publisher = self._node.create_publisher(kind, TOPICS[self._published].relative, profile)
         self._topics = {
@@ -78,7 +73,7 @@ class PipelineClient:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._node.destroy_node()
-        rclpy.shutdown(context=self._context)
+        rclpy.shutdown(context=self._node.context)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         if value is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.control import LAWS, LOST, PUBLISHED_GAINS, Mode, ModelGains
-from pam_antagonist.control.stiffness import LEAST_FORCE, LOWEST_PRESSURE, SUPPLY_MARGIN
+from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
 from pam_antagonist.nodes.parameters import JOINT_NAME, PRESSURE_SENSORS, RIG, SAFETY, Parameter
 from pam_antagonist.nodes.spin import run_node
 
@@ -45,7 +45,15 @@ PARAMETERS = (
         "drive: regulator",
         choices=PRESSURE_SENSORS,
     ),
-    Parameter("bias", _ANGLE.bias, "voltage of both valves at rest [V]", 0.0, 10.0, read_only=False),
+    Parameter(
+        "bias",
+        -1.0,
+        "voltage of both valves at rest [V]; -1: at which they keep the pressure at rest, by the rig file",
+        0.0,
+        10.0,
+        read_only=False,
+        left=-1.0,
+    ),
     Parameter("angle_proportional", _ANGLE.proportional, "T_P for the angle [V/rad]", 0.0, 1e3, read_only=False),
     Parameter("angle_integral", _ANGLE.integral, "T_I for the angle [V/(rad s)]", 0.0, 1e9, read_only=False),
     Parameter(
@@ -90,7 +98,13 @@ PARAMETERS = (
         1.0,
         read_only=False,
     ),
-    Parameter("lowest_pressure", LOWEST_PRESSURE, "law model: least pressure of a muscle, absolute [Pa]", 0.0, 1e7),
+    Parameter(
+        "lowest_pressure",
+        0.0,
+        "law model: least pressure of a muscle, absolute [Pa]; 0: a sixth of the supply's gauge pressure",
+        0.0,
+        1e7,
+    ),
     Parameter(
         "supply_margin",
         SUPPLY_MARGIN,
@@ -109,8 +123,21 @@ PARAMETERS = (
         "max_contraction", 0.0, "largest contraction (L_0 − l)/L_0 that the governor allows [-]; 0: any", 0.0, 1.0
     ),
     Parameter("max_extension", 0.0, "largest extension (l − L_0)/L_0 that the governor allows [-]; 0: any", 0.0, 1.0),
-    Parameter("max_angle", 0.436333, "magnitude to which a reference of the angle is limited [rad]", 0.0, 1.6),
-    Parameter("max_torque", 3.0, "magnitude to which a reference of the torque is limited [N m]", 0.0, 1e3),
+    Parameter(
+        "max_angle",
+        0.0,
+        "magnitude to which a reference of the angle is limited [rad]; 0: the rig file's joint.stop, or 25 degrees "
+        "where it has none",
+        0.0,
+        1.6,
+    ),
+    Parameter(
+        "max_torque",
+        0.0,
+        "magnitude to which a reference of the torque is limited [N m]; 0: what the muscles can do at angle 0",
+        0.0,
+        1e3,
+    ),
     Parameter("max_angle_rate", 0.0, "fastest change of the angle's reference [rad/s]; 0: any", 0.0, 1e3),
     Parameter("max_torque_rate", 0.0, "fastest change of the torque's reference [N m/s]; 0: any", 0.0, 1e5),
     # An old angle reference only holds the joint. An old torque reference drives a free joint to its stop.
@@ -144,16 +171,28 @@ PARAMETERS = (
     ),
     Parameter("commands_mode", "angle", "quantity of the numbers in topic commands", choices=("angle", "torque")),
     Parameter("commands_index", 0, "index of this joint's number in topic commands, from 0 [-]", 0, 1000),
-    Parameter("max_age", 0.02, "an estimate that is older than this is not used [s]", 0.002, 10.0),
+    Parameter(
+        "max_age",
+        0.0,
+        "an estimate that is older than this is not used [s]; 0: three samples of the rig, at least 0.02",
+        0.002,
+        10.0,
+        left=0.0,
+    ),
     Parameter("resume_time", 0.5, "longest interruption after which the integral goes on as it was [s]", 0.001, 60.0),
     Parameter(
         "start_enabled",
         True,
         "whether the controller sends commands as soon as it is active, without a call of ~/enable",
     ),
-    # One degree beyond the stop of the paper's joint, which a correct estimate does not reach.
     Parameter(
-        "stop_angle", 0.4538, "magnitude of the estimated angle beyond which the controller stops [rad]", 0.01, 1.6
+        "stop_angle",
+        0.0,
+        "magnitude of the estimated angle beyond which the controller stops [rad]; 0: a degree beyond the rig file's "
+        "joint.stop, or 26 degrees where it has none",
+        0.01,
+        1.6,
+        left=0.0,
     ),
     Parameter("stop_angle_time", 0.01, "time beyond stop_angle after which the controller stops [s]", 0.001, 1.0),
     # 99.9 % quantile for two pressures. On recordings of joints whose parameters differ from the model by one or two

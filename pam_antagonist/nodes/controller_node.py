@@ -21,7 +21,7 @@ from pam_antagonist.nodes.controller import PARAMETERS
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.laws import described, make_laws, retune
 from pam_antagonist.nodes.node import PamNode, take
-from pam_antagonist.nodes.parameters import check_pressure_sensors
+from pam_antagonist.nodes.parameters import by_rig, check_pressure_sensors
 from pam_antagonist.nodes.references import ReferenceInput
 from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.recording.topics import TOPICS
@@ -58,7 +58,8 @@ class ControllerNode(PamNode):
         """Make the laws, the supervision and the publishers."""
         values = self.values
         COMPILING.tell = self.get_logger().info
-        rig = load_rig(values["rig"], regulators=True)
+        self._rig = rig = load_rig(values["rig"], regulators=True)
+        values = self.with_rig(rig)
         self._drive = drive = drive_of(rig, values)
         self._limits, self._action = drive.limits, drive.action
         self._laws = make_laws(values, rig, self._limits, self._action.hold)
@@ -82,7 +83,7 @@ class ControllerNode(PamNode):
         self._heard_ns: int | None = None
         self._stamp = 0
         self._voltage = self._action.hold
-        self._following = Following(self._action.hold, drive.astray)
+        self._following = Following(self._action.hold, drive.astray, rig.sample_period)
         self._silent = False
         self._commands = self._jumps = self._jumps_before = self._astray_before = 0
         self._statuses = dict.fromkeys(Status, 0)
@@ -277,16 +278,17 @@ class ControllerNode(PamNode):
 
     def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
         """Apply new gains without a bump, either all or none."""
-        values = dict(self.values)
+        given = dict(self.given)
         try:
             for parameter in changed:
                 if parameter.name in _GAIN_NAMES:
                     entry = next(item for item in PARAMETERS if item.name == parameter.name)
-                    values[parameter.name] = entry.check(parameter.value)
+                    given[parameter.name] = entry.check(parameter.value)
+            values = by_rig(given, self._rig)
             retune(self._laws, self.values, values, self._references.mode)
         except BadInput as error:
             return SetParametersResult(successful=False, reason=str(error))
-        self.values = values
+        self.given, self.values = given, values
         return SetParametersResult(successful=True)
 
     @override

@@ -60,7 +60,14 @@ PARAMETERS = (
         choices=PRESSURE_SENSORS,
     ),
     Parameter("pairing_timeout", 0.02, "longest time that a sample waits for its other topics [s]", 0.001, 1.0),
-    Parameter("max_age", 0.02, "age beyond which an estimate is flagged LATE [s]", 0.001, 10.0),
+    Parameter(
+        "max_age",
+        0.0,
+        "age beyond which an estimate is flagged LATE [s]; 0: three samples of the rig, at least 0.02",
+        0.001,
+        10.0,
+        left=0.0,
+    ),
 )
 
 

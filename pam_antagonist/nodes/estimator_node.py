@@ -58,6 +58,7 @@ class EstimatorNode(PamNode):
         values = self.values
         COMPILING.tell = self.get_logger().info
         self._rig = rig = load_rig(values["rig"], regulators=True)
+        values = self.with_rig(rig)
         # Loads or compiles the filter, so that the first sample does not wait for it.
         self._estimator = self._make(values["tuning"])
         self._encoder = values["angle_sensor"] == "encoder"
@@ -156,7 +157,7 @@ class EstimatorNode(PamNode):
                     self._estimator = self._make(str(tuning))
                 except BadInput as error:
                     return SetParametersResult(successful=False, reason=str(error))
-                self.values["tuning"] = tuning
+                self.given["tuning"] = self.values["tuning"] = tuning
                 self._before = (self._estimator.counts, *self._before[1:])
         return SetParametersResult(successful=True)
 

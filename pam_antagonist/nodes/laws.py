@@ -66,7 +66,7 @@ def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_v
         raise BadInput(f"law: pi puts voltages on valves, rig {rig.name} has pressure regulators: set law to model")
     p = rig.parameters()
     try:
-        box = Box.of(p, values["lowest_pressure"], values["supply_margin"], values["least_force"])
+        box = Box.of(p, values["lowest_pressure"] or None, values["supply_margin"], values["least_force"])
     except BadInput:
         if values["law"] == "model" or pi is None:
             raise

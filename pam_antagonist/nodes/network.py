@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping, Sequence
+
+from pam_antagonist.program import typed
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
@@ -32,6 +34,30 @@ def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> 
 def local_only(environment: MutableMapping[str, str] = os.environ) -> bool:
     """Whether discovery is limited to this machine."""
     return environment.get(RANGE) == "LOCALHOST" and not environment.get("ROS_STATIC_PEERS")
+
+
+def nothing_there(
+    namespace: str, elsewhere: Sequence[str], busy: Sequence[int], environment: Mapping[str, str] = os.environ
+) -> str:
+    """What to try where no node publishes a joint's topics, in words.
+
+    Args:
+        namespace: of the joint.
+        elsewhere: namespaces in which there is a joint.
+        busy: ROS domains in which nodes of this machine seem to be.
+        environment: of the process.
+    """
+    domain = int(environment.get("ROS_DOMAIN_ID") or 0)
+    others = [other for other in busy if other != domain]
+    tries = [f"--namespace {other or '/'} (a joint is there)" for other in elsewhere]
+    tries += [f"ROS_DOMAIN_ID={other} {typed('watch')} (nodes of this machine seem to be there)" for other in others]
+    if not tries:
+        tries = [
+            "start the joint's nodes",
+            "the line that demo, excite or commission prints (they have a ROS domain of their own)",
+            f"for a joint on another machine, {RANGE}=SUBNET on both",
+        ]
+    return f"no joint in namespace {namespace or '/'} of ROS domain {domain}. Try: {'; or '.join(tries)}"
 
 
 def secured(environment: MutableMapping[str, str] = os.environ) -> bool:

@@ -16,9 +16,10 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.connections import QOS_ERRORS, Connections, overridable, refused
 from pam_antagonist.nodes.diagnostics import DiagnosticsPublisher
 from pam_antagonist.nodes.health import Health, Level
-from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, declare
+from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, by_rig, declare
 from pam_antagonist.nodes.shared_timers import SharedTimers
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
+from pam_antagonist.rig import Rig
 
 _ANSWER = 0.5  # [s] from a shutdown request to the end of the process, so that the answer can be sent
 
@@ -82,7 +83,8 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         options: of ``rclpy.node.Node``, such as ``namespace``, ``context``, ``cli_args`` or ``parameter_overrides``.
 
     Attributes:
-        values: the parameters.
+        given: the parameters.
+        values: the same; what is left to the rig file is filled in by :meth:`with_rig`.
         active: whether the node is in the state "active".
         about_rig: name and fingerprint of the rig for ``/diagnostics``.
         finished: set when the node has finished, or was shut down by its lifecycle service.
@@ -114,7 +116,8 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         self.about_rig: dict[str, str] = {}
         super().__init__(name, **{"namespace": DEFAULT_NAMESPACE, **options})
         known = (*SHARED_PARAMETERS, *JOINTS_PARAMETERS, *also_known)
-        self.values: dict[str, Any] = declare(self, (*table, AUTOSTART, DIAGNOSTICS_PERIOD), known)
+        self.given: dict[str, Any] = declare(self, (*table, AUTOSTART, DIAGNOSTICS_PERIOD), known)
+        self.values = dict(self.given)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ros_clock = self.get_clock()
         if self.values["autostart"]:
@@ -147,6 +150,11 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
             steady_ns: steady time [ns].
         """
         raise NotImplementedError
+
+    def with_rig(self, rig: Rig) -> dict[str, Any]:
+        """The parameters, what they leave to the rig file filled in; also :attr:`values` from now on."""
+        self.values = by_rig(self.given, rig)
+        return self.values
 
     def start_diagnostics(self, hardware_id: str) -> None:
         """Publish :meth:`health` periodically from now on."""

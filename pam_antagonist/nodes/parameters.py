@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import (
+    angle_range,
+    largest_torque,
+    rest_pressure,
+    rest_voltage,
+    stop_angle,
+)
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
 Value = bool | int | float | str | list[float] | list[str]
 
+_PATIENCE, _SAMPLES = 0.02, 3
+"""[s], [-] Time, and samples of the rig, for which a command or an estimate may fail to come; the longer one counts."""
 _TYPES = {bool: "true or false", int: "an integer", float: "a number", str: "a text", list: "a list of numbers"}
 
 # Parameters that ROS itself, or a parameter file for a whole pipeline, may set on any node.
@@ -36,6 +45,7 @@ class Parameter:
         choices: allowed values of a text; empty: any.
         solid: whether a text must not be empty or contain spaces.
         read_only: whether the parameter is fixed while the node runs.
+        left: value by which a parameter is left to the rig file (:func:`by_rig`), beside the range; None: none.
     """
 
     name: str
@@ -47,6 +57,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     solid: bool = False
     read_only: bool = True
+    left: float | None = None
 
     @property
     def expected(self) -> str:
@@ -60,6 +71,8 @@ class Parameter:
             text += " without spaces"
         if self.low is not None and self.high is not None:
             text += f" from {self.low:g} to {self.high:g}"
+        if self.left is not None:
+            text += f", or {self.left:g}"
         return text
 
     def check(self, value: Any) -> Value:
@@ -99,7 +112,7 @@ class Parameter:
     def _within(self, value: float) -> bool:
         low = -float("inf") if self.low is None else self.low
         high = float("inf") if self.high is None else self.high
-        return low <= value <= high  # False for NaN
+        return low <= value <= high or value == self.left  # False for NaN
 
 
 RIG = Parameter("rig", "shin2022", "name of a rig in config/rigs, or path of a rig's YAML file")
@@ -108,7 +121,13 @@ LOCK_ANGLE = Parameter("lock_angle", 0.0, "angle at which a locked joint is held
 JOINT_NAME = Parameter("joint_name", "joint", "name of the joint in messages and diagnostics", solid=True)
 FRAME = Parameter("frame_id", "joint", "frame of the joint in the messages")
 SAFE_VOLTAGE = Parameter(
-    "safe_voltage", [5.5, 5.5], "voltages of both valves while no valid command comes [V]", 0.0, 10.0
+    "safe_voltage",
+    [-1.0, -1.0],
+    "voltages of both valves while no valid command comes [V]; -1: at which they keep the pressure at rest, by the rig "
+    "file",
+    0.0,
+    10.0,
+    left=-1.0,
 )
 SAFE_ACTION = Parameter(
     "safe_action",
@@ -117,7 +136,14 @@ SAFE_ACTION = Parameter(
     "vent_voltage",
     choices=("hold", "vent"),
 )
-VENT_VOLTAGE = Parameter("vent_voltage", [0.0, 0.0], "voltages at which both valves let the air out [V]", 0.0, 10.0)
+VENT_VOLTAGE = Parameter(
+    "vent_voltage",
+    [-1.0, -1.0],
+    "voltages at which both valves let the air out [V]; -1: the lowest of the rig file",
+    0.0,
+    10.0,
+    left=-1.0,
+)
 VENT_RATE = Parameter("vent_rate", 1.0, "largest change of each voltage on the way to vent_voltage [V/s]", 0.01, 1e3)
 SAFE_PRESSURE = Parameter(
     "safe_pressure",
@@ -148,7 +174,14 @@ SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE, SAFE_PRESSURE, VEN
 # and a single wrong command moves a valve by at most a fifth of its range.
 VALVE_OWNER = (
     *SAFETY,
-    Parameter("command_timeout", 0.02, "time without a command until the valves become safe [s]", 0.002, 1.0),
+    Parameter(
+        "command_timeout",
+        0.0,
+        "time without a command until the valves become safe [s]; 0: three samples of the rig, at least 0.02",
+        0.002,
+        1.0,
+        left=0.0,
+    ),
     Parameter(
         "max_command_age",
         0.05,
@@ -196,6 +229,35 @@ ANGLE_SENSORS = ("none", "encoder")
 """Sensors that may measure the angle for the estimator."""
 PRESSURE_SENSORS = ("measured", "none")
 """Whether the pressures are measured. With ``none`` the estimator uses the regulators' commands."""
+
+
+def by_rig(values: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
+    """Parameters, those filled in that are left to the rig file: -1 of a voltage, 0 of another quantity.
+
+    Args:
+        values: parameters by name.
+        rig: of the node.
+    """
+    out = dict(values)
+    makers: dict[str, tuple[float, Callable[[], Sequence[float]]]] = {
+        "safe_voltage": (-1.0, lambda: rest_voltage(rig)),
+        "vent_voltage": (-1.0, lambda: (rig.valves.voltage_min,) * 2),
+        "bias": (-1.0, lambda: (sum(rest_voltage(rig)) / 2.0,)),
+        "initial_pressure": (0.0, lambda: (rest_pressure(rig),) * 2),
+        "max_angle": (0.0, lambda: (angle_range(rig),)),
+        "max_torque": (0.0, lambda: (largest_torque(rig),)),
+        "stop_angle": (0.0, lambda: (stop_angle(rig),)),
+        "command_timeout": (0.0, lambda: (max(_PATIENCE, _SAMPLES * rig.sample_period),)),
+        "max_age": (0.0, lambda: (max(_PATIENCE, _SAMPLES * rig.sample_period),)),
+    }
+    for name, (left, make) in makers.items():
+        if name not in out:
+            continue
+        given = out[name] if isinstance(out[name], list) else [out[name]]
+        if left in given:
+            filled = [own if value == left else value for value, own in zip(given, make(), strict=True)]
+            out[name] = filled if isinstance(out[name], list) else filled[0]
+    return out
 
 
 def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
@@ -263,14 +325,13 @@ def _descriptor(parameter: Parameter) -> Any:
         read_only=parameter.read_only,
     )
     if parameter.low is not None and parameter.high is not None:
+        low = parameter.low if parameter.left is None else min(parameter.low, parameter.left)
         if isinstance(parameter.default, float):
             descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high), step=0.0)
+                FloatingPointRange(from_value=float(low), to_value=float(parameter.high), step=0.0)
             ]
         elif type(parameter.default) is int:
-            descriptor.integer_range = [
-                IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)
-            ]
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(parameter.high), step=1)]
     return descriptor
 
 

@@ -68,7 +68,9 @@ PARAMETERS = (
         read_only=False,
     ),
     Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),
-    Parameter("initial_pressure", [450e3, 450e3], "pressures at the start, absolute [Pa]", 5e4, 2e6),
+    Parameter(
+        "initial_pressure", [0.0, 0.0], "pressures at the start, absolute [Pa]; 0: at rest, by the rig file", 0.0, 2e6
+    ),
     Parameter(
         "wait_for_subscribers",
         0,

@@ -63,6 +63,7 @@ class PlantNode(PamNode):
         values = self.values
         COMPILING.tell = self.get_logger().info
         rig = load_rig(values["rig"], regulators=True)
+        values = self.with_rig(rig)
         self._period = round(rig.sample_period * 1e9)
         self.port = ValvePort(self, rig, noisy=values["noise"], linked=self._linked)
         self._plant = Plant(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +21,8 @@ _START_LIMIT = 300.0  # [s] longest time to start, including compiling on a busy
 _KILL_AFTER = 5.0  # [s] time for a process to end before it is killed
 _DOMAINS = 100  # their ports are below the ephemeral ports of Linux
 _FIRST_PORT, _PORTS_A_DOMAIN, _PARTICIPANTS = 7410, 250, 20
+_STOP = re.compile(r"^\[ERROR\] \[(?P<time>[0-9.]+)\] \[[^\]]*\]: stopped: (?P<reason>.*)$", re.MULTILINE)
+"""A stop for safety, as the nodes log it."""
 _PRIORITY, _RECORDER_PRIORITY = 2, 1  # of the real-time scheduler; the recorder has long queues
 
 
@@ -57,11 +60,20 @@ def free_domain() -> int:
     domains = list(range(1, _DOMAINS + 1))
     random.shuffle(domains)
     for domain in domains:
-        # Ports of the participants of a domain (RTPS, section 9.6.1.1). The first participants may have left again.
-        ports = (_FIRST_PORT + _PORTS_A_DOMAIN * domain + 2 * k for k in range(_PARTICIPANTS))
-        if all(_unused(port) for port in ports):
+        if not _busy(domain):
             return domain
     raise ProcessFailed(f"each of the ROS domains 1 to {_DOMAINS} is in use on this machine; set ROS_DOMAIN_ID")
+
+
+def busy_domains() -> list[int]:
+    """ROS domains in which nodes of this machine seem to be, by their ports."""
+    return [domain for domain in range(_DOMAINS + 1) if _busy(domain)]
+
+
+def _busy(domain: int) -> bool:
+    # Ports of the participants of a domain (RTPS, section 9.6.1.1). The first participants may have left again.
+    ports = (_FIRST_PORT + _PORTS_A_DOMAIN * domain + 2 * k for k in range(_PARTICIPANTS))
+    return not all(map(_unused, ports))
 
 
 def _unused(port: int) -> bool:
@@ -164,6 +176,11 @@ class Processes:
                 status = process.popen.returncode
                 raise ProcessFailed(f"{process.name} ended with status {status}: {process.last_words()}")
 
+    def stopped(self) -> str:
+        """Why a node has stopped the joint for safety, by the logs; the first reason, empty if none has."""
+        found = (stop for log in self._logs.glob("*.log") for stop in _stops(log))
+        return min(found, default=(0.0, ""))[1]
+
     def wait(self, missing: Callable[[], str]) -> None:
         """Wait until nothing is missing.
 
@@ -194,6 +211,16 @@ class Processes:
             process = self.running.pop(name)
             statuses[name] = _end(process.popen)
         return statuses
+
+
+def _stops(log: Path) -> Iterator[tuple[float, str]]:
+    """Times of a log's stops for safety, and their reasons in words."""
+    try:
+        text = log.read_text(errors="replace")
+    except OSError:
+        return
+    for found in _STOP.finditer(text):
+        yield float(found["time"]), f"{log.stem}: {found['reason'].strip()}"
 
 
 def _end(popen: subprocess.Popen[bytes]) -> int:

@@ -22,9 +22,11 @@ from pam_antagonist.nodes.network import RANGE, local_only, secured, stay_on_thi
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.paths import config_dir
-from pam_antagonist.program import typed
+from pam_antagonist.program import piped, typed
 
 if TYPE_CHECKING:
+    from rclpy.node import Node
+
     from pam_antagonist.nodes.node import PamNode
 
 PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
@@ -98,15 +100,19 @@ def run_node(
         Exit status: 0, or 2 after bad input or without ROS, with an error message of one line.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if "--help" in arguments or "-h" in arguments:
-        print(usage(name, description, table))
-        return 0
-    try:
-        check(arguments)
-        return _run(create, arguments, name, options)
-    except BadInput as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+
+    def work() -> int:
+        if "--help" in arguments or "-h" in arguments:
+            print(usage(name, description, table))
+            return 0
+        try:
+            check(arguments)
+            return _run(create, arguments, name, options)
+        except BadInput as error:
+            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+            return 2
+
+    return piped(work)
 
 
 def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
@@ -149,6 +155,8 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
                 return 0  # the signal was raised in a callback of the compiler, which failed with another error
             if secured() and "secur" in str(error).lower():
                 raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
+            if type(error).__name__ == "RCLError":  # by the environment or the arguments: none of this package's
+                raise BadInput(f"{name}: {_first_sentence(error)}") from None
             raise
         if alone:
             node.get_logger().info("discovery is limited to this machine (ROS_AUTOMATIC_DISCOVERY_RANGE)")
@@ -181,6 +189,30 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
     except Exception as error:
         raise BadInput(f"{name}: {_first_sentence(error)}") from None
     return options(left)
+
+
+def client_node(name: str, namespace: str) -> Node:
+    """A node of a command, in a context of its own; signals are left to the command.
+
+    Args:
+        name: of the node.
+        namespace: of the joint.
+
+    Raises:
+        BadInput: ROS 2 cannot be initialised, for example because of its environment variables.
+    """
+    import rclpy
+    from rclpy.node import Node
+    from rclpy.signals import SignalHandlerOptions
+
+    stay_on_this_machine()
+    tune_middleware()
+    context = rclpy.Context()
+    try:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        return Node(name, namespace=namespace, context=context, start_parameter_services=False)
+    except Exception as error:
+        raise BadInput(f"ROS 2 does not start: {_first_sentence(error)}") from None
 
 
 def _first_sentence(error: BaseException) -> str:

@@ -16,7 +16,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -24,9 +23,10 @@ from std_srvs.srv import SetBool, Trigger
 from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.network import stay_on_this_machine
+from pam_antagonist.nodes.network import nothing_there
+from pam_antagonist.nodes.processes import busy_domains
 from pam_antagonist.nodes.references import ASKED, MODE, MODES, STIFFNESS
-from pam_antagonist.nodes.spin import tune_middleware
+from pam_antagonist.nodes.spin import client_node
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS, normalize_namespace
 from pam_antagonist.rig import RigIdentity
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
@@ -74,34 +74,32 @@ class PipelineWatch:
         namespace: of the joint's nodes.
         joint_name: name of the joint in ``measured/joint_states``; None: the first.
         commands: whether :meth:`command` may be called.
+
+    Attributes:
+        absent: what :meth:`look` said last.
     """
 
     def __init__(
         self, namespace: str = DEFAULT_NAMESPACE, joint_name: str | None = None, commands: bool = False
     ) -> None:
-        stay_on_this_machine()
-        tune_middleware()
-        self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.namespace = normalize_namespace(namespace)
-        options: dict[str, Any] = {
-            "namespace": self.namespace,
-            "context": self._context,
-            "start_parameter_services": False,
-        }
-        self._node = Node("live_page", **options)
+        self._node = client_node("live_page", self.namespace)
+        self._context = self._node.context
         self._joint_name = joint_name
         self._topics: dict[str, Any] = {}
         self._latest: dict[str, tuple[float, Any]] = {}
         self._statuses: dict[str, tuple[float, Any]] = {}
         self._rig: RigIdentity | None = None
         self._begin = time.monotonic()
+        self.absent = ""
         self._caller: Node | None = None
         self._reference: Any = None
         self._calls: list[_Call] = []
         self._answers: list[str] = []
         if commands:
-            self._caller = Node("live_page_commands", **options)
+            self._caller = Node(
+                "live_page_commands", namespace=self.namespace, context=self._context, start_parameter_services=False
+            )
             self._executor = SingleThreadedExecutor(context=self._context)
             self._executor.add_node(self._caller)
             self._enable = self._caller.create_client(SetBool, "controller/enable")
@@ -136,6 +134,18 @@ class PipelineWatch:
         rclpy.shutdown(context=self._context)
 
     # ---------------------------------------------------------------- what is shown
+
+    def look(self) -> str:
+        """Look for the joint in the ROS graph: what to try where it is not there, in words; empty where it is."""
+        topics = [TOPICS[name].relative for name in ("joint_estimate", "pressure_1", "valve_state", "pressure_state")]
+        if any(self._node.count_publishers(self._node.resolve_topic_name(topic)) for topic in topics):
+            self.absent = ""
+        else:
+            ends = tuple(f"/{topic}" for topic in topics)
+            seen = [name for name, _ in self._node.get_topic_names_and_types() if name.endswith(ends)]
+            there = {name.rpartition("/")[0] for name in seen if self._node.count_publishers(name)}
+            self.absent = nothing_there(self.namespace, sorted(there), busy_domains())
+        return self.absent
 
     def frame(self) -> list[float | None]:
         """The newest numbers, as :data:`FIELDS` names them."""
@@ -190,6 +200,7 @@ class PipelineWatch:
                 for name, (heard, status) in self._statuses.items()
                 if now - heard <= _GONE and name.partition(":")[0] in COMMANDS_AT_WORK
             ],
+            "absent": self.absent,
             "answers": answers,
         }
 

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.recording.plausible import unwrapped
 from pam_antagonist.recording.recording import Recording
+from pam_antagonist.recording.stamps import LARGEST_DELAY
 from pam_antagonist.recording.units import UNITS, canonical
 from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 
 Floats = NDArray[np.float64]
-
-LARGEST_DELAY = 1.0
-"""[s] A larger difference of stamps is no delay, but comes from another clock."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,7 @@ class Corrections:
         swap_valves: the first voltage belongs to muscle 2's valve, and the other way round.
         angle_unit: unit of the measured angle; it is read as rad.
         flip_angle: the encoder counts in the other direction.
+        unwrap_angle: the encoder is absolute and begins again after a turn; its jumps are removed.
         torque_unit: unit of the measured torque; it is read as N m.
         flip_torque: the torque meter counts in the other direction.
         encoder_zero: by how much the encoder reads too high [rad].
@@ -46,6 +46,7 @@ class Corrections:
         delay_angle: by how much the angle is stamped too early [s].
         delay_torque: by how much the torque is stamped too early [s].
         delay_pressure: by how much both pressures are stamped too early [s].
+        align_clocks: topics with a clock of their own get the stamps of the pressures' clock, by times of reception.
     """
 
     pressure_unit: str = "Pa"
@@ -54,6 +55,7 @@ class Corrections:
     swap_valves: bool = False
     angle_unit: str = "rad"
     flip_angle: bool = False
+    unwrap_angle: bool = False
     torque_unit: str = "N m"
     flip_torque: bool = False
     encoder_zero: float = 0.0
@@ -63,6 +65,7 @@ class Corrections:
     delay_angle: float = 0.0
     delay_torque: float = 0.0
     delay_pressure: float = 0.0
+    align_clocks: bool = False
 
     def __post_init__(self) -> None:
         for quantity in ("pressure", "angle", "torque"):
@@ -84,6 +87,7 @@ class Corrections:
     def angle(self, values: Floats) -> Floats:
         """Angle [rad] of recorded values (N,)."""
         turned = values * (UNITS["angle"][self.angle_unit] * (-1.0 if self.flip_angle else 1.0))
+        turned = unwrapped(turned, 2.0 * np.pi) if self.unwrap_angle else turned
         return np.asarray(turned - self.encoder_zero)
 
     def torque(self, values: Floats) -> Floats:
@@ -220,6 +224,7 @@ _HELP = {
     "swap_valves": "the valves or their voltages are exchanged",
     "angle_unit": "unit of the measured angle (default: rad)",
     "flip_angle": "the encoder counts in the other direction",
+    "unwrap_angle": "the encoder is absolute and begins again after a turn: remove the jumps",
     "torque_unit": "unit of the measured torque (default: N m)",
     "flip_torque": "the torque meter counts in the other direction",
     "encoder_zero": "degrees by which the encoder reads too high",
@@ -229,6 +234,7 @@ _HELP = {
     "delay_angle": "milliseconds by which the stamps of the angle are too early",
     "delay_torque": "milliseconds by which the stamps of the torque are too early",
     "delay_pressure": "milliseconds by which the stamps of the pressures are too early",
+    "align_clocks": "shift the stamps of topics that another clock stamps than the pressures, by times of reception",
 }
 
 

@@ -15,7 +15,8 @@ from . import wrong_unit
 from .csv_map import ALSO, CsvMap
 from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
-from .notes import REGULATOR, SEALED
+from .notes import REGULATOR, SEALED, Issue
+from .plausible import unwrapped
 from .recording import Recording
 from .resets import resets
 from .signals import FurtherSignal
@@ -25,6 +26,7 @@ from .wrong_unit import Signal
 
 Floats = NDArray[np.float64]
 
+_FEWEST_ROWS = 3  # with a first pressure, to have intervals between them
 _UNIT = {"pressure": "Pa", "angle": "rad", "temperature": "degC"}
 
 
@@ -47,18 +49,29 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
     where = str(path)
     table = read_table(path, mapping.file, mapping.columns(), progress)
     issues = list(table.issues)
-    times = timing(where, mapping.time, table)
+    apart = _apart(table)
+    if apart:
+        table = _joined(table)
+        apart = _apart(table)
+    own = np.isfinite(table.values["pressure_1"]) | (not apart)
+    times = timing(where, mapping.time, table, own)
     issues += times.issues
     first = np.searchsorted(times.stamp_ns, [] if times.episode_ns is None else times.episode_ns)
-    signals = _signals(mapping, table, times.keep, np.union1d([0], first).astype(np.intp), issues)
+    rate, stamp_ns, own = mapping.time.resample, times.stamp_ns, own[times.keep]
+    moved = tuple(table.values) if rate is not None else apart
+    signals = _signals(mapping, table, times.keep, np.union1d([0], first).astype(np.intp), issues, moved)
     _check(where, mapping, signals, issues)
     columns = {name: _si(mapping, name, signal) for name, signal in signals.items()}
-    stamp_ns = times.stamp_ns
-    rate = mapping.time.resample
+    if apart:
+        issues.append(_apart_issue(table, apart))
     if rate is not None:
-        grid = even_grid(stamp_ns, rate)
-        columns = {name: _resampled(name, grid, stamp_ns, values) for name, values in columns.items()}
-        issues.append(_resampling_issue(stamp_ns, rate))
+        issues.append(_resampling_issue(stamp_ns[own], rate))
+    if moved:
+        grid = stamp_ns[own] if rate is None else even_grid(stamp_ns, rate)
+        columns = {
+            name: _resampled(mapping, name, grid, stamp_ns, values) if name in moved else values[own]
+            for name, values in columns.items()
+        }
         stamp_ns = grid
     # A joint with regulators has no voltages. Without commands in the file a placeholder is written.
     drive = "valve" if mapping.command_1 is None else "regulator"
@@ -84,8 +97,8 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
     _judge_missing(where, recording, table, issues)
     jumped = resets(recording)
     if jumped is not None:
-        issues.append(jumped.sentence)
-    return _cut(where, replace(recording, issues=tuple(issues)), mapping)
+        issues.append(Issue(jumped.sentence, "jump", len(jumped.rows), jumped.times[0]))
+    return _cut(where, replace(recording, issues=Issue.sorted(issues)), mapping)
 
 
 def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
@@ -124,6 +137,38 @@ def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
     return found
 
 
+def _apart(table: Table) -> tuple[str, ...]:
+    """Columns whose cells mostly stand in rows without a first pressure: each row holds the cells of some topic."""
+    there = {name: np.isfinite(cells) for name, cells in table.values.items() if name != "time"}
+    if "time" not in table.values or "episode" in table.values or np.count_nonzero(there["pressure_1"]) < _FEWEST_ROWS:
+        return ()
+    shared = {name: np.count_nonzero(its & there["pressure_1"]) for name, its in there.items()}
+    return tuple(name for name, its in there.items() if 2 * shared[name] < np.count_nonzero(its))
+
+
+def _joined(table: Table) -> Table:
+    """A table with one row for each time, sorted; the same where a column's own times do not increase."""
+    time = table.values["time"]
+    known = np.isfinite(time)
+    there = {name: known & np.isfinite(cells) for name, cells in table.values.items()}
+    if any(np.any(np.diff(time[its]) <= 0.0) for name, its in there.items() if name != "time"):
+        return table
+    stamps, first, place = np.unique(time[known], return_index=True, return_inverse=True)
+    values = {name: np.full(len(stamps), np.nan) for name in table.values}
+    for name, cells in table.values.items():
+        values[name][place[there[name][known]]] = cells[there[name]]
+    return replace(table, values=values, line=table.line[known][first])
+
+
+def _apart_issue(table: Table, apart: tuple[str, ...]) -> Issue:
+    held = [table.labels[name] for name in apart if name.startswith(("valve", "command"))]
+    others = [table.labels[name] for name in apart if not name.startswith(("valve", "command"))]
+    text = f"the rows hold the cells of some columns each: samples are the rows with {table.labels['pressure_1']}"
+    text += f"; {', '.join(others)} interpolated between rows with a value" if others else ""
+    text += f"; {', '.join(held)} held between such rows" if held else ""
+    return Issue(text, "resampled", len(table))
+
+
 def _held(values: Floats, first: NDArray[np.intp]) -> Floats:
     """Values that hold up to each row, from values that hold from their rows on; ``first`` rows keep their own."""
     out = np.concatenate((values[:1], values[:-1]))
@@ -132,9 +177,14 @@ def _held(values: Floats, first: NDArray[np.intp]) -> Floats:
 
 
 def _signals(
-    mapping: CsvMap, table: Table, keep: NDArray[np.intp], first: NDArray[np.intp], issues: list[str]
+    mapping: CsvMap,
+    table: Table,
+    keep: NDArray[np.intp],
+    first: NDArray[np.intp],
+    issues: list[str],
+    moved: tuple[str, ...],
 ) -> dict[str, Signal]:
-    """Scaled numbers of every column, in its unit; NaN for what is not finite."""
+    """Scaled numbers of every column, in its unit; NaN for what is not finite. Columns of ``moved`` are held later."""
     signals = {}
     for name, cells in table.values.items():
         if name in ("time", "episode"):
@@ -145,7 +195,14 @@ def _signals(
         if np.any(infinite):
             issues.append(f"{np.count_nonzero(infinite)} cells of {table.labels[name]} are infinite: left out")
             values[infinite] = np.nan
-        if getattr(entry, "holds", "until_row") == "from_row":
+        turn = getattr(entry, "wraps", None)
+        if turn is not None:
+            jumps = int(np.count_nonzero(np.abs(np.diff(values[np.isfinite(values)])) > 0.5 * turn))
+            values = unwrapped(values, turn)
+            if jumps:
+                text = f"{table.labels[name]} begins again after {turn:g} {entry.unit} at {jumps} places: jumps removed"
+                issues.append(Issue(text, size=jumps))
+        if name not in moved and getattr(entry, "holds", "until_row") == "from_row":
             # A sample's voltage held before the sample; before the first row it is not known.
             values = _held(values, first)
         signals[name] = Signal(table.labels[name], values, entry.unit, getattr(entry, "reference", None) or "")
@@ -196,11 +253,17 @@ def _constant(mapping: CsvMap, number: int, size: int) -> Floats:
     return np.full(size, valve.constant * UNITS["voltage"][valve.unit])
 
 
-def _resampled(name: str, grid: Stamps, stamp_ns: Stamps, values: Floats) -> Floats:
-    """Values on the grid: linear between rows; a voltage or command is the next row's, which holds up to that row."""
-    if name.startswith(("valve", "command")):
-        return np.asarray(values[np.minimum(np.searchsorted(stamp_ns, grid, side="left"), len(values) - 1)])
-    return interpolate(grid, stamp_ns, values)
+def _resampled(mapping: CsvMap, name: str, grid: Stamps, stamp_ns: Stamps, values: Floats) -> Floats:
+    """Values on the grid: measured ones linear between rows with a value; voltages and commands held."""
+    if not name.startswith(("valve", "command")):
+        return interpolate(grid, stamp_ns, values)
+    there = np.isfinite(values)
+    if not np.any(there):
+        return np.full(len(grid), np.nan)
+    # A row's value held up to that row, or from then on.
+    back = getattr(mapping.entry(name), "holds", "until_row") == "from_row"
+    rows = np.searchsorted(stamp_ns[there], grid, side="left") - int(back)
+    return np.asarray(values[there][np.clip(rows, 0, np.count_nonzero(there) - 1)])
 
 
 def _resampling_issue(stamp_ns: Stamps, rate: float) -> str:
@@ -213,10 +276,10 @@ def _or_none(label: str, values: Floats, issues: list[str]) -> Floats | None:
     """The values, or None where all are missing; the issues count missing values."""
     missing = int(np.count_nonzero(np.isnan(values)))
     if missing == len(values):
-        issues.append(f"{label} holds no value: left out")
+        issues.append(Issue(f"{label} holds no value: left out", "missing", missing))
         return None
     if missing:
-        issues.append(f"{missing} of {len(values)} samples without {label}")
+        issues.append(Issue(f"{missing} of {len(values)} samples without {label}", "missing", missing))
     return values
 
 

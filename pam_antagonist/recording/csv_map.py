@@ -79,6 +79,14 @@ class Column(Strict):
     offset: float = Field(0.0, description="what is added after the factor, in the unit")
 
 
+class Angle(Column):
+    """An encoder."""
+
+    wraps: Optional[float] = Field(  # noqa: UP045
+        None, gt=0.0, description="of an absolute encoder: after how much it begins again, in the unit, such as 360"
+    )
+
+
 class Pressure(Column):
     """A muscle's pressure."""
 
@@ -146,7 +154,7 @@ class CsvMap(Strict):
         None, description="column that changes where an episode begins, before which nothing is known"
     )
     also: Dict[str, Further] = Field({}, description="further signals, by name")  # noqa: UP006
-    angle: Optional[Column] = None  # noqa: UP045
+    angle: Optional[Angle] = None  # noqa: UP045
     torque: Optional[Column] = None  # noqa: UP045
     external_torque: Optional[Column] = None  # noqa: UP045
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from . import array_files
 from .csv_map import Layout, Name
-from .csv_text import Line, Lines, check_file, opened, other_delimiter, shown, split
+from .csv_text import Line, Lines, check_file, labview, opened, other_delimiter, shown, split
+from .notes import Issue
 
 Floats = NDArray[np.float64]
 
@@ -63,6 +64,7 @@ def read_table(
     if kind:
         return _of_arrays(path, kind, layout, columns)
     size = check_file(path)
+    layout = labview(path, layout)
     with opened(path, layout) as stream:
         lines = Lines(path, layout, stream)
         head = _head(path, layout, lines)
@@ -171,6 +173,11 @@ class _Reader:
     columns: dict[str, list[Floats]] = field(default_factory=dict)
     numbers: list[NDArray[np.int32]] = field(default_factory=list)
     issues: list[str] = field(default_factory=list)
+    short: tuple[Line, list[str]] | None = None  # the first row with fewer cells than the header
+    shorter: int = 0
+    longer: int = 0
+    full: bool = False
+    numbers_behind: bool = False
 
     def read(self, block: list[Line], lines: Lines) -> None:
         """Add a block; ``lines`` only tells whether the file ended without a line break."""
@@ -188,6 +195,7 @@ class _Reader:
 
     def table(self) -> Table:
         """All rows that were read."""
+        self._judge_ragged()
         values = {quantity: np.concatenate(parts) for quantity, parts in self.columns.items()}
         for sentinel in self.layout.missing:
             if not isinstance(sentinel, str) or _is_number(sentinel, self.layout):
@@ -203,26 +211,58 @@ class _Reader:
         return f"{quantity} ({name})"
 
     def _checked(self, rows: list[list[str]], block: list[Line], cut_off: bool) -> list[list[str]]:
-        """Rows with as many cells as the header, or more that are empty; a last line that is cut off is dropped."""
-        width = self.head.width
+        """Rows with all used columns, and no number behind the header's columns; one that is cut off is dropped."""
+        width, needed = self.head.width, 1 + max(self.index.values())
         if set(map(len, rows)) == {width}:
+            self._full(rows[0][needed:])
             return rows
         for number, row in enumerate(rows):
             if len(row) < width and cut_off and number == len(rows) - 1 and number + self.rows > 0:
-                self.issues.append(f"line {block[number].number} is cut off: left out")
+                self.issues.append(Issue(f"line {block[number].number} is cut off: left out", "dropped", 1))
                 return rows[:number]
-            if len(row) < width or any(cell.strip() for cell in row[width:]):
-                line = block[number]
-                other = other_delimiter(self.layout, line.text) if len(row) == 1 else ""
-                hint = f"; is the delimiter {other}?" if other else ""
-                if self.layout.delimiter == "," and len(row) == 2 * width:
-                    hint = "; commas stand before decimals and between cells: write the file with another delimiter"
-                expected = "as in the first row" if self.head.names is None else "as in the header"
-                raise BadInput(
-                    f"{self.path}: line {line.number} has {len(row)} cells ({shown(line.text)}), expected {width} "
-                    f"{expected}{hint}"
-                )
+            if len(row) < needed or any(_is_number(cell, self.layout) for cell in row[width:]):
+                raise self._ragged(block[number], row)
+            if len(row) < width:
+                self.short = self.short or (block[number], row)
+                self.shorter += 1
+            else:
+                self._full(row[needed:width])
+                self.longer += any(cell.strip() for cell in row[width:])
         return rows
+
+    def _full(self, unused: list[str]) -> None:
+        """Note a row as long as the header, with the cells behind the last used column."""
+        self.full = True
+        self.numbers_behind = self.numbers_behind or any(_is_number(cell, self.layout) for cell in unused)
+
+    def _ragged(self, line: Line, row: list[str]) -> BadInput:
+        """The refusal of a row that is shorter or longer than the header."""
+        width = self.head.width
+        other = other_delimiter(self.layout, line.text) if len(row) == 1 else ""
+        hint = f"; is the delimiter {other}?" if other else ""
+        if self.layout.delimiter == "," and len(row) == 2 * width:
+            hint = "; commas stand before decimals and between cells: write the file with another delimiter"
+        expected = f"{width} as in the {'first row' if self.head.names is None else 'header'}"
+        return BadInput(
+            f"{self.path}: line {line.number} has {len(row)} cells ({shown(line.text)}), expected {expected}{hint}"
+        )
+
+    def _judge_ragged(self) -> None:
+        """Say that rows are ragged; refuse shorter ones if the missing cells may be others than the last.
+
+        The last columns may be missing where they hold texts, such as comments, or are missing in most rows.
+        """
+        names = self.head.names
+        comment = names is not None and names[-1].strip().lower().startswith("comment")
+        if (
+            self.short
+            and not comment
+            and not (self.full and (not self.numbers_behind or 2 * self.shorter >= self.rows))
+        ):
+            raise self._ragged(*self.short)
+        if self.shorter or self.longer:
+            text = f"{self.shorter + self.longer} of {self.rows} rows have fewer or more cells than the header"
+            self.issues.append(Issue(f"{text}, in columns that the map does not use", size=self.shorter + self.longer))
 
     def _numbers(self, quantity: str, cells: list[str], block: list[Line], plain: bool) -> Floats:
         if self.layout.decimal == ",":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import itertools
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +15,7 @@ from .csv_map import Layout
 
 _LONGEST_LINE = 1 << 20
 _SNIFFED = 4096
+_LONGEST_HEAD = 200  # lines of a LabVIEW header
 _DELIMITERS = {"tab": "\t", "space": " "}
 _BINARY = {b"PK\x03\x04": "a zip file, such as of a spreadsheet program: save it as CSV there",
            b"\x1f\x8b": "packed with gzip: unpack it first", b"\x89MCAP": "a bag already"}  # fmt: skip
@@ -67,6 +70,35 @@ def opened(path: Path, layout: Layout) -> Iterator[TextIO]:
         raise BadInput(f"{path}: file.encoding is {layout.encoding}, which is no encoding of text") from None
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def labview(path: Path, layout: Layout) -> Layout:
+    """The layout that a LabVIEW measurement file declares in its header; that of the map for any other file.
+
+    Args:
+        path: the file.
+        layout: of the map; kept where it skips lines, since it then knows the header.
+
+    Raises:
+        BadInput: the header has no end, or the file cannot be read.
+    """
+    if layout.skip_lines:
+        return layout
+    try:
+        with opened(path, layout) as stream:
+            head = list(itertools.islice(stream, _LONGEST_HEAD))
+    except UnicodeError:
+        return layout  # named with its line when the file is read
+    if not head or not head[0].startswith("LabVIEW Measurement"):
+        return layout
+    declared = {name: text.strip() for name, _, text in (re.split(r"([\t,;])", line, maxsplit=1) for line in head
+                                                         if re.search(r"[\t,;]", line))}  # fmt: skip
+    ends = [number for number, line in enumerate(head, 1) if line.startswith("***End_of_Header***")][:2]
+    if not ends:
+        raise BadInput(f"{path}: a LabVIEW file without the line ***End_of_Header***; give file.skip_lines")
+    delimiter = "tab" if declared.get("Separator", "Tab") == "Tab" else ","
+    decimal = "," if declared.get("Decimal_Separator", ".").startswith(",") else "."
+    return layout.replaced(delimiter=delimiter, decimal=decimal, skip_lines=ends[-1])
 
 
 class Line(NamedTuple):

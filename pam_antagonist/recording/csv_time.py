@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from .csv_map import Time
 from .csv_table import Table
+from .notes import Issue
 from .units import UNITS
 
 Stamps = NDArray[np.int64]
@@ -52,13 +53,14 @@ class Timing:
     episode_ns: Stamps | None = None
 
 
-def timing(where: str, time: Time, table: Table) -> Timing:
+def timing(where: str, time: Time, table: Table, sampled: NDArray[np.bool_]) -> Timing:
     """Stamps of the rows.
 
     Args:
         where: The file, for messages.
         time: What the map says about time.
         table: The file's numbers; those of "time" are used where the map names a column.
+        sampled: Which rows are samples (N,); the intervals between them are judged.
 
     Raises:
         BadInput: Fewer than two rows, times that are missing, repeat, run backwards or are uneven, or a unit that
@@ -75,7 +77,8 @@ def timing(where: str, time: Time, table: Table) -> Timing:
     cells = table.values["time"]
     keep = _in_order(where, time, table, issues)
     seconds = cells[keep] * UNITS["time"][time.unit]
-    _check_period(where, table.labels["time"], time.unit, cells[keep])
+    sample = sampled[keep]
+    _check_period(where, table.labels["time"], time.unit, cells[keep[sample]])
     if seconds[-1] - seconds[0] > _LONGEST:
         index = int(np.argmax(np.diff(seconds))) + 1
         raise BadInput(
@@ -87,7 +90,7 @@ def timing(where: str, time: Time, table: Table) -> Timing:
     stamp_ns = (round(float(seconds[0]) * 1e6) * 1000 if epoch else START_NS) + since
     if np.any(np.diff(stamp_ns) <= 0):
         raise BadInput(f"{where}: {table.labels['time']} has steps of less than a nanosecond")
-    _judge_intervals(where, time, table, keep, since, issues)
+    _judge_intervals(where, time, table, keep[sample], since[sample], issues)
     return Timing(stamp_ns, keep, tuple(issues))
 
 
@@ -103,10 +106,11 @@ def _of_episodes(where: str, time: Time, table: Table) -> Timing:
     issues: list[str] = []
     if len(long) < len(bounds):
         begin = next(begin for begin, end in bounds if end - begin < LEAST_ROWS)
-        issues.append(
+        text = (
             f"{len(bounds) - len(long)} of {len(bounds)} episodes have fewer than {LEAST_ROWS} rows, the first in line "
             f"{table.line[begin]}: left out"
         )
+        issues.append(Issue(text, "dropped", len(bounds) - len(long)))
     if len(long) < 2:
         raise BadInput(
             f"{where}: {table.labels['episode']} makes {len(long)} episodes of {LEAST_ROWS} rows or more, expected two "
@@ -154,9 +158,8 @@ def _in_order(where: str, time: Time, table: Table, issues: list[str]) -> NDArra
         return np.arange(len(cells))
     row = int(wrong[0])
     if time.out_of_order == "drop" and len(wrong) <= max(1, _DROPPED_SHARE * len(cells)):
-        issues.append(
-            f"{len(wrong)} rows are not later than those before them, the first in line {table.line[row]}: dropped"
-        )
+        text = f"{len(wrong)} rows are not later than those before them, the first in line {table.line[row]}: dropped"
+        issues.append(Issue(text, "dropped", len(wrong)))
         return np.flatnonzero(later)
     begin = f"{where}: line {table.line[row]}: {label}"
     if not known[row]:
@@ -209,8 +212,9 @@ def _judge_intervals(
         )
     if np.any(odd):
         longest = int(np.argmax(interval))
-        issues.append(
+        text = (
             f"{np.count_nonzero(odd)} of {len(interval)} intervals between rows are no {median * 1e3:.4g} ms, the "
             f"longest ({interval[longest] * 1e3:.4g} ms) before line {table.line[keep[longest + 1]]}"
             + ("" if time.resample is not None else ": times kept as they are")
         )
+        issues.append(Issue(text, size=int(np.count_nonzero(odd))))

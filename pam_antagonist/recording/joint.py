@@ -17,6 +17,8 @@ _MOVING = 50e3
 """[Pa] A change of the pressure difference by this much moves a free joint by several degrees."""
 _ROUNDING = 1e-9
 """[rad] Largest change by rounding of the estimated angle of a locked joint."""
+_GIVES_WAY = math.radians(2.0)
+"""[rad] A lock may give way by this much; a free joint under changing pressures moves further."""
 _DECIMALS = 1
 """Decimals in degrees of a measured lock angle; further digits are encoder noise."""
 
@@ -65,6 +67,29 @@ def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float
         angle = _finite(recording.angle)
         lock_angle = math.radians(round(math.degrees(float(np.median(angle))), _DECIMALS)) if angle.size else 0.0
     return JointCondition("locked", lock_angle, source)
+
+
+def refuse_other_condition(recording: Recording, condition: str, name: str) -> None:
+    """Refuse a recording whose measured angle contradicts what is said of the joint.
+
+    Args:
+        recording: the recording.
+        condition: ``free`` or ``locked``.
+        name: of the recording, for the message.
+
+    Raises:
+        BadInput: a locked joint moves by more than a lock can give way, or a free one stands still while its pressures
+            change.
+    """
+    moved = _range(_finite(recording.angle))
+    said = f"its measured angle moves by {math.degrees(moved):.1f}°"
+    if condition == "locked" and moved > _GIVES_WAY:
+        found = f"the joint is declared locked, but {said}; expected a joint that stands still, or free"
+    elif condition == "free" and _detected(recording) == ("locked", "measured angle"):
+        found = f"the joint is declared free, but {said} only while the pressures change; expected locked"
+    else:
+        return
+    raise BadInput(f"{name}: {found} (auto finds out which by itself)")
 
 
 def _detected(recording: Recording) -> tuple[str, str]:

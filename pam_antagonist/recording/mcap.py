@@ -1,15 +1,19 @@
 """MCAP files, read record by record (https://mcap.dev/spec).
 
 This module scans the file from front to back, unlike rosbags' indexed reader, for three reasons. A recording that was
-cut off has no index, but all messages up to the cut. Every length is checked against the size of the file before memory
-is allocated. And a compiled kernel takes consecutive messages as one block. The scan never uses the index.
+cut off has no index, but all messages up to the cut; and behind damage, the scan goes on at the next whole chunk. Every
+length is checked against the size of the file before memory is allocated. And a compiled kernel takes consecutive
+messages as one block. The scan never uses the index.
 """
 
 from __future__ import annotations
 
+import math
 import mmap
+import re
 import struct
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from zlib import crc32
@@ -33,6 +37,8 @@ _NAMES = {
 }  # fmt: skip
 MESSAGE_HEAD = 22  # channel, sequence, log time, publish time [bytes]
 CHANNEL_OF, LOG, BEGIN, SIZE = range(4)  # columns of a block of consecutive messages
+_CHUNK_HEAD = re.compile(rb"(?=\x06.{5}\0\0\0)", re.DOTALL)  # a chunk record of less than a terabyte
+_CHUNK_LEAST, _LONGEST_NAME = 44, 4  # body of a chunk, and name of its compression [bytes]
 _RUN = 1 << 16  # largest number of messages in a block
 
 
@@ -46,11 +52,31 @@ class McapContents:
 
     Attributes:
         topics: One entry for each channel, with payloads only of the requested message types.
-        damage: Where and why the scan ended early, or None for a whole file. ``topics`` holds all messages before it.
+        damage: Where and why the file is damaged first, or None for a whole file. ``topics`` holds all messages before
+            it, and those in whole chunks behind it.
+        lost: Damaged parts behind which the scan went on.
     """
 
     topics: list[RawTopic]
     damage: str | None
+    lost: list[Lost] = field(default_factory=list)
+
+
+@dataclass
+class Lost:
+    """A part of a file that could not be read.
+
+    Attributes:
+        begin: its first byte.
+        end: the first byte behind it.
+        since: when the last message before it was received, from the first message that was read on [s]; NaN for none.
+        until: when the first message behind it was received [s]; NaN for none.
+    """
+
+    begin: int
+    end: int
+    since: float = math.nan
+    until: float = math.nan
 
 
 def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> McapContents:
@@ -66,16 +92,36 @@ def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> M
             return McapContents([], "it is empty")
         view = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     scan = _Scan(types, room or Room(len(view)))
-    damage = None
-    try:
-        if bytes(view[: len(MAGIC)]) != MAGIC:
-            raise Damage("it does not start like an MCAP file")
-        scan.walk(view, len(MAGIC), len(view))
-        if not scan.finished:
-            raise Damage(f"it ends at byte {len(view)} without a footer")
-    except Damage as exc:
-        damage = str(exc)
-    return McapContents([collector.finish() for collector in scan.collectors.values()], damage)
+    damage, position = None, len(MAGIC)
+    while True:
+        try:
+            if bytes(view[: len(MAGIC)]) != MAGIC:
+                raise Damage("it does not start like an MCAP file")
+            scan.walk(view, position, len(view))
+            if not scan.finished:
+                raise Damage(f"it ends at byte {len(view)} without a footer")
+        except Damage as exc:
+            damage = damage or str(exc)
+            scan.chunk_at = None
+            begin, position = scan.at, _next_chunk(view, scan.at + 1)
+            if position:
+                scan.declare(view)
+                scan.lost.append((Lost(begin, position), scan.counts()))
+                continue
+        return scan.contents(damage)
+
+
+def _next_chunk(view: memoryview, start: int) -> int:
+    """Where the next whole chunk record begins; 0 for none."""
+    for match in _CHUNK_HEAD.finditer(view, start):
+        (size,) = struct.unpack_from("<Q", view, match.start() + 1)
+        body = view[match.start() + 9 : match.start() + 9 + size]
+        if len(body) == size > _CHUNK_LEAST:
+            (length,) = struct.unpack_from("<I", body, 28)
+            (packed,) = struct.unpack_from("<Q", body, 32 + length) if length <= _LONGEST_NAME else (0,)
+            if packed and packed == size - 40 - length:
+                return match.start()
+    return 0
 
 
 @dataclass
@@ -86,6 +132,33 @@ class _Scan:
     collectors: dict[int, Collector] = field(default_factory=dict)
     chunk_at: int | None = None
     finished: bool = False
+    at: int = 0  # the record of the file that is being read
+    latest: Collector | None = None  # that of the last message
+    lost: list[tuple[Lost, dict[int, int]]] = field(default_factory=list)  # with the number of messages before each
+
+    def counts(self) -> dict[int, int]:
+        """Number of messages of each channel so far."""
+        return {key: len(collector) for key, collector in self.collectors.items()}
+
+    def contents(self, damage: str | None) -> McapContents:
+        """All that was read, and when the damaged parts were received."""
+        topics = {key: collector.finish() for key, collector in self.collectors.items()}
+        first = min((int(topic.log_ns.min()) for topic in topics.values() if len(topic.log_ns)), default=0)
+        for part, counts in self.lost:
+            before = [topic.log_ns[: counts.get(key, 0)] for key, topic in topics.items()]
+            after = [topic.log_ns[counts.get(key, 0) :] for key, topic in topics.items()]
+            part.since = max(((times.max() - first) * 1e-9 for times in before if len(times)), default=math.nan)
+            part.until = min(((times.min() - first) * 1e-9 for times in after if len(times)), default=math.nan)
+        return McapContents(list(topics.values()), damage, [part for part, _ in self.lost])
+
+    def declare(self, view: memoryview) -> None:
+        """Take schemas and channels from the summary, where the part that declares them is damaged."""
+        foot = len(view) - len(MAGIC) - 29
+        if foot > 0 and view[foot] == _FOOTER:
+            (start,) = struct.unpack_from("<Q", view, foot + 9)
+            if 0 < start < foot:
+                with suppress(Damage):
+                    self.walk(view, start, foot)
 
     def walk(self, view: memoryview, position: int, end: int) -> None:
         """Scan the records of the file or, in a recursive call, of one chunk."""
@@ -96,6 +169,7 @@ class _Scan:
         data = np.frombuffer(view, np.uint8)
         run = np.empty((min(_RUN, end // (9 + MESSAGE_HEAD) + 1), 4), np.int64)
         while position < end:
+            self.at = position if self.chunk_at is None else self.at
             count, position = take_messages(data, position, end, run)
             if count:
                 self._take(data, run[:count])
@@ -124,6 +198,8 @@ class _Scan:
 
         wrong = [(int(np.argmax(of)), why) for of, why in self._wrong(run) if of.any()]
         first, why = min(wrong, default=(len(run), ""))
+        if first:
+            self.latest = self.collectors[int(run[first - 1, CHANNEL_OF])]
         for channel in np.unique(run[:first, CHANNEL_OF]):
             collector, its = self.collectors[int(channel)], run[:first][run[:first, CHANNEL_OF] == channel]
             payloads = None
@@ -190,7 +266,14 @@ class _Scan:
         if crc and crc32(data) != crc:
             raise Damage(f"the chunk at byte {position} does not match its checksum")
         self.chunk_at = position
-        self.walk(memoryview(data), 0, len(data))
+        counts, self.latest = self.counts(), None
+        try:
+            self.walk(memoryview(data), 0, len(data))
+        except Damage:
+            # Without a checksum, damage may have reached any message of packed data, and the last one of plain data.
+            for key, collector in self.collectors.items():
+                collector.cut(counts.get(key, 0) if compression else len(collector) - (collector is self.latest))
+            raise
         self.chunk_at = None
 
 

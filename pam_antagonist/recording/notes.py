@@ -1,16 +1,59 @@
-"""Notes in a bag about its origin, for which there is no topic.
+"""Notes about a recording: what was wrong with it when it was read, and the notes in a bag about its origin.
 
-The notes are texts by name under ``custom_data`` in the bag's metadata.yaml, the place that rosbag2 provides. They are
-optional: a bag without metadata.yaml, or a converted one, may have lost them.
+The notes in a bag are texts by name under ``custom_data`` in its metadata.yaml, the place that rosbag2 provides. They
+are optional: a bag without metadata.yaml, or a converted one, may have lost them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ..errors import BadInput
 from . import metadata
+
+KINDS = (
+    "clock", "publishers", "damage", "restart", "hole", "jump", "missing", "unstamped", "repeated", "dropped", "late",
+    "resampled", "remark",
+)  # fmt: skip
+"""Kinds of issues, the one that changes results most first."""
+
+
+class Issue(str):
+    """A sentence about repaired, dropped or doubtful data, with what a program needs of it.
+
+    Args:
+        text: the sentence.
+        kind: one of ``KINDS``.
+        size: number of messages, rows, samples or bytes that it concerns; 0 where nothing is counted.
+        start_s: where it begins, from the first sample that was read [s]; NaN where it has no place.
+        length_s: how long it lasts [s]; NaN where it has no length.
+    """
+
+    kind: str
+    size: int
+    start_s: float
+    length_s: float
+
+    def __new__(
+        cls, text: str, kind: str = "remark", size: int = 0, start_s: float = math.nan, length_s: float = math.nan
+    ) -> Issue:
+        """Make one."""
+        out = super().__new__(cls, text)
+        out.kind, out.size, out.start_s, out.length_s = kind, int(size), float(start_s), float(length_s)
+        return out
+
+    @staticmethod
+    def sorted(texts: Iterable[str]) -> tuple[Issue, ...]:
+        """Issues in the order of ``KINDS``; a text of no kind is a remark.
+
+        Args:
+            texts: issues, or plain sentences.
+        """
+        issues = [text if isinstance(text, Issue) else Issue(text) for text in texts]
+        return tuple(sorted(issues, key=lambda issue: KINDS.index(issue.kind)))
+
 
 SEALED = "pam_antagonist.sealed"
 """Name of the note that lists the muscles whose chambers are sealed: "1", "2" or "1 2"."""

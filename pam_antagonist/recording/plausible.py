@@ -21,6 +21,7 @@ MIN_VOLTAGE, MAX_VOLTAGE = -0.5, 10.5
 """Plausible voltages [V]: the range of 0 to 10 V, widened by measurement error."""
 MAX_ANGLE = 3.2
 """Largest plausible joint angle [rad]: half a turn."""
+_JUMP = 0.75  # of a turn: a larger move between two rows is none of a joint
 MAX_TORQUE = 1e3
 """Largest plausible joint torque [N m]."""
 
@@ -41,10 +42,20 @@ def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Flo
     return np.where(bad, np.nan, values)
 
 
+def few(count: int, size: int) -> bool:
+    """Whether odd values are so rare that they say nothing of the rest.
+
+    Args:
+        count: of the odd values.
+        size: number of all values.
+    """
+    return count <= max(5, 0.001 * size) and 2 * count <= size
+
+
 def _implausible(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, issues: list[str]) -> bool:
     """Whether too many values are implausible; a few are only reported as an issue."""
     count = int(np.count_nonzero(odd))
-    if count > max(5, 0.001 * values.size) or 2 * count > values.size:
+    if not few(count, values.size):
         return True
     if count:
         issues.append(f"{count} of {values.size} values on {topic} {what}: kept, for the estimator to judge")
@@ -104,8 +115,35 @@ def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) ->
         )
 
 
+def unwrapped(angle: Floats, turn: float) -> Floats:
+    """Readings of an absolute encoder without jumps, moved by whole turns to lie around 0.
+
+    Args:
+        angle: readings (N,), NaN where missing [any unit].
+        turn: after how much the encoder begins again, in the same unit.
+    """
+    known = np.isfinite(angle)
+    out = angle.copy()
+    if np.any(known):
+        steady = np.unwrap(angle[known], period=turn)
+        out[known] = steady - turn * np.rint(np.median(steady) / turn)
+    return out
+
+
+def turns(angle: Floats, turn: float) -> int:
+    """Number of places at which an absolute encoder begins again; 0 where the readings are not those of one.
+
+    Args:
+        angle: readings (N,), NaN where missing [any unit].
+        turn: after how much the encoder begins again, in the same unit.
+    """
+    values = angle[np.isfinite(angle)]
+    jumps = np.abs(np.diff(values)) > _JUMP * turn
+    return int(np.count_nonzero(jumps)) if len(values) and np.ptp(values) <= turn * (1.0 + 1e-3) else 0
+
+
 def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> None:
-    """Refuse an angle in degrees.
+    """Refuse an angle in degrees, and one that jumps by a turn.
 
     Args:
         where: file, for messages.
@@ -114,9 +152,14 @@ def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> Non
         issues: gets a sentence about single odd values.
 
     Raises:
-        BadInput: Too many values beyond half a turn in rad.
+        BadInput: Too many values beyond half a turn in rad, or jumps by a turn.
     """
     values = angle[np.isfinite(angle)]
+    if turns(values, 2.0 * np.pi):
+        raise BadInput(
+            f"{where}: the position on {topic} goes from {values.min():.4g} to {values.max():.4g} rad and jumps by a "
+            "turn, as of an absolute encoder, expected an angle without jumps; type --unwrap-angle"
+        )
     if _implausible(topic, values, np.abs(values) > MAX_ANGLE, f"lie beyond {MAX_ANGLE:g} rad", issues):
         raise BadInput(
             f"{where}: the position on {topic} goes from {values.min():.4g} to {values.max():.4g}, which looks like "

@@ -76,6 +76,22 @@ class Collector:
         """
         self._blocks.append(RawTopic(self.channel, log_ns, payloads))
 
+    def __len__(self) -> int:
+        return sum(len(block.log_ns) for block in self._blocks)
+
+    def cut(self, size: int) -> None:
+        """Forget all messages but the first ones.
+
+        Args:
+            size: number of messages to keep.
+        """
+        whole = self.finish()
+        payloads = whole.payloads
+        if payloads is not None:
+            data = payloads.data[: int(payloads.length[:size].sum())]
+            payloads = Payloads(data, payloads.length[:size])
+        self._blocks = [RawTopic(self.channel, whole.log_ns[:size], payloads)]
+
     def finish(self) -> RawTopic:
         """All collected messages as one topic."""
         if not self._blocks:

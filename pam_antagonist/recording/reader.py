@@ -17,6 +17,7 @@ from .compression import CompressionError
 from .corrections import Corrections
 from .messages import stores_of
 from .naming import READ_TOPICS, choose_topics, joints_in
+from .notes import Issue
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
@@ -39,10 +40,16 @@ class _Topic:
     log_ns: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
     keep: NDArray[np.intp]
+    joint: Mapping[str, Floats] | None = None  # position and effort of one joint in all messages (N,)
 
     def values(self, path: str) -> NDArray[Any]:
-        """A field of the kept messages (K,) or (K, n)."""
-        return self.decoded.fixed(path)[self.keep]
+        """A field of the kept messages (K,) or (K, n); of the one joint, where messages hold several."""
+        return (self.joint[path] if self.joint is not None else self.decoded.fixed(path))[self.keep]
+
+    def compared(self) -> Floats | None:
+        """What two messages with one stamp must agree in (K, m); None for topics that no result is made from."""
+        fields = ("position", "effort") if self.joint is not None else _COMPARED.get(self.name)
+        return None if fields is None else np.column_stack([np.asarray(self.values(name), float) for name in fields])
 
     def values_or_nan(self, path: str, *shape: int) -> NDArray[Any]:
         """A field of numbers (K, *shape), NaN where the message definition in the bag has no such field."""
@@ -77,17 +84,18 @@ def read_bag(
         path: Bag folder, or one .mcap or .db3 file; compressed or not.
         topics: Logical name (see ``TOPICS``) -> topic in the bag, where it has another name there.
         namespace: Namespace of the topics; None to find it.
-        joint_name: Name of the joint in ``measured/joint_states``; None for the first.
+        joint_name: Name of the joint in ``measured/joint_states``; None for the only one, or for that of the estimator.
         restarts: What to do where stamps jump backwards by more than 0.5 s: "refuse" the bag, or read only the part
             after the "last" restart.
-        recover: Read the part before a damaged or cut off place instead of refusing the bag.
+        recover: Read what is left of a damaged or cut off bag instead of refusing it.
         corrections: Corrections of the recorded values; None for none.
         judge: False reads values in any unit, for :mod:`pam_antagonist.checks`.
         also: Topics of further signals, in addition to those below ``also/`` in the joint's namespace.
 
     Raises:
         SeveralJoints: The bag holds several joints, and ``namespace`` names none.
-        BadInput: Not a bag, damaged, a topic missing or of another type, no samples, time running backwards, or values
+        BadInput: Not a bag, damaged, a topic missing or of another type, no samples, time running backwards, topics of
+            different clocks, publishers that contradict each other, several joints of which none was chosen, or values
             that are implausible in their unit (gauge pressure, other units).
 
     Example:
@@ -124,10 +132,14 @@ def _read(
     types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
     bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
     chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
+    for name in ("measured_joint_states", "angle_sensor"):
+        if name in chosen:
+            _choose_joint(bag, chosen[name], joint_name, chosen)
     if restarts == "last":
         _cut(chosen, bag.issues)
     for topic in chosen.values():
         _sort(path, topic, bag.issues)
+    _one_clock(path, chosen, bag.issues, corrections.align_clocks)
     drive = "valve" if "valve_state" in chosen else "regulator"
     state = STATE_TOPICS[drive]
     names = tuple(name for name in ("pressure_1", "pressure_2", state) if name in chosen)
@@ -137,7 +149,7 @@ def _read(
     convert = _Values(str(path), bag.issues, corrections, judge)
     pressure, voltage = _samples(bag, {name: chosen[name] for name in names}, samples, convert, episode_ns)
     measured = chosen.get("measured_joint_states")
-    angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, joint_name, convert)
+    angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, convert)
     external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
     estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
     sensor = chosen.get("angle_sensor")
@@ -149,12 +161,12 @@ def _read(
         angle=angle,
         torque=torque,
         external_torque=None if external is None else _external(bag, external, samples, convert),
-        angle_sensor=None if sensor is None else _angle_sensor(bag, sensor, samples, joint_name),
+        angle_sensor=None if sensor is None else _angle_sensor(bag, sensor, samples),
         estimate=None if estimate is None else _estimate(estimate),
         reference=None if reference is None else _reference(reference),
         received_ns={name: topic.arrival for name, topic in chosen.items()},
         topics={name: topic.actual for name, topic in chosen.items()},
-        issues=tuple(bag.issues),
+        issues=Issue.sorted(bag.issues),
         rigs=_rig_texts(bag, chosen[state].actual),
         checkpoints=() if remembered is None else checkpoints.read(remembered.decoded, remembered.keep),
         namespace=_own_namespace(bag, state, chosen[state].actual),
@@ -194,7 +206,7 @@ def _cut(chosen: Mapping[str, _Topic], issues: list[str]) -> None:
     for name, topic in chosen.items():
         late = topic.log_ns[topic.keep] >= min(restarted)
         topic.keep = topic.keep[starts[name] :] if starts[name] else topic.keep[late]
-    issues.append("time runs backwards in the recording: read what follows the last restart")
+    issues.append(Issue("time runs backwards in the recording: read what follows the last restart", "restart"))
 
 
 def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
@@ -208,7 +220,21 @@ def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
     if topic.name == "filter_checkpoint":  # each one is useful by itself, in any order
         return
     if len(stamp_ns):
-        topic.keep = topic.keep[stamps.order(str(path), topic.actual, stamp_ns, issues)]
+        topic.keep = topic.keep[stamps.order(str(path), topic.actual, stamp_ns, issues, topic.compared())]
+
+
+def _one_clock(path: Path, chosen: Mapping[str, _Topic], issues: list[str], align: bool) -> None:
+    """Judge whether one clock stamps all topics that a recording is made from; shift those of another clock."""
+    names = [name for name in (*_COMPARED, "measured_joint_states", "angle_sensor")
+             if name in chosen and len(chosen[name].keep)]  # fmt: skip
+    times = {chosen[name].actual: (chosen[name].arrival.log_ns, chosen[name].arrival.stamp_ns) for name in names}
+    shifts = stamps.clock_shifts(str(path), times, issues, align)
+    samples = chosen[names[0]].arrival.stamp_ns
+    for topic in (chosen[name] for name in names if chosen[name].actual in shifts):
+        topic.stamp_ns = topic.stamp_ns + shifts[topic.actual]
+        if not topic.name.startswith("measured") and len(samples) > 1:
+            topic.stamp_ns[topic.keep] = stamps.nearest(topic.arrival.stamp_ns, samples)
+            topic.keep = topic.keep[np.diff(topic.arrival.stamp_ns, prepend=0) > 0]
 
 
 @dataclass(frozen=True)
@@ -242,6 +268,12 @@ _JUDGES = {
 }
 
 
+_COMPARED: Mapping[str, tuple[str, ...]] = {
+    "pressure_1": ("fluid_pressure",), "pressure_2": ("fluid_pressure",), "valve_state": ("voltage",),
+    "pressure_state": ("pressure",), "measured_external_torque": ("wrench.torque.z",),
+}  # fmt: skip
+"""Topics that samples are made from -> the fields in which messages with one stamp must agree."""
+
 _FIELDS = {"valve_state": ("voltage", "voltage"), "pressure_state": ("pressure", "asked")}
 """Topic -> field of its message and quantity of that field, for messages other than FluidPressure."""
 
@@ -263,6 +295,11 @@ def _samples(
         field, what = _FIELDS.get(name, ("fluid_pressure", "pressure"))
         values = convert.of(topic.actual, what, topic.values(field))
         stamp_ns = topic.arrival.stamp_ns
+        others = [other.arrival.stamp_ns for other in chosen.values() if other is not topic]
+        paired = np.isin(stamp_ns, np.concatenate(others)) if others else np.ones(len(stamp_ns), bool)
+        if np.count_nonzero(~paired) > 0.1 * len(stamp_ns) and np.any(paired):
+            for column in values.reshape(len(values), -1).T:
+                stamps.judge_publishers(where, topic.actual, stamp_ns, column, paired)
         columns[name] = np.column_stack(
             [stamps.spread(samples, stamp_ns, column) for column in values.reshape(len(values), -1).T]
         )
@@ -274,57 +311,66 @@ def _samples(
 
 
 def _measured(
-    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], joint: str | None, convert: _Values
+    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Values
 ) -> tuple[Floats | None, Floats | None]:
     """Measured angle and torque at the sample stamps (N,), None where the topic has no such field."""
-    position, effort = _joint(bag, topic, joint)
-    angle = _validation(bag, topic, samples, "position", position, convert)
-    return angle, _validation(bag, topic, samples, "effort", effort, convert)
+    angle = _validation(bag, topic, samples, "position", topic.values("position"), convert)
+    return angle, _validation(bag, topic, samples, "effort", topic.values("effort"), convert)
 
 
-def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], joint: str | None) -> Floats:
+def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Floats:
     """The encoder's angle at the sample stamps (N,) [rad]; a filter input, so never interpolated or corrected."""
-    position, _ = _joint(bag, topic, joint)
     stamp_ns = topic.arrival.stamp_ns
-    alone = len(stamp_ns) - np.count_nonzero(np.isin(stamp_ns, samples, assume_unique=True))
+    alone = int(np.count_nonzero(~np.isin(stamp_ns, samples, assume_unique=True)))
     if alone:
-        bag.issues.append(f"{alone} angles on {topic.actual} belong to no sample: left out")
-    return stamps.spread(samples, stamp_ns, position)
+        bag.issues.append(Issue(f"{alone} angles on {topic.actual} belong to no sample: left out", "dropped", alone))
+    return stamps.spread(samples, stamp_ns, topic.values("position"))
 
 
-def _joint(bag: RawBag, topic: _Topic, joint: str | None) -> tuple[Floats, Floats]:
-    """Position and effort of one joint of a JointState topic (K,), NaN where a message has none."""
+def _choose_joint(bag: RawBag, topic: _Topic, joint: str | None, chosen: Mapping[str, _Topic]) -> None:
+    """Reduce a JointState topic to the messages and values of one joint."""
     names = _joint_names(topic.decoded)
+    listed = ", ".join(names) or "no names"
     if joint is not None and joint not in names:
-        listed = ", ".join(names) or "no names"
         raise BadInput(f"{bag.path}: {topic.actual} has no joint {joint!r}; it has {listed}")
-    if joint is None and names:
-        joint = names[0]
-        if len(names) > 1:
-            bag.issues.append(f"{topic.actual} has {len(names)} joints ({', '.join(names)}): took the first, {joint}")
+    if joint is None and len(names) > 1:
+        live = _joint_names(chosen["joint_states"].decoded) if "joint_states" in chosen else []
+        if len(live) != 1 or live[0] not in names:
+            raise BadInput(
+                f"{bag.path}: {topic.actual} holds {len(names)} joints ({listed}), expected to know which one it is; "
+                f"type --joint-name with one of these names, such as --joint-name {names[0]}"
+            )
+        joint = live[0]
+        text = f"{topic.actual} holds {len(names)} joints ({listed}): took {joint}, the joint of the estimator"
+        bag.issues.append(Issue(text, size=len(names)))
     result = {"position": np.full(topic.decoded.size, np.nan), "effort": np.full(topic.decoded.size, np.nan)}
+    there = np.zeros(topic.decoded.size, bool)
     for group in topic.decoded.groups:
+        unnamed = group.counts["name"] == 0
+        if unnamed and (many := max(group.counts[field] for field in result)) > 1:
+            raise BadInput(
+                f"{bag.path}: {topic.actual} holds {many} joints without names, expected names that tell which is which"
+            )
         for index in range(max(1, group.counts["name"])):
-            if joint is None or group.counts["name"] == 0:
-                chosen = np.ones(len(group.rows), bool)
-            else:
-                chosen = group.columns[f"name[{index}]"] == joint.encode()
+            its = np.ones(len(group.rows), bool)
+            if not unnamed:
+                its = group.columns[f"name[{index}]"] == (joint or names[0]).encode()
+            there[group.rows[its]] = True
             for field, values in result.items():
                 if index < group.counts[field]:
-                    values[group.rows[chosen]] = group.columns[field][chosen, index]
-    return result["position"][topic.keep], result["effort"][topic.keep]
+                    values[group.rows[its]] = group.columns[field][its, index]
+    topic.joint, topic.keep = result, topic.keep[there[topic.keep]]
 
 
 def _joint_names(decoded: Decoded) -> list[str]:
-    """Joint names in the order of their first appearance."""
-    names: dict[bytes, int] = {}
-    for group in decoded.groups:
-        for index in range(group.counts["name"]):
-            values, first = np.unique(group.columns[f"name[{index}]"], return_index=True)
-            for value, row in zip(values.tolist(), group.rows[first].tolist(), strict=True):
-                place = row * 1000 + index
-                names[value] = min(place, names.get(value, place))
-    return [name.decode(errors="replace") for name in sorted(names, key=lambda name: names[name])]
+    """Joint names, sorted."""
+    found = {
+        name
+        for group in decoded.groups
+        for index in range(group.counts["name"])
+        for name in np.unique(group.columns[f"name[{index}]"]).tolist()
+    }
+    return sorted(name.decode(errors="replace") for name in found)
 
 
 _SHOWN = {"position": "angle (field position)", "effort": "torque (field effort)"}
@@ -350,12 +396,16 @@ def _validation(
         return None
     values = convert.of(topic.actual, what, values)
     stamp_ns = topic.arrival.stamp_ns
-    alone = len(stamp_ns) - np.count_nonzero(np.isin(stamp_ns, samples, assume_unique=True))
+    paired = np.isin(stamp_ns, samples, assume_unique=True)
+    stamps.judge_publishers(str(bag.path), topic.actual, stamp_ns, values, paired)
+    alone = int(np.count_nonzero(~paired))
     if 2 * alone <= len(stamp_ns):
         if alone:
-            bag.issues.append(f"{alone} values of {what} on {topic.actual} belong to no sample: left out")
+            text = f"{alone} values of {what} on {topic.actual} belong to no sample: left out"
+            bag.issues.append(Issue(text, "dropped", alone))
         return stamps.spread(samples, stamp_ns, values)
-    bag.issues.append(f"{what} on {topic.actual} has stamps of its own: interpolated at the samples")
+    text = f"{what} on {topic.actual} has stamps of its own: interpolated at the samples"
+    bag.issues.append(Issue(text, "resampled", len(stamp_ns)))
     result = stamps.interpolate(samples, stamp_ns, values)
     return result if np.any(np.isfinite(result)) else None
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from ..optional import needs
 from .checkpoints import RecordedCheckpoint
+from .notes import Issue
 from .signals import FurtherSignal
 
 if TYPE_CHECKING:
@@ -188,7 +189,7 @@ class Recording:
         reference: Recorded references, or None.
         received_ns: Logical topic name -> :class:`Arrival`, for latencies and losses.
         topics: Logical topic name -> name in the bag, for the topics that were used.
-        issues: Sentences about repaired, dropped or doubtful data.
+        issues: Sentences about repaired, dropped or doubtful data, the most serious kind first.
         rigs: Texts in which the nodes named their rigs, oldest first, for :meth:`pam_antagonist.rig.RigIdentity.read`.
         checkpoints: Checkpoints of the live filter, in the order of their stamps.
         namespace: Of the joint, where the bag holds several; otherwise empty.
@@ -210,7 +211,7 @@ class Recording:
     reference: RecordedReference | None = None
     received_ns: Mapping[str, Arrival] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=dict)
-    issues: tuple[str, ...] = ()
+    issues: tuple[Issue, ...] = ()
     rigs: tuple[str, ...] = ()
     checkpoints: tuple[RecordedCheckpoint, ...] = ()
     namespace: str = ""
@@ -243,7 +244,7 @@ class Recording:
         object.__setattr__(self, "signals", MappingProxyType(signals))
         if self.episode_ns is not None:
             object.__setattr__(self, "episode_ns", _frozen(self.episode_ns, np.int64, (None,), "episode_ns"))
-        object.__setattr__(self, "issues", tuple(self.issues))
+        object.__setattr__(self, "issues", Issue.sorted(self.issues))
         object.__setattr__(self, "rigs", tuple(self.rigs))
         object.__setattr__(self, "checkpoints", tuple(sorted(self.checkpoints, key=lambda item: item.stamp_ns)))
 

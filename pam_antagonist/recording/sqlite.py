@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import re
 import sqlite3
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -24,6 +25,8 @@ MAGIC = b"SQLite format 3\0"
 _COMPUTED = re.compile(r"\b(check|generated|virtual|as|where|collate)\b", re.IGNORECASE)
 _EVERY = 100_000  # steps of sqlite's virtual machine between two checks of the budget
 _STEPS_A_BYTE, _STEPS = 20, 10_000_000  # budget for each byte, and constant; a row of ten bytes takes some twenty steps
+_ROWS = "SELECT topic_id, timestamp, data FROM messages "
+_LEAST_ROW, _LONGEST_STEP = 10, 1024  # bytes of a row; rows that are skipped at once behind damage
 _NEEDED = {"topics": ("id", "name", "type", "serialization_format"), "messages": ("topic_id", "timestamp", "data")}
 
 
@@ -31,7 +34,7 @@ class SqliteDamage(Exception):
     """The file is no valid rosbag2 database; the text says why."""
 
 
-def cut_off(file: Path) -> str | None:
+def _cut_off(file: Path) -> str | None:
     """Error text where an sqlite3 file is shorter than its header says (file format, section 1.3), else None."""
     with file.open("rb") as stream:
         head = stream.read(100)
@@ -46,16 +49,20 @@ def cut_off(file: Path) -> str | None:
     return None
 
 
-def read_sqlite(file: Path, types: Collection[str]) -> list[RawTopic]:
+def read_sqlite(file: Path, types: Collection[str], *, whole: bool = True) -> tuple[list[RawTopic], str | None]:
     """Read all messages of the given types.
 
     Args:
         file: The file.
         types: Message types whose payloads are wanted; messages of other types are only counted.
+        whole: Whether a damaged file is not read at all; otherwise the rows on whole pages are.
 
-    Raises:
-        SqliteDamage: Damaged, or not the database of a rosbag2.
+    Returns:
+        One entry for each topic, and what is damaged, or None.
     """
+    damage = _cut_off(file)
+    if damage is not None and whole:
+        return [], damage
     size = file.stat().st_size
     budget = _STEPS + _STEPS_A_BYTE * size
     spent = 0
@@ -70,16 +77,24 @@ def read_sqlite(file: Path, types: Collection[str]) -> list[RawTopic]:
         with closing(sqlite3.connect(uri, uri=True)) as database:
             database.set_progress_handler(tick, _EVERY)
             database.execute("PRAGMA trusted_schema = OFF")
+            if not whole:  # otherwise sqlite3 refuses a file that was cut off; nothing can be written all the same
+                database.execute("PRAGMA writable_schema = ON")
             database.text_factory = lambda raw: raw.decode("utf-8", "replace")
             _check(database)
-            return _read(database, types, size)
+            damage = damage or _damage(database)
+            if damage is not None and whole:
+                return [], damage
+            rows = database.execute(_ROWS + "ORDER BY timestamp, id") if damage is None else _left(database, size)
+            return _read(database, types, size, rows, lenient=damage is not None), damage
+    except SqliteDamage as exc:
+        return [], str(exc)
     except sqlite3.Error as exc:
         why = "it is not a rosbag2 database" if "interrupt" in str(exc) else str(exc)
-        raise SqliteDamage(" ".join(why.split())) from None
+        return [], damage or " ".join(why.split())
 
 
 def _check(database: sqlite3.Connection) -> None:
-    """Refuse anything but plain tables, and pages that are damaged or used twice."""
+    """Refuse anything but plain tables."""
     for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
         if kind in ("table", "index") and _COMPUTED.search(str(sql or "").partition("(")[2] or str(sql or "")):
             raise SqliteDamage(f"its {kind} {str(name)[:40]!r} computes something, expected plain columns")
@@ -88,20 +103,55 @@ def _check(database: sqlite3.Connection) -> None:
     for table, needed in _NEEDED.items():
         if missing := set(needed) - set(_columns(database, table)):
             raise SqliteDamage(f"its table {table!r} has no column {sorted(missing)[0]!r}, expected a rosbag2 database")
-    (verdict,) = database.execute("PRAGMA quick_check(1)").fetchone()
-    if verdict != "ok":
-        raise SqliteDamage(" ".join(str(verdict).split())[:200])
+
+
+def _damage(database: sqlite3.Connection) -> str | None:
+    """What is wrong with the pages: some are damaged or used twice; None for nothing."""
+    try:
+        (verdict,) = database.execute("PRAGMA quick_check(1)").fetchone()
+    except sqlite3.DatabaseError as exc:
+        if "interrupt" in str(exc):
+            raise
+        verdict = exc
+    return None if verdict == "ok" else " ".join(str(verdict).split())[:200]
+
+
+def _left(database: sqlite3.Connection, size: int) -> Iterator[tuple[Any, Any, Any]]:
+    """The rows of messages on whole pages; behind each damaged one, the search goes on in growing steps."""
+    query = f"{_ROWS.replace('SELECT', 'SELECT rowid,')} NOT INDEXED WHERE rowid >= ? ORDER BY rowid"
+    (page,) = database.execute("PRAGMA page_size").fetchone()
+    at, step = 0, 1
+    while at <= size // _LEAST_ROW:
+        before: list[tuple[Any, Any, Any]] = []  # rows of a page at least, which damage behind them may have reached
+        waiting: list[tuple[Any, Any, Any]] = []
+        held = 0
+        try:
+            for number, *row in database.execute(query, (at,)):
+                at, step = max(at, number) + 1, 1
+                waiting.append((row[0], row[1], row[2]))
+                held += _LEAST_ROW + (len(row[2]) if isinstance(row[2], bytes) else 0)
+                if held > page:
+                    yield from before
+                    before, waiting, held = waiting, [], 0
+            yield from [*before, *waiting]
+            return
+        except sqlite3.DatabaseError as exc:
+            if "interrupt" in str(exc):
+                return
+            at, step = at + step, min(2 * step, _LONGEST_STEP)
 
 
 def _columns(database: sqlite3.Connection, table: str) -> list[str]:
     return [str(row[1]) for row in database.execute(f"PRAGMA table_info({table})")]
 
 
-def _read(database: sqlite3.Connection, types: Collection[str], size: int) -> list[RawTopic]:
+def _read(
+    database: sqlite3.Connection, types: Collection[str], size: int, rows: Iterable[tuple[Any, Any, Any]], lenient: bool
+) -> list[RawTopic]:
     definitions: dict[str, str] = {}
     if {"topic_type", "encoded_message_definition"} <= set(_columns(database, "message_definitions")):
-        rows = database.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
-        definitions = {str(name): str(text or "") for name, text in rows}
+        found = database.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
+        definitions = {str(name): str(text or "") for name, text in found}
     digest = "type_description_hash" if "type_description_hash" in _columns(database, "topics") else "''"
     collectors: dict[int, Collector] = {}
     for key, topic, msgtype, encoding, digest_text in database.execute(
@@ -114,9 +164,11 @@ def _read(database: sqlite3.Connection, types: Collection[str], size: int) -> li
     times: dict[int, list[int]] = {key: [] for key in collectors}
     messages: dict[int, list[bytes]] = {key: [] for key in collectors}
     total = 0
-    for key, log_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"):
+    for key, log_ns, data in rows:
         collector = collectors.get(key) if isinstance(key, int) else None
         if collector is None or not isinstance(log_ns, int) or not isinstance(data, bytes) or log_ns < 0:
+            if lenient:
+                continue
             raise SqliteDamage("a row of its table 'messages' has an unexpected type or value")
         total += len(data) + 1
         if total > size:

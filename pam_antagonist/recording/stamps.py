@@ -9,14 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
+from .notes import Issue
+from .plausible import few
 
 Restarts = Literal["refuse", "last"]
 
 MAX_BACKWARD_NS = 500_000_000
 """A message this far behind an earlier stamp is not late: time ran backwards. The live estimator restarts there."""
 
-MAX_FORWARD_NS = 1_000_000_000
-"""Longest gap between samples that the estimator predicts over; longer ones are reported."""
+CLOCKS_APART = 0.1
+"""[s] Topics whose delays against the recorder's clock differ by more are stamped by different clocks."""
+LARGEST_DELAY = 1.0
+"""[s] A larger difference of stamps is no delay, but comes from another clock."""
+_SAME_PACE = 0.1
+"""Where messages were received this much faster or slower than they were stamped, a program wrote the bag later."""
+_HOLE_NS, _HOLE_PERIODS = 100_000_000, 5
+"""A hole is longer than both: some lost samples make no difference."""
+_LISTED = 3  # holes that are listed one by one
+_SAME_VALUE = 1e-6
+"""Largest relative difference of two copies of one value, one of which may have been rounded to 32 bits."""
+_FAR = 10.0
+"""Two publishers contradict each other where they differ by more than this many usual steps between samples."""
+
+_FEWEST = 10  # messages of a publisher
 
 _MIN_TOGETHER = 0.1  # with a smaller share of samples that have both pressures, the stamps do not form samples
 
@@ -27,7 +42,9 @@ def last_restart(stamp_ns: NDArray[np.int64]) -> int:
     return int(jumps[-1]) + 1 if len(jumps) else 0
 
 
-def order(where: str, topic: str, stamp_ns: NDArray[np.int64], issues: list[str]) -> NDArray[np.intp]:
+def order(
+    where: str, topic: str, stamp_ns: NDArray[np.int64], issues: list[str], values: NDArray[np.float64] | None = None
+) -> NDArray[np.intp]:
     """Sort the messages of one topic by their stamps.
 
     Args:
@@ -35,18 +52,21 @@ def order(where: str, topic: str, stamp_ns: NDArray[np.int64], issues: list[str]
         topic: The topic, for messages.
         stamp_ns: Header stamps in the order of reception (K,) [ns].
         issues: Gets a sentence about messages without a stamp, late ones and duplicates.
+        values: What the messages say (K, m), NaN where nothing; None: messages with one stamp are not compared.
 
     Returns:
         Indices of the messages to keep; their stamps increase strictly.
 
     Raises:
-        BadInput: No message is stamped, or time runs backwards by more than 0.5 s.
+        BadInput: No message is stamped, time runs backwards by more than 0.5 s, or messages with one stamp contradict
+            each other.
     """
     keep = np.flatnonzero(stamp_ns != 0)
     if len(keep) == 0:
         raise BadInput(f"{where}: no message of {topic} carries a stamp (all are 0), expected the time of the sample")
     if len(keep) < len(stamp_ns):
-        issues.append(f"{len(stamp_ns) - len(keep)} messages of {topic} without a stamp: dropped")
+        unset = len(stamp_ns) - len(keep)
+        issues.append(Issue(f"{unset} messages of {topic} without a stamp: dropped", "unstamped", unset))
     stamps = stamp_ns[keep]
     newest = np.maximum.accumulate(stamps)
     behind = newest - stamps
@@ -55,20 +75,155 @@ def order(where: str, topic: str, stamp_ns: NDArray[np.int64], issues: list[str]
         raise BadInput(
             f"{where}: time runs backwards on {topic}, message {keep[index]} is stamped {stamps[index] * 1e-9:.3f} s "
             f"after one of {newest[index] * 1e-9:.3f} s, expected increasing stamps; if the plant or its clock was "
-            "restarted while recording, --restarts last reads what follows the last restart"
+            "restarted while recording, --restarts last reads what follows the last restart; two publishers with "
+            "clocks of their own look alike"
         )
     if np.any(behind):
         late = int(np.count_nonzero(behind))
-        issues.append(
-            f"{late} messages of {topic} came out of order, by {behind.max() * 1e-6:.3g} ms at most: sorted by stamp"
-        )
+        text = f"{late} messages of {topic} came out of order, by {behind.max() * 1e-6:.3g} ms at most: sorted by stamp"
+        issues.append(Issue(text, "late", late))
         keep = keep[np.argsort(stamps, kind="stable")]
         stamps = stamp_ns[keep]
     repeated = np.flatnonzero(np.diff(stamps) == 0) + 1
     if len(repeated):
-        issues.append(f"{len(repeated)} messages of {topic} repeat a stamp: the first of each stamp was kept")
+        apart = _contradictions(where, topic, stamps, repeated, None if values is None else values[keep])
+        text = f"{len(repeated)} messages of {topic} repeat a stamp: the first of each stamp was kept"
+        if apart:
+            text = f"{text}; {apart} of them contradict it (two publishers, or a clock that is too coarse)"
+        at = (stamps[repeated[0]] - stamps[0]) * 1e-9
+        issues.append(Issue(text, "publishers" if apart else "repeated", len(repeated), at))
         keep = np.delete(keep, repeated)
     return keep
+
+
+def _contradictions(
+    where: str, topic: str, stamps: NDArray[np.int64], repeated: NDArray[np.intp], values: NDArray[np.float64] | None
+) -> int:
+    """Number of messages that contradict the one before with the same stamp; many of them are refused."""
+    if values is None:
+        return 0
+    first, second = values[repeated - 1], values[repeated]
+    both = np.isfinite(first) & np.isfinite(second)
+    apart = both & (np.abs(first - second) > _SAME_VALUE * np.maximum(np.abs(first), np.abs(second)))
+    wrong = np.flatnonzero(apart.any(axis=1))
+    if few(len(wrong), len(stamps)):
+        return len(wrong)
+    row, column = int(wrong[0]), int(np.argmax(apart[wrong[0]]))
+    raise _two_publishers(
+        where,
+        topic,
+        f"{len(wrong)} of {len(stamps)} messages repeat a stamp with another value, first "
+        f"{(stamps[repeated[row]] - stamps[0]) * 1e-9:.3f} s after the first message: {first[row, column]:.6g} and "
+        f"{second[row, column]:.6g}",
+    )
+
+
+def _two_publishers(where: str, topic: str, seen: str) -> BadInput:
+    """The refusal of a topic with two publishers that contradict each other."""
+    return BadInput(
+        f"{where}: {topic} seems to have two publishers that contradict each other: {seen}; expected one publisher and "
+        f"one message a stamp. 'ros2 topic info --verbose {topic}' lists the publishers: stop one or remap its topic, "
+        "and record again"
+    )
+
+
+def judge_publishers(
+    where: str, topic: str, stamp_ns: NDArray[np.int64], values: NDArray[np.float64], paired: NDArray[np.bool_]
+) -> None:
+    """Refuse a topic whose messages come from two publishers with stamps of their own that contradict each other.
+
+    Args:
+        where: The bag, for messages.
+        topic: The topic, for messages.
+        stamp_ns: Its stamps (K,) [ns], strictly increasing.
+        values: Its values (K,).
+        paired: Whether the stamp of each message is one of another topic's (K,).
+
+    Raises:
+        BadInput: The values of the messages that are paired and of those that are not, or of every second message,
+            follow two different curves.
+    """
+    known = np.isfinite(values)
+    stamp_ns, values, paired = stamp_ns[known], values[known], paired[known]
+    share = float(np.mean(paired)) if len(paired) else 0.0
+    one = paired if 0.1 < share < 0.9 else np.arange(len(values)) % 2 == 0
+    mine, between = stamp_ns[one], stamp_ns[~one]
+    if min(len(mine), len(between)) < _FEWEST:
+        return
+    after = np.clip(np.searchsorted(mine, between), 1, len(mine) - 1)
+    near = (mine[after] - mine[after - 1] <= 5 * np.median(np.diff(mine))) & (between > mine[0]) & (between < mine[-1])
+    if np.count_nonzero(near) < _FEWEST:
+        return
+    apart = np.abs(values[~one] - np.interp(between - stamp_ns[0], mine - stamp_ns[0], values[one]))
+    usual = float(np.median(apart[near]))
+    step = max(float(np.quantile(np.abs(np.diff(part)), 0.9)) for part in (values[one], values[~one]))
+    if usual > _FAR * step and usual > _SAME_VALUE * float(np.max(np.abs(values))):
+        raise _two_publishers(where, topic, f"messages that follow each other differ by {usual:.3g} in the median")
+
+
+def clock_shifts(
+    where: str, times: Mapping[str, tuple[NDArray[np.int64], NDArray[np.int64]]], issues: list[str], align: bool
+) -> dict[str, int]:
+    """How much later each topic's stamps should be to be those of the first topic's clock [ns].
+
+    Messages of one moment are received together. So the delays of reception tell how far two clocks are apart.
+
+    Args:
+        where: The bag, for messages.
+        times: Topic -> times of reception and stamps of its messages (K,) [ns]; the first topic's clock counts.
+        issues: Gets a sentence about each topic with another clock.
+        align: Whether stamps of another clock are shifted; otherwise no topic is.
+
+    Raises:
+        BadInput: Stamps of another clock that would pair the wrong messages, unless they are shifted.
+    """
+    (first, (log_ns, stamp_ns)), *others = times.items()
+    shifts = {}
+    for topic, (its_log, its_stamp) in others:
+        together = its_stamp.max() >= stamp_ns.min() and its_stamp.min() <= stamp_ns.max()
+        live = _received_live(log_ns, stamp_ns) and _received_live(its_log, its_stamp)
+        apart = (np.median(log_ns - stamp_ns) - np.median(its_log - its_stamp)) * 1e-9 if live else 0.0
+        if abs(apart) <= CLOCKS_APART:
+            if not together:
+                away = (its_stamp.min() - stamp_ns.min()) * 1e-9
+                text = (
+                    f"no stamp of {topic} lies between those of {first}, they begin {away:.4g} s apart: different "
+                    "clocks, or another time; its values were left out"
+                )
+                issues.append(Issue(text, "clock", len(its_stamp), length_s=away))
+            continue
+        text = (
+            f"{topic} is stamped {abs(apart):.4g} s {'later' if apart > 0.0 else 'earlier'} than {first} for messages "
+            "that came at the same time: they are stamped by different clocks"
+        )
+        if align:
+            shifts[topic] = -round(apart * 1e9)
+            text += "; its stamps were shifted by that, which is exact to some milliseconds (--align-clocks)"
+        else:
+            text += "; type --align-clocks to shift its stamps by that"
+            if abs(apart) > LARGEST_DELAY or not together:
+                raise BadInput(f"{where}: {text}, or record again with all topics stamped by one clock")
+        issues.append(Issue(text, "clock", len(its_stamp), length_s=apart))
+    return shifts
+
+
+def _received_live(log_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64]) -> bool:
+    """Whether messages were received at the pace of their stamps, as by a recorder."""
+    lasted, stamped = (float(np.ptp(np.quantile(times - times[0], [0.1, 0.9]))) for times in (log_ns, stamp_ns))
+    return len(stamp_ns) > 1 and abs(lasted - stamped) <= _SAME_PACE * stamped
+
+
+def nearest(stamp_ns: NDArray[np.int64], samples: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Stamps (K,) that were shifted from another clock, each moved to the nearest sample within half a period.
+
+    Args:
+        stamp_ns: stamps, sorted (K,) [ns].
+        samples: stamps of the samples, sorted (N,) [ns].
+    """
+    after = np.clip(np.searchsorted(samples, stamp_ns), 1, len(samples) - 1)
+    before = samples[after - 1]
+    close = np.where(stamp_ns - before <= samples[after] - stamp_ns, before, samples[after])
+    return np.where(np.abs(close - stamp_ns) <= 0.5 * np.median(np.diff(samples)), close, stamp_ns)
 
 
 def union(stamps: list[NDArray[np.int64]]) -> NDArray[np.int64]:
@@ -122,14 +277,14 @@ def judge_pairing(
     issues: list[str],
     episode_ns: NDArray[np.int64] | None = None,
 ) -> None:
-    """Report how many samples miss a topic, and gaps in the samples.
+    """Report how many samples miss a topic, and holes in the samples.
 
     Args:
         where: The bag, for messages.
         samples: Sample stamps (N,) [ns].
         present: Topic -> which samples have its message (N,); the two pressures come first.
         issues: Gets the sentences.
-        episode_ns: Stamps at which episodes begin (E,) [ns]; a gap before one is not reported. None for one piece.
+        episode_ns: Stamps at which episodes begin (E,) [ns]; a hole before one is not reported. None for one piece.
 
     Raises:
         BadInput: The two pressures rarely share a stamp.
@@ -144,12 +299,17 @@ def judge_pairing(
     for topic, there in present.items():
         missing = len(samples) - int(np.count_nonzero(there))
         if missing:
-            issues.append(f"{missing} of {len(samples)} samples without {topic}")
-    gaps = np.flatnonzero(np.diff(samples) > MAX_FORWARD_NS)
+            issues.append(Issue(f"{missing} of {len(samples)} samples without {topic}", "missing", missing))
+    period = float(np.median(np.diff(samples))) if len(samples) > 1 else 0.0
+    gaps = np.flatnonzero(np.diff(samples) > max(_HOLE_NS, _HOLE_PERIODS * period))
     if episode_ns is not None:
         gaps = gaps[~np.isin(samples[gaps + 1], episode_ns)]
-    for index in gaps[:3]:
-        length, since = (samples[index + 1] - samples[index]) * 1e-9, (samples[index] - samples[0]) * 1e-9
-        issues.append(f"no samples for {length:.3f} s, from {since:.3f} s after the first one on")
-    if len(gaps) > 3:
-        issues.append(f"{len(gaps) - 3} more gaps of over a second")
+    lengths, since = (samples[gaps + 1] - samples[gaps]) * 1e-9, (samples[gaps] - samples[0]) * 1e-9
+    longest = np.sort(np.argsort(-lengths, kind="stable")[:_LISTED])
+    for length, begin in zip(lengths[longest].tolist(), since[longest].tolist(), strict=True):
+        text = f"no samples for {length:.3f} s, from {begin:.3f} s after the first one on"
+        issues.append(Issue(text, "hole", round(length * 1e9 / period) - 1, begin, length))
+    if len(gaps) > _LISTED:
+        rest = np.delete(lengths, longest)
+        text = f"{len(rest)} more holes of up to {rest.max():.3g} s, {lengths.sum():.3g} s in total"
+        issues.append(Issue(text, "hole", round(rest.sum() * 1e9 / period), length_s=float(rest.sum())))

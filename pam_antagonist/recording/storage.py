@@ -17,9 +17,10 @@ from .compression import ZSTD_MAGIC, CompressionError, Room, inflate_file, infla
 from .mcap import MAGIC as MCAP_MAGIC
 from .mcap import scan_mcap
 from .metadata import one_line
+from .notes import Issue
 from .raw import RawTopic
 from .sqlite import MAGIC as SQLITE_MAGIC
-from .sqlite import SqliteDamage, cut_off, read_sqlite
+from .sqlite import read_sqlite
 
 if TYPE_CHECKING:
     from .recording import Recording
@@ -63,7 +64,7 @@ def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> Ra
     Args:
         path: Bag folder, or one .mcap or .db3 file, plain or packed with zstd.
         types: Message types whose payloads are wanted; other topics are listed and counted.
-        recover: Read the part before a damaged or cut off place instead of refusing the bag.
+        recover: Read what is left of a damaged or cut off bag instead of refusing it.
 
     Raises:
         BadInput: Not a bag, damaged, or not readable.
@@ -163,8 +164,8 @@ def _read_file(
 ) -> list[RawTopic]:
     """Read one message file, unpacking it first where needed.
 
-    In a recording that was not closed, an incomplete end is expected: the complete messages are read, with an issue. In
-    a closed recording damage is unexpected, and the user decides by ``recover``.
+    In a recording that was not closed, an incomplete end is expected: what is left is read, with an issue. In a closed
+    recording damage is unexpected, and the user decides by ``recover``.
     """
     with _unpacked(file) as (plain, packing_damage):
         with plain.open("rb") as stream:
@@ -174,17 +175,12 @@ def _read_file(
                 raise BadInput(f"{file}: is empty")
             bag.issues.append(f"{file} holds no messages: the recording ended right after its start")
             return []
-        damage = packing_damage
+        damage, lost = packing_damage, []
         if magic.startswith(MCAP_MAGIC):
             contents = scan_mcap(plain, types, room)
-            parts, damage = contents.topics, packing_damage or contents.damage
+            parts, damage, lost = contents.topics, packing_damage or contents.damage, contents.lost
         elif magic == SQLITE_MAGIC and damage is None:
-            damage, parts = cut_off(plain), []
-            if damage is None:
-                try:
-                    parts = read_sqlite(plain, types)
-                except SqliteDamage as exc:
-                    damage = str(exc)
+            parts, damage = read_sqlite(plain, types, whole=closed and not recover)
             log = file.with_name(f"{file.name}-wal")
             if log.exists() and log.stat().st_size:
                 bag.issues.append(f"{log} holds messages that were not read; let sqlite3 bring them into {file.name}")
@@ -194,13 +190,22 @@ def _read_file(
             parts = []
     if damage is not None:
         kept = sum(len(part.log_ns) for part in parts)
-        if not closed:
-            bag.issues.append(f"{file} was not closed, {damage}: read the {kept} messages before that")
-            return parts
-        if not recover:
+        where = "before that" if magic.startswith(MCAP_MAGIC) and not lost else "that are left"
+        if closed and not recover:
             hint = f"{kept} messages stand before that" + (" (--recover reads them)" if kept else "")
+            if where == "that are left":
+                hint = f"--recover reads the {f'{kept} ' if kept else ''}messages that are left"
             raise BadInput(f"{file}: truncated or damaged, {damage}; {hint}")
-        bag.issues.append(f"{file} is truncated or damaged, {damage}: read the {kept} messages before that")
+        state = "is truncated or damaged" if closed else "was not closed"
+        bag.issues.append(Issue(f"{file} {state}, {damage}: read the {kept} messages {where}", "damage"))
+        for part in lost:
+            size, length = part.end - part.begin, part.until - part.since
+            since = f"{part.since:.3f}" if length > 0.0 else "before"
+            text = (
+                f"{file}: {size} bytes are lost, from byte {part.begin} to {part.end}, received {since} to "
+                f"{part.until:.3f} s after the first message"
+            )
+            bag.issues.append(Issue(text, "damage", size, part.since, length))
     return parts
 
 

@@ -131,7 +131,7 @@ def _other_pressure(signal: Signal, atmosphere: float) -> str:
 
 
 def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
-    """Refuse an angle beyond half a turn.
+    """Refuse an angle beyond half a turn, and one that jumps by a turn.
 
     Args:
         where: the file.
@@ -144,10 +144,14 @@ def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
     factor = UNITS["angle"][signal.unit]
     try:
         plausible.check_angle(where, signal.label, signal.values * factor, issues)
+        if plausible.turns(signal.values * factor, math.pi):
+            raise BadInput("half turns")
     except BadInput:
-        hint = _looks_like(signal, "angle", plausible.check_angle, _USUAL_ANGLE)
-        if not hint or signal.unit == "deg":  # many encoders count degrees from another zero
-            hint += "; give offset if the sensor counts from elsewhere"
+        hint = _absolute_encoder(signal)
+        if not hint:
+            hint = _looks_like(signal, "angle", plausible.check_angle, _USUAL_ANGLE)
+            if not hint or signal.unit == "deg":  # many encoders count degrees from another zero
+                hint += "; give offset if the sensor counts from elsewhere"
         raise BadInput(
             f"{where}: {signal.label} goes from {signal.span}, expected within half a turn of 0, where the muscles are "
             f"equally long{hint}"
@@ -155,6 +159,23 @@ def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
     finite = signal.values[np.isfinite(signal.values)]
     if signal.unit == "deg" and len(finite) and np.ptp(finite) * factor < _STILL and np.ptp(finite) > _STILL:
         issues.append(f"{signal.label} goes from {signal.span}: a locked joint? {np.ptp(finite):.3g} could be rad")
+
+
+def _absolute_encoder(signal: Signal) -> str:
+    """The hint to give ``wraps``, where the readings jump as those of an encoder that begins again."""
+    finite = signal.values[np.isfinite(signal.values)]
+    for unit in (signal.unit, *UNITS["angle"]):
+        turn = 2.0 * math.pi / UNITS["angle"][unit]
+        for part in (turn, 0.5 * turn):
+            if plausible.turns(finite, part) and np.ptp(plausible.unwrapped(finite, part)) <= 0.5 * turn:
+                other = "" if unit == signal.unit else f"unit: {unit}, "
+                return f"; it jumps as an absolute encoder that begins again: give {other}wraps: {part:.7g}"
+    if len(finite) and plausible.turns(finite, float(np.ptp(finite))):
+        return (
+            f"; it jumps by {np.abs(np.diff(finite)).max():.4g} {signal.unit} from one row to the next: of an absolute "
+            "encoder give scale and wraps, after how much it begins again"
+        )
+    return ""
 
 
 def check_torque(where: str, signal: Signal, issues: list[str]) -> None:

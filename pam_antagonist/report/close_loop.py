@@ -23,7 +23,9 @@ from pam_antagonist.diagnosis.result import (
     Splits,
     Verdict,
 )
-from pam_antagonist.diagnosis.warnings import estimator_worse, like_a_curve
+from pam_antagonist.diagnosis.rig_choice import RigChoice
+from pam_antagonist.diagnosis.warnings import like_a_curve
+from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
 from pam_antagonist.recording.corrections import Corrections
@@ -144,6 +146,7 @@ class CloseLoopReport:
         corrections: command line options for this calibration, including those that were already given.
         assumption: the uncertainty that the configured rig claims; None for an identified one.
         next_steps: recommended next steps, in sentences.
+        next_rig: name of the rig file to use; None: keep the one that there is.
     """
 
     verdict: Verdict
@@ -172,6 +175,7 @@ class CloseLoopReport:
     corrections: tuple[str, ...] = ()
     assumption: str | None = None
     next_steps: tuple[str, ...] = ()
+    next_rig: str | None = None
 
     @property
     def driven(self) -> bool:
@@ -183,15 +187,23 @@ def _least(effects: Sequence[FoundEffect]) -> Splits | None:
     return min((effect.splits for effect in effects if effect.splits is not None), default=None)
 
 
+def _options(typed: Corrections, found: Sequence[FoundCalibration]) -> tuple[str, ...]:
+    """Options for what was typed and what was found together; none if that is more than an option may say."""
+    try:
+        further = found_calibrations.corrections({item.name: item.value for item in found})
+        return tuple(typed.followed_by(further).options()) if found else ()
+    except BadInput:
+        return ()
+
+
 def report(
     found: Diagnosis,
     rig: Rig,
     hashes: Sequence[str],
     seed: int,
     holdout: float | Sequence[str],
-    typed: Corrections | None = None,
-    rig_files: Sequence[str] = (),
-    no_common_rig: str = "",
+    typed: Corrections,
+    choice: RigChoice,
 ) -> CloseLoopReport:
     """The numbers of a diagnosis.
 
@@ -201,17 +213,15 @@ def report(
         hashes: SHA-256 of each bag, whole held-out recordings last.
         seed: of the search.
         holdout: share of each recording that was held out, or names of held-out recordings.
-        typed: corrections with which the recordings were read; default: none.
-        rig_files: names of the rig files that are written with the report.
-        no_common_rig: why there is no rig file for all recordings; empty if there is one.
+        typed: corrections with which the recordings were read.
+        choice: the rig files that are written with the report.
     """
-    further = found_calibrations.corrections({item.name: item.value for item in found.calibrations})
     return CloseLoopReport(
         verdict=found.verdict,
         sentence=found.sentence,
         effects=found.effects,
         calibration=tuple(map(Calibration.of, found.calibrations)),
-        corrections=tuple((typed or Corrections()).followed_by(further).options()) if found.calibrations else (),
+        corrections=_options(typed, found.calibrations),
         ambiguous_with=tuple(found.ambiguous_with),
         experiments=dict(found.experiment),
         ambiguities=tuple(found.ambiguities),
@@ -252,61 +262,54 @@ def report(
         software=versions(),
         splits=_least(found.effects),
         assumption=assumption(rig),
-        next_steps=next_steps(found, rig, rig_files, no_common_rig),
+        next_steps=next_steps(found, rig, choice),
+        next_rig=None if choice.proposed is None else choice.proposed.name,
     )
 
 
-def next_steps(found: Diagnosis, rig: Rig, rig_files: Sequence[str], no_common_rig: str) -> tuple[str, ...]:
+def next_steps(found: Diagnosis, rig: Rig, choice: RigChoice) -> tuple[str, ...]:
     """Recommended next steps after a diagnosis, in sentences.
 
     Args:
         found: the diagnosis.
         rig: as configured.
-        rig_files: names of the rig files that are written with the report.
-        no_common_rig: why there is no rig file for all recordings; empty if there is one.
+        choice: the rig files that are written with the report.
     """
-    out = []
-    if no_common_rig:
-        each = f" {', '.join(rig_files)} have each recording's own values." if rig_files else ""
-        out.append(f"There is no rig_extended.yaml, since {no_common_rig}.{each}")
+    out, files = [], [file.name for file in choice.files]
+    if choice.no_common:
+        own = [file.name for file in choice.files if file.number is not None]
+        have = "have each recording's own values" if len(own) > 1 else "has the values of one recording"
+        each = f" {', '.join(own)} {have}." if own else ""
+        out.append(f"There is no rig_extended.yaml, since {choice.no_common}.{each}")
     rivals = [name for name in found.ambiguous_with if name in CATALOGUE]
-    if found.effects and rivals and not no_common_rig and rig.drive == "valve" and not rig.valves.sealed:
+    if found.effects and rivals and "rig_extended.yaml" in files and rig.drive == "valve" and not rig.valves.sealed:
         either = " and ".join(name.replace("_", " ") for name in (found.effects[0].name, *rivals))
         out.append(
             f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
             "folder of this report designs the experiment."
         )
+    keep = f"keep the rig file of {rig.name}"
+    proposed, use = choice.proposed, ""
+    if proposed is not None:
+        which = "" if proposed.number is None else f" for {found.by_recording[proposed.number].recording}"
+        use = f"use {proposed.name}{which}, which every command and node takes ({proposed.gain} on held-out data)"
     alike = like_a_curve(rig, [effect.name for effect in found.effects])
     if alike:
         out.append(
             "Next: measure the valves' curves before you repair anything: a curve of another slope looks like "
             f"{' or '.join(alike)}. Hold six voltages of each valve until the pressures stand, give that recording to "
             f"{typed_command('identify')} with the others, and run {typed_command('close_loop')} with the rig file "
-            "that it writes."
+            f"that it writes. Until then, {use or keep}."
         )
     elif found.verdict == "effect":
-        instead = f", or use {rig_files[0]}, which every command and node takes" if rig_files else ""
-        out.append(f"Next: repair the joint and record again{instead}.")
-    elif found.verdict == "unexplained" and rig_files and _halves_errors(found):
-        out.append(
-            "Next: read in section What is left when the remaining residual appears and on what it depends. Until "
-            f"its cause is known, use {rig_files[0]}: it is {rig.name} with its parameters fitted, and halves the "
-            "errors on held-out data."
-        )
+        out.append(f"Next: repair the joint and record again{f', or {use}' if use else f'; until then, {keep}'}.")
     elif found.verdict == "unexplained":
         out.append(
-            f"Next: keep the rig file of {rig.name}, and read in section What is left when the remaining residual "
-            "appears and on what it depends."
+            "Next: read in section What is left when the remaining residual appears and on what it depends. Until its "
+            f"cause is known, {use or keep}{': it halves all errors' if use else ''}."
         )
+    elif use:
+        out.append(f"Next: nothing to repair; {use}: it is {rig.name}, recalibrated by these recordings.")
     else:
-        also = "" if no_common_rig else "; rig_extended.yaml is the same, recalibrated by these recordings"
-        out.append(f"Next: nothing. Keep the rig file of {rig.name}{also}.")
+        out.append(f"Next: nothing; {keep}.")
     return tuple(out)
-
-
-def _halves_errors(found: Diagnosis) -> bool:
-    """Whether all errors of the model are at least halved, and the estimator is not worse in any recording."""
-    before, after = found.errors.as_configured, found.errors.extended
-    pairs = [(a.rmse, b.rmse) for a, b in ((before.angle, after.angle), (before.torque, after.torque)) if a and b]
-    pairs += list(zip(before.rmse_pa, after.rmse_pa, strict=True))
-    return all(new <= 0.5 * old for old, new in pairs) and not estimator_worse(found.by_recording)

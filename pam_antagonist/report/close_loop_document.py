@@ -247,14 +247,14 @@ def _tiles(report: CloseLoopReport) -> tuple[Tile, ...]:
         before, after = channel_of(errors, channel.name)
         if before is None or after is None or (report.driven and channel is not TORQUE):
             continue
-        note = f"was {channel.write(before)}"
+        note = f"as configured {channel.write(before)}"
         if channel is TORQUE and reference is not None:
             note += f"; a straight-line map: {number(reference, 2)}"
         label = "Torque error, measured angle" if report.driven else f"{channel.title} error (RMS)"
         out.append(Tile(label, channel.write(after), note))
     if report.driven:
         out += _estimator_tiles(report.recordings[0])
-    both = (errors.recalibrated, errors.extended)
+    both = (errors.as_configured, errors.extended)
     means = [model.mean_rmse_pa for model in both if model.mean_rmse_pa is not None]
     if report.driven and len(means) == len(both):
         label, (was, now) = "Error of the mean pressure", means
@@ -262,7 +262,7 @@ def _tiles(report: CloseLoopReport) -> tuple[Tile, ...]:
         label, (was, now) = "Larger pressure error", [max(model.rmse_pa) for model in both]
     unit = readable("Pa", min(now, was))
     now, was = now * unit.scale, was * unit.scale
-    out.append(Tile(label, f"{number(now, 2)} {unit.name}", f"was {number(was, 2)} {unit.name}"))
+    out.append(Tile(label, f"{number(now, 2)} {unit.name}", f"as configured {number(was, 2)} {unit.name}"))
     return tuple(out)
 
 
@@ -270,17 +270,16 @@ def _estimator_tiles(part: RecordingEntry) -> list[Tile]:
     out = []
     for channel in CHANNELS if part.ukf is not None else ():
         assert part.ukf is not None
-        configured = getattr(part.ukf.as_configured, channel.name)
         before, after = channel_of(part.ukf, channel.name)
-        if before is not None and after is not None and configured is not None:
-            note = f"was {number(before, 2)}; as configured {number(configured.rmse, 2)}"
+        if before is not None and after is not None:
+            note = f"as configured {number(before, 2)}"
             out.append(Tile(f"{channel.title} error, pressures alone", channel.write(after), note))
     return out
 
 
 def channel_of(errors: ModelErrors, name: str) -> tuple[float | None, float | None]:
-    """RMSE of a channel, recalibrated and extended; None where it was not measured."""
-    known = [getattr(model, name) for model in (errors.recalibrated, errors.extended)]
+    """RMSE of a channel, as configured and extended; None where it was not measured."""
+    known = [getattr(model, name) for model in (errors.as_configured, errors.extended)]
     before, after = (None if item is None else item.rmse for item in known)
     return before, after
 

@@ -80,6 +80,8 @@ def calibration_findings(report: CloseLoopReport) -> tuple[Finding, ...]:
     if not report.calibration:
         return ()
     what = "; ".join(item.sentence for item in report.calibration)
+    if not report.corrections:
+        return (Finding("warn", f"{what[0].upper()}{what[1:]}. Together with the options given, that is too much."),)
     text = f"{what[0].upper()}{what[1:]}. To correct that, add `{' '.join(report.corrections)}` to every command"
     rig = "An extended rig file has it already: then the options are not needed."
     return (Finding("warn", f"{text} that reads these recordings. {rig}"),)

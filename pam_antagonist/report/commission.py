@@ -47,14 +47,16 @@ class CommissionReport:
         rig: name of the rig.
         steps: in order.
         rig_seconds: total time in which the joint was driven [s].
+        left: steps that were not begun.
     """
 
     rig: str
     steps: tuple[Step, ...]
     rig_seconds: float
+    left: tuple[str, ...]
 
 
-def write_report(folder: Path, rig: Rig, steps: Sequence[Step], command: str) -> None:
+def write_report(folder: Path, rig: Rig, steps: Sequence[Step], command: str, left: Sequence[str] = ()) -> None:
     """Write ``report.json`` and ``report.html``.
 
     Args:
@@ -62,19 +64,25 @@ def write_report(folder: Path, rig: Rig, steps: Sequence[Step], command: str) ->
         rig: of the rig file.
         steps: in order.
         command: to continue the commissioning, or that was given.
+        left: steps that were not begun.
     """
-    report = CommissionReport(rig.name, tuple(steps), sum(step.rig_seconds for step in steps))
+    report = CommissionReport(rig.name, tuple(steps), sum(step.rig_seconds for step in steps), tuple(left))
     findings = Findings(tuple(Finding("good" if step.done else "warn", f"{step.name}: {step.said}") for step in steps))
     rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in steps)
     table = Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
-    undone = [step.name for step in steps if not step.done]
-    lede = f"Step {undone[0]} is not done: do what it says, then type the command again." if undone else "All is done."
-    if not steps:
-        lede = "Nothing is done yet."
     blocks: tuple[Block, ...] = (
-        Text(lede, "lede"),
+        Text(_lede(steps, left), "lede"),
         findings,
         table,
         *background(_DEFINITIONS, [("Rig", rig.name), ("Command", command)]),
     )
     html.write(folder, Document("Commissioning", rig.name, blocks), report)
+
+
+def _lede(steps: Sequence[Step], left: Sequence[str]) -> str:
+    """What failed, else what is left, else that all is done."""
+    failed = [f"Step {step.name} failed: {step.said.rstrip('.')}." for step in steps if not step.done]
+    if failed or left:
+        rest = [f"Not begun: {', '.join(left)}."] if left else []
+        return " ".join([*failed, *rest, "Do what it says, then type the command again." if failed else ""]).strip()
+    return "All is done."

@@ -27,10 +27,13 @@ from pam_antagonist.report.replay import numbers as replay_numbers
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.style import ESTIMATE, MODEL
 from pam_antagonist.report.table import MISSING, Table, number, percent
+from pam_antagonist.rig.limits import rest_pressure, rest_voltage
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance in the paper
 _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}
 _SIGN = {Mode.ANGLE: "°", Mode.TORQUE: " N m"}
+_MOST_HELD = 0.3
+"""[-] Share of samples with safe commands from which on a demo was not controlled: its first second counts little."""
 _LAWS = {"fast": "fast gains", "published": "published gains", "model": "law through the model"}
 
 
@@ -60,6 +63,7 @@ class Demo:
         stiffness: tracking of the estimated stiffness [N m/rad]; None without a reference for it.
         yielding: motion under pushes; None in other modes than IMPEDANCE.
         accounting: account of the samples; None where a stage is missing in the recording.
+        stopped: why the joint was stopped for safety, in words; empty where it was not.
     """
 
     replay: Replay
@@ -70,9 +74,10 @@ class Demo:
     stiffness: Tracking | None
     yielding: Yielding | None
     accounting: Accounting | None
+    stopped: str = ""
 
     @classmethod
-    def of(cls, replay: Replay, mode: Mode, simulated: Simulated, gains: str = "fast") -> Demo:
+    def of(cls, replay: Replay, mode: Mode, simulated: Simulated, gains: str = "fast", stopped: str = "") -> Demo:
         """Evaluate the recording of a demo.
 
         Args:
@@ -80,6 +85,7 @@ class Demo:
             mode: of control.
             simulated: the simulated joint.
             gains: of the controller, ``fast``, ``published`` or ``model``.
+            stopped: why the joint was stopped for safety, in words; empty where it was not.
 
         Raises:
             BadInput: the recording has no reference or no measurement.
@@ -88,7 +94,7 @@ class Demo:
         followed = follow(replay.recording, mode)
         stiffness = tracking(replay.run.stamp_ns, *_stiffness(replay)) if mode.has_stiffness else None
         accounting = account(replay.recording, replay.rig.sample_period)
-        return cls(replay, mode, simulated, gains, followed, stiffness, yielding, accounting)
+        return cls(replay, mode, simulated, gains, followed, stiffness, yielding, accounting, stopped)
 
     def to_json(self) -> dict[str, Any]:
         """The entry of ``report.json``; keys contain the unit of the controlled quantity."""
@@ -117,6 +123,7 @@ class Demo:
             "stiffness": self.stiffness,
             "yielding": self.yielding,
             "pipeline": self.accounting,
+            "stopped_for_safety": self.stopped or None,
         }
 
 
@@ -141,6 +148,8 @@ def document(demo: Demo, with_figures: bool = True) -> Document:
     replayed = replay_document([demo.replay], with_figures=with_figures)
     what = demo.mode.quantity.name.lower()
     task = "yielded to pushes" if demo.yielding is not None else f"followed steps of its {what}"
+    if demo.stopped:
+        task = f"was to follow steps of its {what}"
     lede = (
         f"A simulated joint {task}. The controller had no {what} sensor: it saw only the "
         "estimate from two pressure sensors. All of it ran live at 1 kHz, was recorded, and was replayed for this "
@@ -149,6 +158,8 @@ def document(demo: Demo, with_figures: bool = True) -> Document:
     # Lede and verdict of the replay are in the section on the estimate.
     verdict, estimate, ends = replayed.blocks[1], replayed.blocks[2:-2], replayed.blocks[-2:]
     blocks: list[Block] = [Text(lede, "lede"), Text(_verdict(demo), "verdict")]
+    if demo.stopped:
+        blocks.reverse()
     if with_figures:
         blocks.append(_figure(demo))
         blocks += [_stiffness_figure(demo)] if demo.stiffness is not None else []
@@ -168,10 +179,18 @@ def _slowest(demo: Demo) -> float:
 
 
 def _verdict(demo: Demo) -> str:
+    if demo.stopped:
+        return f"Stopped for safety by the {demo.stopped}. From then on the valves had the safe voltages."
     if demo.yielding is not None:
         return demo.yielding.sentence
     sign, followed, slowest = _SIGN[demo.mode.quantity], demo.tracking, _slowest(demo)
     steps = len(followed.steps) - 1
+    held = _held_safe(demo)
+    if held > _MOST_HELD:
+        return (
+            f"The joint had no commands: in {percent(held)} of the samples the valves had the safe commands. Estimates "
+            "or commands came too late, or were refused: logs/ and /diagnostics in the bag say which."
+        )
     settled = (
         f"Each of the {steps} steps settled within {slowest:.1f} s"
         if math.isfinite(slowest)
@@ -179,6 +198,13 @@ def _verdict(demo: Demo) -> str:
     )
     steady = f", and the largest error in steady state was {number(followed.worst_steady_error, 2)}{sign}"
     return f"{settled}{steady if math.isfinite(followed.worst_steady_error) else ''}."
+
+
+def _held_safe(demo: Demo) -> float:
+    """Share of the samples with the safe commands of the rig file [-]."""
+    rig = demo.replay.rig
+    safe = rest_voltage(rig) if rig.drive == "valve" else (rest_pressure(rig),) * 2
+    return float(np.mean(np.all(demo.replay.recording.voltage == np.array(safe), axis=1)))
 
 
 def _tiles(demo: Demo) -> tuple[Tile, ...]:

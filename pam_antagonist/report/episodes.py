@@ -82,27 +82,33 @@ def unit(rig: Rig, name: str) -> tuple[str, float]:
 
 def verdict(found: EpisodeDiagnosis) -> str:
     """The result in one or two sentences."""
-    before = next(row for row in found.rows if row.model.startswith("mechanics"))
-    after = found.rows[-1]
+    given, before, *_, after = (number(row.forecast.value) for row in found.rows)
     if not found.effects:
-        return f"No effect that was offered is needed: the error on later episodes is {number(_later(before).value)}°."
+        return (
+            f"No effect that was offered is needed: the error on later episodes is {after}°, with the rig as "
+            f"configured {given}°."
+        )
     words = [in_words(effect) for effect in found.effects]
     listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+    change = "falls" if found.rows[-1].forecast.value < found.rows[0].forecast.value else "changes"
     return (
-        f"What the model lacks is {listed}. The error on later episodes falls from {number(_later(before).value)}° to "
-        f"{number(_later(after).value)}°, both models fitted to the same episodes."
+        f"What the model lacks is {listed}. The error on later episodes {change} from {given}° as configured to "
+        f"{after}°; of a model without that, fitted to the same episodes, it is {before}°."
     )
 
 
-def _later(row: Row) -> Interval:
-    return row.later if row.recent is None else row.recent
+def next_step(found: EpisodeDiagnosis, joint: PressureDriven) -> str:
+    """Which rig file to use, in a sentence."""
+    if found.is_better:
+        return "Next: use rig_extended.yaml, which every command and node takes."
+    return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
 
 
 def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, ...]:
     """Findings, from the numbers."""
     out = [_not_told_apart(found, name, instead_of, row) for name, instead_of, row in found.others]
     base = next(row for row in found.rows if row.model.startswith("mechanics"))
-    if found.effects and _later(found.rows[-1]).value >= _later(base).value:
+    if found.effects and found.rows[-1].forecast.value >= base.forecast.value:
         text = (
             "On later episodes the model's error is no smaller with these effects, so they may be chance: record "
             "more episodes."
@@ -161,7 +167,7 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
                 "the model with Coulomb friction alone.",
             )
         )
-    return (*out, *units_findings(joint))
+    return (*out, *units_findings(joint), Finding("note", next_step(found, joint)))
 
 
 def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
@@ -208,7 +214,7 @@ def _not_told_apart(found: EpisodeDiagnosis, name: str, instead_of: str, row: Ro
         f"The episodes do not decide between two effects: {in_words(instead_of)} removes "
         f"{percent(taken.removed.value)} of the remaining error, {in_words(name)} "
         f"{percent(other.removed.value)}.{left} With the second in place of the first, the error on later episodes is "
-        f"{number(_later(row).value)}° instead of {number(_later(found.rows[-1]).value)}°.",
+        f"{number(row.forecast.value)}° instead of {number(found.rows[-1].forecast.value)}°.",
     )
 
 
@@ -340,9 +346,9 @@ def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, 
         hashes: SHA-256 of the recordings.
         with_figures: False leaves the figure out.
     """
-    after = found.rows[-1]
+    given, after = found.rows[0], found.rows[-1]
     tiles = Tiles((
-        Tile("Later episodes", f"{number(_later(after).value)}°", "extended model"),
+        Tile("Later episodes", f"{number(after.forecast.value)}°", f"as configured {number(given.forecast.value)}°"),
         Tile("Interleaved episodes", MISSING if after.interleaved is None else f"{number(after.interleaved.value)}°"),
         Tile("Effects", str(len(found.effects)), ", ".join(found.effects)),
     ))  # fmt: skip
@@ -377,6 +383,8 @@ def numbers(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, .
     return {
         "verdict": "effect" if found.effects else "none",
         "sentence": verdict(found),
+        "next_steps": [next_step(found, joint)],
+        "next_rig": "rig_extended.yaml" if found.is_better else None,
         "effects": found.effects,
         "errors_deg": found.rows,
         "ratio_to_coulomb_interleaved": found.ratio,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from pam_antagonist.identification.directions import ConsideredDirection
 from pam_antagonist.identification.session import Identified, recording_that_shows, relative
@@ -28,6 +29,7 @@ from pam_antagonist.report.identify_entries import (
     StageEntry,
     TuningEntry,
 )
+from pam_antagonist.report.identify_findings import rejection
 from pam_antagonist.report.units import unit_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.software import versions
@@ -43,16 +45,19 @@ def rigs_of(found: Identified) -> list[Mapping[str, Rig]]:
     return [{**both, "own": own} for own in found.own] if found.own else [both] * len(found.trials)
 
 
-def report(recordings: Sequence[Given], found: Identified, judged: Sequence[Judged]) -> IdentifyReport:
+def report(
+    recordings: Sequence[Given], found: Identified, judged: Sequence[Judged], refused: str = ""
+) -> IdentifyReport:
     """The numbers of an identification.
 
     Args:
         recordings: as identified.
         found: the identification.
         judged: of :func:`judge`.
+        refused: why the file of the identified rig would be refused; empty if it would not.
     """
     asked = found.options
-    return IdentifyReport(
+    numbers = IdentifyReport(
         held_out=tuple(HeldOut.of(item) for item in judged),
         coverage95=pooled_coverage(judged),
         coverage95_own=pooled_coverage(judged, "own"),
@@ -70,11 +75,12 @@ def report(recordings: Sequence[Given], found: Identified, judged: Sequence[Judg
         software=versions(),
         assumption=assumption(found.start, identified=True),
     )
+    return replace(numbers, rejected=rejection(numbers.held_out, refused, numbers.parameters, found.start.bounds))
 
 
 def _parameters(found: Identified) -> tuple[ParameterEntry, ...]:
     fit = found.fit
-    values, stds, determined = fit.values, fit.std, fit.determined
+    values, stds, known = fit.values, fit.std, found.evidence
     several = range(len(found.trials)) if len(found.trials) > 1 else range(0)
     owns, own_stds = [fit.own_values(k) for k in several], [fit.own_std(k) for k in several]
     return tuple(
@@ -85,8 +91,12 @@ def _parameters(found: Identified) -> tuple[ParameterEntry, ...]:
             stds[item.name],
             relative(values[item.name], item.start),
             item.prior_std,
-            bool(determined[item.name]),
-            None if determined[item.name] else recording_that_shows(item.name),
+            known[item.name].moves,
+            known[item.name].misfit,
+            known[item.name].bound,
+            known[item.name].determined,
+            known[item.name].reason,
+            None if known[item.name].determined else recording_that_shows(item.name),
             tuple(own[item.name] for own in owns),
             tuple(own[item.name] for own in own_stds),
             unit_of(found.start, item.name),

@@ -239,7 +239,7 @@ def parameters_table(report: IdentifyReport, caption: str = "") -> Table:
             number(item.std * unit.scale, 2),
             change(item.relative_change),
             change(1.96 * item.std / (abs(item.start) or math.nan)).lstrip("+"),
-            "yes" if item.determined else "no: stays near its prior",
+            f"no: {item.reason}" if item.reason else "yes",
         )
         for item in report.parameters
         for unit in [readable(item.unit)]

@@ -23,7 +23,11 @@ class ParameterEntry:
         std: standard deviation of the value.
         relative_change: of the value.
         prior_std: standard deviation of the prior.
+        moves: how far the optimum moves beyond what the standard deviation explains.
+        misfit: how far errors of the model may have moved the value at worst.
+        bound: bound of the search that the value met; None for none.
         determined: whether the recordings determine the parameter.
+        reason: why they do not; empty where they do.
         record: recording that would determine it; None where it is determined.
         own: value of each recording.
         own_std: standard deviation of each recording's value.
@@ -36,7 +40,11 @@ class ParameterEntry:
     std: float
     relative_change: float
     prior_std: float
+    moves: float
+    misfit: float
+    bound: float | None
     determined: bool
+    reason: str
     record: str | None
     own: tuple[float, ...]
     own_std: tuple[float, ...]
@@ -330,6 +338,7 @@ class IdentifyReport:
         settings: of the identification.
         software: versions.
         assumption: the uncertainty that the rig file claims; None for an identified rig.
+        rejected: why the identified rig should not be used; empty if it may.
     """
 
     held_out: tuple[HeldOut, ...]
@@ -348,3 +357,4 @@ class IdentifyReport:
     settings: Settings
     software: Mapping[str, str]
     assumption: str | None = None
+    rejected: str = ""

@@ -10,11 +10,30 @@ from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background
 from pam_antagonist.report.episodes import interval, times, unit, units_findings, value_name
+from pam_antagonist.report.identify_findings import WORSE, do_not_use
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import refusal
 
 _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""
+
+
+def rejection(found: EpisodesIdentified) -> str:
+    """Why the identified rig should not be used, in a sentence; empty if it may.
+
+    Args:
+        found: the identification.
+    """
+    before, now = (found.errors[name][0] for name in ("as configured", "identified"))
+    if complaint := refusal(found.rig):
+        return f"the values that fit best are impossible ({complaint})."
+    if now.value <= WORSE * before.value:
+        return ""
+    return (
+        f"the error of the angle on later episodes is {number(now.value)}°, with the rig file as given "
+        f"{number(before.value)}°. The joint drifts, or it moved too little to be identified."
+    )
 
 
 def summary(found: EpisodesIdentified, joint: PressureDriven) -> tuple[Block, ...]:
@@ -26,7 +45,13 @@ def summary(found: EpisodesIdentified, joint: PressureDriven) -> tuple[Block, ..
         f"{number(later.value)}°, on interleaved ones {number(between.value)}°; as configured it was "
         f"{number(before.value)}° on the later ones."
     )
-    blocks: list[Block] = [Text(said, "verdict"), Findings(_findings(found, joint)), _errors(found), _values(found)]
+    rejected = rejection(found)
+    blocks: list[Block] = [
+        Text(do_not_use(rejected) if rejected else said, "verdict"),
+        Findings(_findings(found, joint)),
+        _errors(found),
+        _values(found),
+    ]
     if found.regulators is not None:
         blocks.append(regulators_table(found.regulators, found.rig))
     return tuple(blocks)
@@ -145,6 +170,7 @@ def numbers(found: EpisodesIdentified, sha256: str) -> dict[str, Any]:
         "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
         "rig": found.start.name,
         "recordings_sha256": [sha256],
+        "rejected": rejection(found),
     }
 
 

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
+from typing import Literal
 
-from pam_antagonist.report.channels import CHANNELS, HIGH_COVERAGE
+from pam_antagonist.report.channels import ANGLE, CHANNELS, HIGH_COVERAGE, Channel
 from pam_antagonist.report.document import Finding
 from pam_antagonist.report.held_out import HeldOut
-from pam_antagonist.report.identify_entries import IdentifyReport
+from pam_antagonist.report.identify_entries import IdentifyReport, ParameterEntry
 from pam_antagonist.report.table import number, percent
+from pam_antagonist.report.units import readable
+from pam_antagonist.rig.physical import is_positive
 
 _LOW, _HIGH = 0.92, HIGH_COVERAGE
 """Range of the coverage on held-out data in which a 95 % interval is called honest."""
-_WORSE = 1.2
+WORSE = 1.2
 """Largest ratio of errors on held-out data; with more, the identified rig is called worse than the rig file."""
+_USUAL_DIFFERENCE = 0.05
+"""Relative difference of two recordings of one rig: 2 % is the scale of the spread's prior, so 5 % is rare."""
 _LISTED = 4
+
+_Model = Literal["ukf", "model_alone"]
+_MODELS: tuple[_Model, ...] = ("ukf", "model_alone")
 
 DEFINITIONS = (
     (
@@ -42,7 +51,13 @@ DEFINITIONS = (
         "One standard deviation of the identified value. Residuals that are correlated in time count as fewer "
         "independent ones.",
     ),
-    ("Determined", "The recordings narrowed the parameter to less than half of its prior's standard deviation."),
+    (
+        "Determined",
+        "The value met no bound and does not contradict its prior, and the likelihood falls on both sides of it. Its "
+        "error is less than half of the prior's standard deviation, and its 95 % interval does not contain 0. The "
+        "error is the standard error, what the value moves to the optimum or where fewer data are fitted, and what "
+        "errors of the model may have moved it.",
+    ),
     (
         "Profile",
         "How much the log-likelihood falls while one parameter is held at another value and the others are fitted "
@@ -56,8 +71,123 @@ DEFINITIONS = (
 )
 
 
+def do_not_use(rejected: str) -> str:
+    """The first sentence where an identified rig is rejected for a reason."""
+    return f"Do not use this rig: {rejected}"
+
+
+def rejection(
+    held_out: Sequence[HeldOut],
+    refused: str = "",
+    parameters: Sequence[ParameterEntry] = (),
+    declared: Collection[str] = (),
+) -> str:
+    """Why the identified rig should not be used, in a sentence; empty if it may.
+
+    Args:
+        held_out: errors on held-out data.
+        refused: why its file would be refused; empty if it would not.
+        parameters: that were fitted within bounds.
+        declared: names of parameters whose bounds are in the rig file.
+    """
+    if lost := [entry.name for entry in held_out if _diverged(entry)]:
+        return f"the model with the identified values diverges on the held-out part of {', '.join(lost)}."
+    if refused:
+        return f"the values that fit best are impossible ({refused})."
+    if worse := _became_worse(held_out):
+        return worse
+    met = at_bounds(parameters)
+    if any(item.name in declared for item in met) or (met and not _much_better(held_out)):
+        return (
+            f"the search ended at a bound of {_bounds(met)}. The best values lie beyond it, so the model does not fit. "
+            "Correct the rig file, or keep a parameter as configured with --freeze NAME."
+        )
+    return ""
+
+
+def at_bounds(parameters: Sequence[ParameterEntry]) -> list[ParameterEntry]:
+    """Parameters whose search ended at a bound; 0 is none for a friction, which may really be absent."""
+    return [
+        item for item in parameters if item.bound is not None and not (item.bound == 0.0 and is_positive(item.name))
+    ]
+
+
+def _bounds(met: Sequence[ParameterEntry]) -> str:
+    """Names of parameters with the bounds that they met."""
+    units = [readable(item.unit) for item in met]
+    return ", ".join(
+        f"{item.name} ({number(item.value * unit.scale)} {unit.name})" for item, unit in zip(met, units, strict=True)
+    )
+
+
+def _much_better(held_out: Sequence[HeldOut]) -> bool:
+    """Whether no channel got worse on held-out data, and their errors at most half as large as before in the mean."""
+    both = [_pooled(held_out, channel, model) for channel in CHANNELS for model in _MODELS]
+    ratios = [max(now, 1e-12) / max(before, 1e-12) for before, now in filter(None, both)]
+    return bool(ratios) and max(ratios) <= 1.0 and math.prod(ratios) <= 0.5 ** len(ratios)
+
+
+def _became_worse(held_out: Sequence[HeldOut]) -> str:
+    """Whether the filter got worse on all held-out parts together, in a sentence; empty if not.
+
+    The filter's error counts twice as much as that of the model alone. A worse torque counts if the angle did not
+    become better by as much.
+
+    Args:
+        held_out: of all recordings.
+    """
+    overall, judged = 1.0, False
+    for channel in CHANNELS:
+        filters, models = (_pooled(held_out, channel, model) for model in _MODELS)
+        if filters is None or models is None:
+            continue
+        judged = True
+        ratio, of_model = (max(now, 1e-12) / max(before, 1e-12) for before, now in (filters, models))
+        score = ratio**2 * of_model
+        overall *= score
+        worse = ratio > 1.0 and max(ratio, of_model) > WORSE and score > 1.0
+        if worse and (channel is ANGLE or overall > 1.0):
+            return (
+                f"on held-out data the filter's {channel.name} error is {channel.write(filters[1])}, with the rig file "
+                f"as given {channel.write(filters[0])} (model alone: {channel.write(models[1])} and "
+                f"{channel.write(models[0])}). The model may lack an effect, which no values replace: close_loop looks "
+                "for it."
+            )
+    if judged:
+        return ""
+    before, now = (
+        math.hypot(*(value for entry in held_out for value in getattr(entry, rig).model_alone.pressure.rmse_pa))
+        for rig in ("as_configured", "identified")
+    )
+    if now > WORSE * before:
+        return (
+            f"on held-out data the model's pressures are off by {number(now * 1e-3)} kPa, with the rig file as given "
+            f"by {number(before * 1e-3)} kPa."
+        )
+    return ""
+
+
+def _pooled(held_out: Sequence[HeldOut], channel: Channel, model: _Model) -> tuple[float, float] | None:
+    """RMS error of a channel over all recordings that have it, as configured and identified."""
+    known = [errors for entry in held_out if (errors := entry.known(channel, model))]
+    if not known:
+        return None
+    before, now = (math.sqrt(sum(errors[k].rmse ** 2 for errors in known) / len(known)) for k in (0, 1))
+    return before, now
+
+
+def _diverged(entry: HeldOut) -> bool:
+    """Whether filter or model have no error that is a number."""
+    figures = entry.identified
+    errors = [item for channel in CHANNELS for part in (figures.ukf, figures.model_alone) if (item := channel.of(part))]
+    numbers = (*figures.model_alone.pressure.rmse_pa, figures.innovation.nis_mean, *(item.rmse for item in errors))
+    return not all(map(math.isfinite, numbers))
+
+
 def verdict(report: IdentifyReport) -> str:
     """The errors on held-out data before and after, of each channel in the recording where they are largest."""
+    if report.rejected:
+        return do_not_use(report.rejected)
     parts = []
     for channel in CHANNELS:
         known = [errors for entry in report.held_out if (errors := entry.known(channel))]
@@ -72,8 +202,14 @@ def verdict(report: IdentifyReport) -> str:
 def findings(report: IdentifyReport) -> tuple[Finding, ...]:
     """All findings."""
     out = [Finding("warn", text) for text in report.warnings]
+    if (met := at_bounds(report.parameters)) and not report.rejected:
+        text = (
+            f"The search ended at a bound of {_bounds(met)}: the best values lie beyond it, and these may be wrong. "
+            "Held-out data are still predicted much better than with the rig file as given."
+        )
+        out.append(Finding("warn", text))
     for entry in report.held_out:
-        out += [*_worse(entry), *_of_recording(entry)]
+        out += [*_worse(entry), *_against_model(entry), *_of_recording(entry)]
     return (*out, *_coverage(report), _differences(report), *_undetermined(report), *_pairs(report))
 
 
@@ -87,12 +223,27 @@ def _worse(entry: HeldOut) -> list[Finding]:
     out = []
     for channel in CHANNELS:
         before, now, *_ = entry.known(channel) or (None, None)
-        if before is not None and now is not None and now.rmse > _WORSE * before.rmse:
+        if before is not None and now is not None and now.rmse > WORSE * before.rmse:
             errors = f"{channel.write(now.rmse)}, as configured {channel.write(before.rmse)}"
             text = (
                 f"{entry.name}, held-out part: the filter's {channel.name} is worse with the identified rig "
                 f"({errors}). "
                 "The model may lack an effect, which the parameters cannot replace: close_loop looks for it."
+            )
+            out.append(Finding("warn", text))
+    return out
+
+
+def _against_model(entry: HeldOut) -> list[Finding]:
+    """Channels in which the filter is worse than the model without measured pressures."""
+    out = []
+    for channel in CHANNELS:
+        known, alone = entry.known(channel), entry.known(channel, "model_alone")
+        if known and alone and known[1].rmse > WORSE * alone[1].rmse:
+            text = (
+                f"{entry.name}, held-out part: the filter's {channel.name} ({channel.write(known[1].rmse)}) is worse "
+                f"than that of the model alone ({channel.write(alone[1].rmse)}). The measured pressures contradict the "
+                "model, and correcting it by them does harm."
             )
             out.append(Finding("warn", text))
     return out
@@ -140,6 +291,12 @@ def _differences(report: IdentifyReport) -> Finding:
         return Finding("good", "The recordings agree in all parameters within their error bars.")
     named = ", ".join(f"{item.name} by {100 * item.largest:.1f} %" for item in certain[:_LISTED])
     more = f" and {len(certain) - _LISTED} more" if len(certain) > _LISTED else ""
+    if max(abs(item.largest) for item in certain) > _USUAL_DIFFERENCE:
+        return Finding(
+            "warn",
+            f"The recordings differ by more than {percent(_USUAL_DIFFERENCE)}, as those of one rig hardly do: "
+            f"{named}{more}. Either the rig changed, or the model lacks an effect. The common values suit neither.",
+        )
     return Finding(
         "note",
         f"The recordings differ a little, as those of one rig may: {named}{more}. The common values lie between them, "
@@ -160,8 +317,12 @@ def _undetermined(report: IdentifyReport) -> list[Finding]:
     records = undetermined(report)
     if not records:
         return [Finding("good", "The recordings determine every free parameter.")]
+    why = {item.name: item.reason for item in report.parameters}
     return [
-        Finding("note", f"Not determined, stays near its prior: {', '.join(names)}. To determine it, record {text}.")
+        Finding(
+            "note",
+            f"Not determined: {', '.join(f'{name} ({why[name]})' for name in names)}. To determine it, record {text}.",
+        )
         for text, names in records.items()
     ]
 

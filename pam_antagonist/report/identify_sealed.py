@@ -14,11 +14,12 @@ from pam_antagonist.report.assumption import assumption, in_first_lines
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import HeldOut, Judged, held_out_table
 from pam_antagonist.report.identify_entries import Change
-from pam_antagonist.report.identify_findings import DEFINITIONS
+from pam_antagonist.report.identify_findings import DEFINITIONS, do_not_use, rejection
 from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import refusal
 from pam_antagonist.software import versions
 
 ASSUMED = (
@@ -128,6 +129,7 @@ class SealedReport:
         recordings: used recordings.
         software: versions.
         assumption: the uncertainty that the rig file claims; None for an identified rig.
+        rejected: why the identified rig should not be used; empty if it may.
     """
 
     held_out: tuple[HeldOut, ...]
@@ -137,6 +139,7 @@ class SealedReport:
     recordings: tuple[SealedRecording, ...]
     software: Mapping[str, str]
     assumption: str | None = None
+    rejected: str = ""
 
 
 def report(found: SealedIdentified, judged: Sequence[Judged]) -> SealedReport:
@@ -180,6 +183,7 @@ def report(found: SealedIdentified, judged: Sequence[Judged]) -> SealedReport:
         ),
         software=versions(),
         assumption=assumption(found.start, identified=True),
+        rejected=rejection(tuple(HeldOut.of(item) for item in judged), refusal(found.rig)),
     )
 
 
@@ -206,7 +210,8 @@ def write_report(folder: Path, numbers: SealedReport, judged: Sequence[Judged], 
 
 def summary(numbers: SealedReport) -> tuple[Block, ...]:
     """Blocks for the terminal."""
-    return *in_first_lines(numbers.assumption), _values_table(numbers), *map(held_out_table, numbers.held_out)
+    said = (Text(do_not_use(numbers.rejected), "verdict"),) if numbers.rejected else ()
+    return *said, *in_first_lines(numbers.assumption), _values_table(numbers), *map(held_out_table, numbers.held_out)
 
 
 def document(numbers: SealedReport, judged: Sequence[Judged], with_figures: bool = True) -> Document:
@@ -219,6 +224,8 @@ def document(numbers: SealedReport, judged: Sequence[Judged], with_figures: bool
     """
     ukf = numbers.held_out[0].identified.ukf
     parts: list[Block] = [Text("A joint whose muscles are sealed: no air flows, an external torque moves it.", "lede")]
+    if numbers.rejected:
+        parts.append(Text(do_not_use(numbers.rejected), "verdict"))
     tiles = []
     if ukf.angle is not None:
         text = (

@@ -116,9 +116,11 @@ def _against_model(item: Judged) -> Finding:
     channel, ukf, model = item
     text = (
         f"{channel.title}: the filter's error is {channel.write(ukf.rmse)} (RMS) and at most "
-        f"{channel.write(ukf.largest)}, {percent(ukf.ratio)} of the measured range. The model alone has "
-        f"{channel.write(model.rmse)} (RMS)"
+        f"{channel.write(ukf.largest)}, {percent(ukf.ratio)} of the measured range. The model alone "
     )
+    if math.isinf(model.rmse):
+        return Finding("warn", f"{text}diverges: this rig file does not describe the joint.")
+    text += f"has {channel.write(model.rmse)} (RMS)"
     if model.rmse > ukf.rmse * MARGIN:
         return Finding("good", f"{text}, {number(model.rmse / ukf.rmse, 2)} × as much.")
     if ukf.rmse > model.rmse * MARGIN:

@@ -20,7 +20,7 @@ D_1, D_2, D_3 of equation (3) are the best fit to this volume over the joint's r
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +60,51 @@ _DAMPING = 0.6
 """Damping ratio of a regulator whose step overshoots by 10 %, assumed [-]."""
 _FORCE_PRIOR = 0.15
 """Difference between two muscles of one kind, or between a muscle and its data sheet, as a share of the force [-]."""
+
+
+_LENGTHS = ("length", "nominal-length", "radius", "stop")
+_MUSCLE = ("muscle", "muscle-diameter", "muscle-pressure", "muscle-force", "muscle-contraction")
+_BEHIND = {
+    "muscle_": (*_MUSCLE, "nominal-length", "length"),
+    "friction.muscle": (*_MUSCLE, "supply", "radius"),
+    "joint.viscous_friction": ("inertia", "radius", *_MUSCLE),
+    "joint.": ("inertia", "mass", "shaft-radius", "stop"),
+    "geometry.": ("radius", "length"),
+    "supply.": ("supply",),
+    "valve": ("valve", "valve-flow", "voltage"),
+    "gas.": ("supply",),
+    "sensors.": ("sensor-range", "sensor-bits"),
+    "sample_period": ("rate",),
+    "effects.regulator_limits": ("regulator", "regulator-range", "supply"),
+    "effects.regulator_threshold": ("regulator",),
+    "effects.regulator_lag": ("regulator-time",),
+}
+"""Beginning of a path in the rig file -> the answers that its value comes from, as options of ``new_rig``."""
+
+
+class Contradiction(BadInput):
+    """Facts that are possible one by one, but not together.
+
+    Args:
+        text: what is wrong.
+        answers: that may have to change, as options of ``new_rig``; empty: any.
+    """
+
+    def __init__(self, text: str, answers: Sequence[str]) -> None:
+        super().__init__(text)
+        self.answers = tuple(answers)
+
+    @classmethod
+    def of(cls, complaint: str, name: str) -> Contradiction:
+        """A complaint about the rig file, which names the path of a value.
+
+        Args:
+            complaint: in words.
+            name: of the rig.
+        """
+        text = complaint.removeprefix(f"{name}: ")
+        places = [(text.index(path), -len(path), answers) for path, answers in _BEHIND.items() if path in text]
+        return cls(f"these answers together make an impossible rig: {text}", min(places)[2] if places else ())
 
 
 @dataclass(frozen=True)
@@ -129,19 +174,30 @@ def starting_point(facts: Facts) -> Rig:
         facts: known values of the rig.
 
     Raises:
-        BadInput: facts that contradict each other, or are not physical.
+        Contradiction: facts that contradict each other, or are not physical.
     """
+    try:
+        return _starting_point(facts)
+    except Contradiction:
+        raise
+    except BadInput as error:
+        raise Contradiction.of(str(error), facts.name) from None
+
+
+def _starting_point(facts: Facts) -> Rig:
     least, largest = facts.contractions()
     if least < -_MOST_STRETCH:
-        raise BadInput(
+        raise Contradiction(
             f"muscle length {facts.length * 1e3:g} mm at angle 0, nominal length {facts.nominal_length * 1e3:g} mm: at "
-            f"the end of its travel a muscle would be stretched by {-least:.0%}; expected {_MOST_STRETCH:.0%} at most"
+            f"the end of its travel a muscle would be stretched by {-least:.0%}; expected {_MOST_STRETCH:.0%} at most",
+            _LENGTHS,
         )
     if (left := _force(facts, facts.travel()[0], facts.supply)) <= 0.0:
-        raise BadInput(
+        raise Contradiction(
             f"muscle length {facts.length * 1e3:g} mm at angle 0, nominal length {facts.nominal_length * 1e3:g} mm: at "
             f"the end of travel a muscle would be contracted by {largest:.0%}: there {facts.muscle_name} pulls with "
-            f"{left:.0f} N at the supply's pressure; expected more than 0: less radius or stop, or more length"
+            f"{left:.0f} N at the supply's pressure; expected more than 0: less radius or stop, or more length",
+            (*_LENGTHS, *_MUSCLE, "supply"),
         )
     content = _rounded(_content(facts))
     rig = validated(Rig, content, facts.name, ("consider", "sealed"))
@@ -160,7 +216,7 @@ def starting_point(facts: Facts) -> Rig:
     rig = rig.replaced(priors=_rounded(rig.priors))
     complaint = unphysical(rig)
     if complaint:
-        raise BadInput(f"these values together make an impossible rig: {complaint}")
+        raise BadInput(complaint)
     return rig
 
 

@@ -98,6 +98,16 @@ def named(what: str, name: str, parts: dict[str, Part]) -> Part:
     bare = {known.lower(): part for known, part in parts.items()}
     if name.lower() in bare:
         return bare[name.lower()]
-    close = difflib.get_close_matches(name.lower(), bare, 1)
-    hint = f"; did you mean {next(known for known in parts if known.lower() == close[0])}?" if close else ""
+    close = _alike(name.lower(), list(bare))
+    hint = f"; did you mean {' or '.join(known for known in parts if known.lower() in close)}?" if close else ""
     raise BadInput(f"{what} {name!r}: unknown, expected one of {', '.join(parts)}, or own{hint}")
+
+
+def _alike(name: str, known: list[str]) -> list[str]:
+    """Known names that a name may stand for: of which it is the beginning, else which begin it, else similar ones.
+
+    The end of an order code is often left out, or has more than the size. One that is only similar is another size.
+    """
+    longer = [one for one in known if name and one.startswith(name)]
+    shorter = [one for one in known if name.startswith(f"{one}-")]
+    return longer or shorter or difflib.get_close_matches(name, known, 1)

@@ -12,7 +12,7 @@ from pam_antagonist.model import lever_arm, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.base import SIGNALS
-from pam_antagonist.rig.schema import Rig
+from pam_antagonist.rig.schema import Rig, limits
 
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
 RANGE_WITHOUT_STOP = math.radians(25.0)
@@ -21,13 +21,29 @@ _QUICKEST = 0.5 * par.LONGEST_STEP
 """[s] Least time constant, for any sample period: a Runge-Kutta step diverges beyond 2.8 time constants."""
 _FAINT, _MORE = 1.0, 10.0
 """Noise in [Pa] that only low-passed readings have; largest ratio of the tuning's variance to the sensor's [-]."""
-_REACH = 5.0
-"""Distance of sigma points from the value, in standard deviations."""
+_LINEAR = 0.75
+"""Share of a value by which a change lowers it as it is; larger ones bring it nearer to 0, but never there."""
 
 
 def is_positive(name: str) -> bool:
     """Whether a parameter is positive in any rig: all are, except those of volume, force map and effects."""
     return ".force." not in name and ".volume." not in name and not name.startswith("effects.")
+
+
+def varied(name: str, value: float, change: float) -> float:
+    """A value of a rig after a change by its uncertainty, as the sigma points of the filter have it.
+
+    What cannot be negative stays above 0, however uncertain it is: v + c down to a quarter of v, and below it the
+    curve v/(16 (−c/v − ½)), which continues it without a corner.
+
+    Args:
+        name: dotted path of the parameter.
+        value: v.
+        change: c.
+    """
+    if value < 0.0 or value + change >= (1.0 - _LINEAR) * value or limits(name)[0] < 0.0:
+        return value + change
+    return (1.0 - _LINEAR) ** 2 * value * value / (-change - (2.0 * _LINEAR - 1.0) * value)
 
 
 def unphysical(rig: Rig) -> str:
@@ -180,10 +196,10 @@ def _too_quick(name: str, values: Mapping[str, float]) -> str:
 
 
 def _bad_spreads(rig: Rig) -> str:
-    """Check standard deviations of parameters: known names, and sigma points that stay within a parameter's sign."""
-    sections = [("uncertainty", rig.uncertainty, True), ("priors", rig.priors, False)]
-    sections += [(f"directions.{name}", changes, True) for name, changes in rig.directions.items()]
-    for section, spreads, reached in sections:
+    """Check standard deviations of parameters: known names, and sizes that a positive parameter may have."""
+    sections = [("uncertainty", rig.uncertainty), ("priors", rig.priors)]
+    sections += [(f"directions.{name}", changes) for name, changes in rig.directions.items()]
+    for section, spreads in sections:
         for name, std in spreads.items():
             if name not in par.INDEX or name == "friction.time_step":
                 close = difflib.get_close_matches(name, par.INDEX, 1)
@@ -191,10 +207,10 @@ def _bad_spreads(rig: Rig) -> str:
             signed = section.startswith("directions")
             if not (math.isfinite(std) and (signed or std > 0.0)):
                 return f"{section} of {name}: {std:g}, expected a standard deviation above 0"
-            if reached and is_positive(name) and abs(std) * _REACH >= rig.value(name):
+            if section == "uncertainty" and is_positive(name) and std > rig.value(name):
                 return (
-                    f"{section} of {name}: {std:g}, expected less than a {_REACH:g}th of its value, "
-                    f"{rig.value(name):g}, since it cannot be negative"
+                    f"{section} of {name}: {std:g}, expected at most its value, {rig.value(name):g}, since it cannot "
+                    "be negative"
                 )
     return ""
 

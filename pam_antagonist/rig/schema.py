@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Dict, Literal, NamedTuple, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
 
 import numpy as np
@@ -381,3 +382,36 @@ class Rig(Strict):
         if name not in self.tunings:
             raise BadInput(f"tuning {name!r} of rig {self.name}: expected one of {', '.join(sorted(self.tunings))}")
         return self.tunings[name]
+
+
+@cache
+def limits(name: str) -> tuple[float, float]:
+    """Least and largest value that a rig file may have at a dotted path; infinite where there is no limit.
+
+    Args:
+        name: such as ``friction.shaft``, or of an effect.
+
+    Raises:
+        KeyError: no such number.
+    """
+    if name.startswith("effects."):
+        _, effect, item = name.split(".")
+        known = next(entry for entry in CATALOGUE[effect].parameters if entry.name == item)
+        return known.low, known.high
+    kind: Any = Rig
+    low, high = -math.inf, math.inf
+    for part in name.split("."):
+        field = (getattr(kind, "model_fields", None) or kind.__fields__)[part]
+        kind = getattr(field, "annotation", None) or getattr(field, "outer_type_", None)
+        # pydantic 2 has an object for each limit, pydantic 1 all of them in one.
+        for each in getattr(field, "metadata", None) or [getattr(field, "field_info", field)]:
+            for attribute, inwards in (("ge", None), ("gt", math.inf), ("le", None), ("lt", -math.inf)):
+                value = getattr(each, attribute, None)
+                if value is None:
+                    continue
+                reached = float(value) if inwards is None else math.nextafter(value, inwards)
+                if attribute[0] == "g":
+                    low = reached
+                else:
+                    high = reached
+    return low, high

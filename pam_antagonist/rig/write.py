@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,55 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
+from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.rig.load import load_rig
 from pam_antagonist.rig.schema import Rig
 
 _COLUMN = 44
 
 
+class RefusedRig(BadInput):
+    """A rig that no command would read, so that its file was not written; the message says what is wrong with it."""
+
+
 def write_rig(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
-    """Write a rig file that :func:`pam_antagonist.rig.load_rig` reads.
+    """Write a rig file, and read it again: what stands there is what every command accepts.
+
+    All rig files that this package makes are written here.
+
+    Args:
+        rig: the rig.
+        path: new file.
+        remarks: lines of comment at its head.
+
+    Raises:
+        FileExistsError: the file exists.
+        RefusedRig: its reader refuses the rig, or reads another one; no file is left.
+    """
+    write_unread(rig, path, remarks)
+    try:
+        again = load_rig(path, regulators=True)
+    except BadInput as error:
+        path.unlink()
+        raise RefusedRig(str(error).removeprefix(f"{path}: ")) from None
+    if _model(again, 0) != _model(rig, 0):
+        path.unlink()
+        raise RefusedRig(f"rig {rig.name}: its file would not hold the same numbers")
+
+
+def refusal(rig: Rig) -> str:
+    """Why :func:`write_rig` would refuse a rig; empty if it would not."""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            write_rig(rig, Path(folder) / "rig.yaml")
+        except RefusedRig as error:
+            return str(error)
+    return ""
+
+
+def write_unread(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
+    """Write a rig file that nobody is asked to use, such as a rejected result.
 
     Args:
         rig: the rig.
@@ -85,7 +127,7 @@ def _scalar(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
-        text = repr(value)
+        text = repr(float(value))
         # YAML 1.1 reads 1e-05 as a text: a number needs a point and a sign.
         mantissa, exponent, power = text.partition("e")
         if exponent:

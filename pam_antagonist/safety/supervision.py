@@ -281,7 +281,11 @@ class EstimateSupervision:
         if abs(angle) <= self._highest:
             self._angle.gone()
         elif math.isfinite(angle) and self._angle.seen(stamp_ns):  # an angle that is not finite is not used anyway
-            words = f"the estimated angle is {angle:+.3f} rad, beyond {self._highest:g} rad"
+            degrees, limit = math.degrees(angle), math.degrees(self._highest)
+            words = (
+                f"the estimated angle is {angle:+.3f} rad, beyond {self._highest:g} rad "
+                f"({degrees:+.1f} deg; the limit is {limit:.1f} deg)"
+            )
         self.present = words
         return words
 

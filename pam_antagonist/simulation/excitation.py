@@ -41,6 +41,9 @@ class Span:
         return np.interp(drive, [-1.0, 0.0, 1.0], [self.lowest, self.rest, self.highest])
 
 
+_OPEN_RATES = (0.215, 0.394, 0.80)
+_VOLTS = 0.05  # to which the voltages of a rig's span are rounded
+
 # Hold time [s] and drives of valves 1 and 2: differences of both signs and growing size, then both valves together (the
 # joint stiffens), then one at a time. Extremes are held longest: a muscle takes seconds to empty.
 _PAPER = np.array(
@@ -154,8 +157,15 @@ def for_rig(rig: Rig, name: str, duration: float, seed: int = 0) -> FloatArray:
         BadInput: no such profile.
     """
     low, high = rig.command_limits
-    span = None if rig.drive == "valve" else Span(low + (high - low) / 6.0, 0.5 * (low + high), high)
+    span = _of_valves(rig) if rig.drive == "valve" else Span(low + (high - low) / 6.0, 0.5 * (low + high), high)
     return np.clip(profile(name, duration, rig.sample_period, seed, span), low, high)
+
+
+def _of_valves(rig: Rig) -> Span:
+    """Voltages with the open rates that :class:`Span` has on the curve of ``shin2022``."""
+    curves = rig.valve_1.curve, rig.valve_2.curve
+    means = [np.mean([np.interp(rate, curve.open_rate, curve.voltage) for curve in curves]) for rate in _OPEN_RATES]
+    return Span(*(round(float(mean) / _VOLTS) * _VOLTS for mean in means))
 
 
 def read_table(path: Path) -> tuple[FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics, equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import rest_pressure
 
 # A muscle that is a percent weaker is so in its whole force map, for instance.
 SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
@@ -95,7 +96,7 @@ class Plant:
         substeps: integration steps a sample period.
         mismatch: relative standard deviation of the parameters [-].
         noise: False for exact sensors.
-        initial_pressure: of both muscles [Pa].
+        initial_pressure: of both muscles [Pa]; default: their pressure at rest.
         initial_angle: [rad]; default: at rest under the initial pressures.
 
     Raises:
@@ -111,7 +112,7 @@ class Plant:
         substeps: int = 4,
         mismatch: float = 0.0,
         noise: bool = True,
-        initial_pressure: tuple[float, float] = (450e3, 450e3),
+        initial_pressure: tuple[float, float] | None = None,
         initial_angle: float | None = None,
     ) -> None:
         if substeps < 1:
@@ -119,6 +120,7 @@ class Plant:
         if not 0.0 <= mismatch < 0.3:
             raise BadInput(f"plant: mismatch {mismatch:g}, expected a relative scatter from 0 to 0.3")
         lowest, highest = rig.atmosphere.pressure, rig.supply.pressure
+        initial_pressure = initial_pressure or (rest_pressure(rig),) * 2
         if not all(lowest <= value <= highest for value in initial_pressure):
             raise BadInput(
                 f"plant: initial pressures {initial_pressure} Pa, expected absolute ones from {lowest:g} to {highest:g}"

@@ -50,8 +50,11 @@ def test_findings_as_json_on_standard_output(in_kilopascals: Path, capsys: pytes
     assert {finding["status"] for finding in found["findings"]} >= {"wrong", "good"}
 
 
-def test_with_what_was_typed_nothing_is_wrong(in_kilopascals: Path, exchanged: Path) -> None:
+def test_with_what_was_typed_nothing_is_wrong(
+    in_kilopascals: Path, exchanged: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert check.main([str(in_kilopascals), "--rig", "shin2022", "--pressure-unit", "kPa", "--gauge"]) == 0
+    assert capsys.readouterr().out.rstrip().endswith("--out DIR --pressure-unit kPa --gauge")
     assert check.main([str(exchanged), "--rig", "shin2022", "--swap-pressures"]) == 0
 
 

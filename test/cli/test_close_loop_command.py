@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from pam_antagonist import simulate
 from pam_antagonist.cli.close_loop import main
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.recording import write_bag
@@ -82,6 +83,21 @@ def test_wrong_arguments_are_one_line(
     assert main([str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o"), *arguments]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and all(word in said for word in words)
+
+
+@pytest.mark.parametrize(
+    ("moves", "said", "expected"), [("free", "locked", "stands still"), ("locked", "free", "expected locked")]
+)
+def test_a_condition_that_the_encoder_contradicts_is_refused_before_any_fit(
+    moves: str, said: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It used to end in an error about an option that nobody typed, or in effects that explain the wrong condition."""
+    write_bag(tmp_path / "bag", simulate("shin2022", duration=21.0, joint=moves))
+    arguments = [str(tmp_path / "bag"), "--rig", "shin2022", "--joint", said, "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--no-check"]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert f"declared {said}, but its measured angle moves by" in error and expected in error
+    assert not (tmp_path / "out.part").exists()
 
 
 def test_the_same_bag_twice_is_refused(leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -63,14 +63,19 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
     def diagnose(bags: list[Path], rig: Any, seed: int) -> Found:
         rivals = ("valve_offset",) if len(bags) == 2 else ()
         sentence = f"a leak, by {len(bags)} recordings"
-        return Found(verdict="effect", effects=[SimpleNamespace(name="leak")], ambiguous_with=rivals, sentence=sentence)
+        return Found(
+            verdict="effect", effects=[SimpleNamespace(name="leak")], ambiguous_with=rivals, sentence=sentence,
+            next_rig="rig_extended.yaml",
+        )  # fmt: skip
 
     monkeypatch.setattr(commission_steps, "drive", drive)
     monkeypatch.setattr(commission_steps, "designed", lambda rig, limits, s, joint="free", *more, **k: short(joint))
     monkeypatch.setattr(
         commission_steps, "told_apart", lambda *given, **k: Verdict(short(), 0.97, {"valve_offset": 0.97})
     )
-    monkeypatch.setattr("pam_antagonist.api.identify.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=()))
+    monkeypatch.setattr(
+        "pam_antagonist.api.identify.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=(), rejected="")
+    )
     monkeypatch.setattr("pam_antagonist.api.diagnose.diagnose", diagnose)
     return out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -34,6 +35,18 @@ def test_an_unknown_name_lists_the_names(capsys: pytest.CaptureFixture[str]) -> 
     assert error.count("\n") == 1
     assert all(name in error for name in COMMANDS)
     assert "did you mean replay?" in error
+
+
+@pytest.mark.parametrize("words", [["--help"], ["reachable", "--help"], ["plant", "--help"]])
+def test_a_reader_of_the_output_may_go(words: list[str]) -> None:
+    """As ``pam --help | head``: the pipe is closed before anything is written."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "pam_antagonist", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+    assert (process.returncode, said) == (0, "")
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))

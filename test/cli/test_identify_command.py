@@ -27,11 +27,16 @@ FEW = ["--freeze", "muscle_1", "--freeze", "muscle_2", "--freeze", "gas", "--fre
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Nine seconds of a free and of a locked joint, both of one plant that is not quite the declared one."""
+    """Nine seconds of a free and of a locked joint, both of one plant whose valves are not quite the declared ones."""
     folder = tmp_path_factory.mktemp("bags")
+    plant = folder / "plant.yaml"
+    plant.write_text(
+        "based_on: shin2022\nvalve_1: {inflow_area: 5.3e-8, outflow_area: 7.6e-8}\n"
+        "valve_2: {inflow_area: 5.0e-8, outflow_area: 8.0e-8}\n"
+    )
     for joint in ("free", "locked"):
-        arguments = ["--rig", "shin2022", "--out", str(folder / joint), "--duration", "9", "--profile", "steps"]
-        assert simulate.main([*arguments, "--seed", "3", "--mismatch", "0.02", "--joint", joint]) == 0
+        arguments = ["--rig", str(plant), "--out", str(folder / joint), "--duration", "9", "--profile", "steps"]
+        assert simulate.main([*arguments, "--seed", "3", "--mismatch", "0", "--joint", joint]) == 0
     return folder / "free", folder / "locked"
 
 
@@ -160,6 +165,24 @@ def test_bad_input_is_one_line_that_names_it(
         error = capsys.readouterr().err
         assert error.startswith("error: ") and error.count("\n") == 1 and says in error, error
         assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_rejected_rig_is_said_first_and_nothing_proposes_it(
+    bags: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, out = tmp_path / "narrow.yaml", tmp_path / "out"
+    rig.write_text("based_on: shin2022\nname: narrow\nbounds: {valve_1.outflow_area: [7.775e-8, 7.777e-8]}\n")
+    kept = [word for name in ("valve_1.inflow_area", "valve_2", "supply") for word in ("--freeze", name)]
+    assert main([str(bags[1]), "--rig", str(rig), "--out", str(out), *FEW, *kept, "--no-figures"]) == 1
+    shown = capsys.readouterr().out
+    first = " ".join(shown.partition("\n\n")[0].split())
+    assert first.startswith("Do not use this rig: the search ended at a bound of valve_1.outflow_area (0.0777")
+    assert {path.name for path in out.iterdir()} == {"rig_rejected.yaml", "report.html", "report.json"}
+    assert "\nrig:" not in shown and "rig_rejected" not in shown and f"--rig {rig}" in shown.partition("next:")[2]
+    (only,) = report(out)["parameters"]
+    assert report(out)["rejected"] in first and not only["determined"] and only["reason"] == "met a bound"
+    assert load_rig(out / "rig_rejected.yaml").valve_1.outflow_area == pytest.approx(only["bound"])
 
 
 @pytest.mark.slow

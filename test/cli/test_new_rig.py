@@ -162,3 +162,73 @@ def test_a_regulator_of_a_name_has_the_numbers_of_its_source(tmp_path, capsys) -
     assert new_rig.main(typed({**answers, "regulator-range": "0bar:6bar"}, tmp_path / "other.yaml")) == 2
     assert "--regulator-range: only with --regulator own" in capsys.readouterr().err
     assert all(part.source and part.lowest < part.highest for part in regulator_parts().values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"length": "312mm"}, "--radius, --nominal-length, --length, --stop: "),
+        ({"length": "230mm"}, "--radius, --muscle, --nominal-length, --length, --supply, --stop: "),
+        ({"drive": "regulator", "regulator": "own", "regulator-range": "8bar:9bar", "valve": None},
+         "--supply, --regulator-range: "),
+        ({"name": "my rig"}, "--name 'my rig': expected letters, digits"),
+        ({"drive": "regulator", "regulator": "own", "regulator-range": "0bar:1mbar", "valve": None},
+         "--regulator-range '1mbar': expected"),
+    ],
+)  # fmt: skip
+def test_answers_that_contradict_each_other_are_named(tmp_path, capsys, changes, named) -> None:
+    answers = {name: value for name, value in {**BOUGHT, **changes}.items() if value is not None}
+    status = new_rig.main(typed(answers, tmp_path / "rig.yaml"))
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {named}" if named else "") and said.count("\n") <= 1
+    assert status == (2 if named else 0)
+
+
+def test_answers_that_contradict_each_other_are_asked_again_and_no_other(tmp_path, capsys, monkeypatch) -> None:
+    answers = {name: value for name, value in BOUGHT.items() if name not in ("length", "stop")}
+    # Name, kind, length (too short for the muscle to pull), drive, voltage, shaft, stop, three of the sensor; then what
+    # belongs to the contradiction: radius, muscle, nominal length, length, supply, stop.
+    told = iter([*["", "", "230mm", "", "", "", "none", "", "", ""], *["", "", "", "285mm", "", ""]])
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda prompt: next(told))
+    rig = written(answers, tmp_path / "rig.yaml")
+    assert rig.geometry.length == 0.285 and rig.joint.stop is None
+    said = capsys.readouterr().out
+    assert "Please answer again" in said and "DMSP-10, DMSP-20" in said and "list above" not in said
+    assert next(told, None) is None
+
+
+def test_answers_are_not_lost_where_the_questions_end_early(tmp_path, capsys, monkeypatch) -> None:
+    told = iter(["left_elbow", "pulley", "21.6mm"])
+
+    def answer(prompt: str) -> str:
+        try:
+            return next(told)
+        except StopIteration:
+            raise KeyboardInterrupt from None
+
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", answer)
+    path = tmp_path / "rig.yaml"
+    assert new_rig.main(["--out", str(path)]) == 130
+    said = capsys.readouterr().err
+    assert f"new_rig --out {path} --name left_elbow --kind pulley --radius 21.6mm" in said
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "answer", "meant"),
+    [
+        ("valve", "MPYE-5-1/8", "did you mean MPYE-5-1/8-LF or MPYE-5-1/8-HF?"),
+        ("valve", "MPYE-5-M5-010-B", "did you mean MPYE-5-M5?"),
+        ("muscle", "dmsp-20-300N", "did you mean DMSP-20?"),
+    ],
+)
+def test_an_order_code_is_answered_with_the_parts_that_it_may_be(tmp_path, capsys, option, answer, meant) -> None:
+    assert new_rig.main(typed({**BOUGHT, option: answer}, tmp_path / "rig.yaml")) == 2
+    assert meant in capsys.readouterr().err
+
+
+def test_a_folder_that_is_not_there_is_refused_before_the_questions(tmp_path, capsys) -> None:
+    assert new_rig.main(["--out", str(tmp_path / "none" / "rig.yaml")]) == 2
+    assert "expected a file in a folder that exists" in capsys.readouterr().err

@@ -12,9 +12,9 @@ from pam_antagonist.cli import excite
 from pam_antagonist.design import Limits
 from pam_antagonist.design.apart import SHORTEST, Question, chance, imitation, told_apart
 from pam_antagonist.design.information import STEP
-from pam_antagonist.design.optimal import steady_voltage
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.limits import steady_voltage
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation import excitation
 

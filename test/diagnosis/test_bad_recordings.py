@@ -21,6 +21,23 @@ def test_recordings_that_are_too_quiet_are_refused(rig, recorded) -> None:
         diagnose([calm], rig, joint="locked", jobs=1)
 
 
+def test_nothing_is_said_across_a_hole(rig, recorded) -> None:
+    """What was commanded in a hole is not known: a late angle was found, and nothing was late."""
+    sound = recorded(seconds=24.0)
+
+    def without(begin: float, end: float):
+        kept = (sound.time_s <= begin) | (sound.time_s >= end)
+        names = ("stamp_ns", "pressure", "voltage", "angle", "torque")
+        return dataclasses.replace(sound, **{name: getattr(sound, name)[kept] for name in names})
+
+    found = diagnose([without(1.0, 2.5)], rig, joint="locked", jobs=1, profiles=False, estimator=False)
+    assert (found.verdict, found.calibrations) == ("none", ())
+    assert "has a hole, the first from 1.0 to 2.5 s, so only the piece from 2.5 to 24.0 s is used" in found.warnings[0]
+    assert len(found.experiments[0].trial) * rig.sample_period == pytest.approx(21.5, abs=0.01)
+    with pytest.raises(BadInput, match=r"a hole, the first from 9.0 to 11.0 s; the longest piece .* has 13.0 s"):
+        diagnose([without(9.0, 11.0)], rig, joint="locked", jobs=1)
+
+
 def test_pressures_alone_name_what_cannot_be_seen(rig, recorded) -> None:
     """Nothing is found, and the report says of what that means nothing."""
     bare = dataclasses.replace(recorded(seconds=24.0), angle=None, torque=None)

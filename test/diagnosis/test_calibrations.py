@@ -12,6 +12,7 @@ from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, explained, found_calibrations
 from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.rig_choice import choose
 from pam_antagonist.diagnosis.selection import recalibrate, select
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
@@ -48,7 +49,8 @@ def test_late_stamps_are_a_calibration_and_no_effect(late) -> None:
 
 
 def test_a_report_says_the_calibration_and_what_to_type(late, rig) -> None:
-    report = close_loop.report(late, rig, ["-"], 0, 1 / 3, Corrections(delay_voltage=0.01, gauge=True))
+    choice = choose(late, rig.name, lambda file: "")
+    report = close_loop.report(late, rig, ["-"], 0, 1 / 3, Corrections(delay_voltage=0.01, gauge=True), choice)
     (entry,) = report.calibration
     assert (entry.name, entry.unit) == ("delay_voltage", "s")
     gauge, delay = report.corrections

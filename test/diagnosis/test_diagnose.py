@@ -11,8 +11,15 @@ from pam_antagonist import simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out, warnings
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.errors import Errors, RigErrors
+from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.report.channels import TORQUE
+from pam_antagonist.report.close_loop_document import document
+from pam_antagonist.report.close_loop_findings import calibration_findings
+from pam_antagonist.report.document import Tiles
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.strict_json import plain
@@ -72,58 +79,139 @@ def test_a_curve_that_the_file_calls_guessed_is_no_fault(rig) -> None:
         assert found.rig_recalibrated.value(f"effects.valve_offset.{name}") == pytest.approx(shift, abs=0.02)
 
 
-def test_no_rig_is_written_that_explains_nothing_and_is_worse(rig, leaking, tmp_path) -> None:
+@pytest.fixture
+def result(rig, leaking) -> DiagnoseResult:
+    """The diagnosis with its inputs."""
     fields = {item.name: getattr(leaking, item.name) for item in dataclasses.fields(Diagnosis)}
-    found = DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
-    found.save(tmp_path / "effect", figures=False)
-    assert (tmp_path / "effect" / "rig_extended.yaml").is_file() and not found.worse
-
-    errors = found.errors
-    worse = dataclasses.replace(errors.extended, rmse_pa=(1.0, 1.2 * errors.as_configured.rmse_pa[1]))
-    unexplained = dataclasses.replace(found, verdict="unexplained", errors=dataclasses.replace(errors, extended=worse))
-    (said,) = unexplained.worse
-    assert said.startswith("pressure 2 ")
-    unexplained.save(tmp_path / "nothing", figures=False)
-    assert sorted(path.name for path in (tmp_path / "nothing").iterdir()) == ["report.html", "report.json"]
-
-    better = dataclasses.replace(unexplained, errors=dataclasses.replace(errors, extended=errors.as_configured))
-    assert not better.worse
+    fields |= {"ambiguous_with": [], "own": leaking.own[:1]}
+    return DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
 
 
-def test_recordings_with_different_faults_get_a_rig_each(rig, leaking, tmp_path) -> None:
-    fields = {item.name: getattr(leaking, item.name) for item in dataclasses.fields(Diagnosis)}
-    fields["own"] = (("one", leaking.rig_extended), ("two", leaking.rig_extended))
-    found = DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
+def times(errors: RigErrors, factor: float, filtered: float = 1.0) -> RigErrors:
+    """Errors of the model alone and of the filter, each times a factor."""
+
+    def scaled(one: Errors, factor: float) -> Errors:
+        torque = dataclasses.replace(one.torque, rmse=factor * one.torque.rmse)
+        return dataclasses.replace(one, torque=torque, rmse_pa=tuple(factor * value for value in one.rmse_pa))
+
+    return dataclasses.replace(errors, model=scaled(errors.model, factor), ukf=scaled(errors.ukf, filtered))
+
+
+def with_errors(found: DiagnoseResult, **factors: tuple[float, float]) -> DiagnoseResult:
+    """The same with other errors by one rig: factors of those as configured, of the model alone and of the filter."""
+    given = found.of_one_rig["as_configured"]
+    return dataclasses.replace(
+        found, of_one_rig={**found.of_one_rig, **{name: times(given, *each) for name, each in factors.items()}}
+    )
+
+
+def test_a_rig_with_which_anything_is_worse_is_neither_written_nor_proposed(result, tmp_path) -> None:
+    assert result.rig_files == ("rig_extended.yaml",) and result.choice.proposed.name == "rig_extended.yaml"
+    # On a stranger's joint the model was better and the filter worse; on a measured one it was the other way round.
+    for number, factors in enumerate(((0.5, 1.2), (1.9, 0.5), (0.5, float("nan")))):
+        worse = with_errors(result, extended=factors, recalibrated=(1.0, 1.0))
+        assert worse.rig_files == () and worse.choice.proposed is None
+        said = worse.report.next_steps
+        assert said[0].startswith("There is no rig_extended.yaml, since this rig would be worse than shin2022 (the ")
+        assert said[-1].endswith("until then, keep the rig file of shin2022.") and worse.report.next_rig is None
+        worse.save(tmp_path / str(number), figures=False)
+        assert sorted(path.name for path in (tmp_path / str(number)).iterdir()) == ["report.html", "report.json"]
+    # Near the noise, one error of the model alone may grow a little where the filter gains much.
+    assert with_errors(result, extended=(1.1, 0.5), recalibrated=(1.0, 1.0)).report.next_rig == "rig_extended.yaml"
+    assert with_errors(result, extended=(1.1, 1.0), recalibrated=(1.0, 1.0)).rig_files == ()
+
+
+def test_the_best_of_the_three_rigs_is_proposed_and_the_only_one_that_is_named(result, tmp_path) -> None:
+    base = with_errors(result, extended=(1.0, 1.3), recalibrated=(0.4, 0.4))
+    assert base.rig_files == ("rig_recalibrated.yaml",) and base.report.next_rig == "rig_recalibrated.yaml"
+    assert "or use rig_recalibrated.yaml, which" in base.report.next_steps[-1]
+    assert "the filter's torque error" in base.report.next_steps[-1]
+    base.save(tmp_path / "out", figures=False)
+    assert not load_rig(tmp_path / "out" / "rig_recalibrated.yaml").effects
+    # Its parameters were fitted to the effect as well: a little better here may be worse elsewhere.
+    assert with_errors(result, extended=(1.0, 1.3), recalibrated=(0.8, 0.8)).choice.proposed is None
+    # A filter that is as good as before is no reason to change a file, however good the model alone is.
+    same = with_errors(result, extended=(0.1, 1.0), recalibrated=(0.1, 1.0))
+    assert same.choice.proposed is None and same.rig_files == ("rig_extended.yaml",)
+
+
+def test_recalibration_is_compared_with_what_the_user_had(result) -> None:
+    nothing = dataclasses.replace(result, verdict="none", effects=())
+    (use,) = with_errors(nothing, extended=(0.5, 0.5)).report.next_steps
+    assert use.startswith("Next: nothing to repair; use rig_extended.yaml, which every command")
+    assert use.endswith("it is shin2022, recalibrated by these recordings.")
+    (keep,) = with_errors(nothing, extended=(1.0, 1.0)).report.next_steps
+    assert keep == "Next: nothing; keep the rig file of shin2022."
+    # Where nothing explains the recordings, the file has to halve every error.
+    unexplained = dataclasses.replace(nothing, verdict="unexplained")
+    assert with_errors(unexplained, extended=(0.6, 0.4)).choice.proposed is None
+    halved = with_errors(unexplained, extended=(0.4, 0.4)).report
+    assert halved.next_rig == "rig_extended.yaml" and "use rig_extended.yaml, which" in halved.next_steps[-1]
+
+
+def test_a_rig_that_no_command_would_read_is_not_proposed(result) -> None:
+    impossible = result.rig_extended.replaced(uncertainty={"friction.shaft": 1.0})
+    refused = with_errors(dataclasses.replace(result, rig_extended=impossible), recalibrated=(1.0, 1.0))
+    assert refused.rig_files == () and "no command would read it (" in refused.choice.no_common
+    assert refused.report.next_rig is None
+
+
+def test_a_calibration_beyond_every_option_is_said_and_written_nowhere(result) -> None:
+    scale = FoundCalibration("torque_scale", -0.84, 0.01, "-", 99.0, {})
+    found = dataclasses.replace(result, calibrations=(scale,), typed=Corrections(torque_scale=0.3))
+    assert found.report.corrections == () and "its calibration would be larger than" in found.choice.no_common
+    (finding,) = calibration_findings(found.report)
+    assert finding.text.endswith("Together with the options given, that is too much.")
+
+
+def test_headline_and_tiles_start_from_what_the_user_had(result) -> None:
+    """A rig that was good before recalibration: what the effect regains is no gain for its user."""
+    start, _, end = result.errors.all
+    assert f"{start.torque.rmse:.2g} N m" in result.sentence and f"{end.torque.rmse:.2g} N m" in result.sentence
+    shown = next(item for item in document(result.report, result, False).blocks if isinstance(item, Tiles)).items
+    (torque,) = (tile for tile in shown if tile.label.startswith("Torque"))
+    assert torque.note == f"as configured {TORQUE.write(start.torque.rmse)}"
+
+
+def test_recordings_with_different_faults_get_a_rig_each(result, tmp_path) -> None:
+    rig, (entry,), (leak,) = result.rig_extended, result.by_recording, result.effects
+    entries = tuple(dataclasses.replace(entry, recording=name) for name in ("one", "two"))
+    both = dataclasses.replace(leak, recordings=("one", "two"))
+    fields = {"own": (("one", rig), ("two", rig)), "by_recording": entries, "effects": (both,)}
+    found = dataclasses.replace(result, **fields, hashes=("0" * 64,) * 2)
     assert found.rig_files == ("rig_extended.yaml", "rig_extended_1.yaml", "rig_extended_2.yaml")
 
-    (leak,) = leaking.effects
     apart = tuple(dataclasses.replace(leak, muscle=k, recordings=(name,)) for k, name in ((1, "one"), (2, "two")))
     different = dataclasses.replace(found, effects=apart)
-    assert different.no_common_rig == "no rig suits all recordings: leak is on muscle 1 in one and on muscle 2 in two"
+    said = "no rig suits all recordings: leak is on muscle 1 in one and on muscle 2 in two"
+    assert different.choice.no_common == said
     different.save(tmp_path / "different", figures=False)
     rigs = sorted(path.name for path in (tmp_path / "different").glob("*.yaml"))
     assert rigs == ["rig_extended_1.yaml", "rig_extended_2.yaml"]
     assert "rig_extended.yaml" not in (tmp_path / "different" / rigs[0]).read_text(encoding="utf-8")
+    assert "or use rig_extended_1.yaml for one, which" in different.report.next_steps[-1]
 
-    both = tuple(dataclasses.replace(item, recordings=("one", "two")) for item in apart)
-    assert "rig_extended.yaml" in dataclasses.replace(found, effects=both).rig_files
-    worse = dataclasses.replace(leaking.errors.as_configured, rmse_pa=(1e6, 1.0))
-    alike = dataclasses.replace(found, effects=both, errors_of_one_rig=worse)
-    assert alike.no_common_rig.startswith(
-        "one rig for all recordings would be worse than shin2022 (pressure 1 error 1e+03 kPa, before "
-    )
-    assert "rig_extended.yaml" not in alike.rig_files
+    alike = with_errors(found, extended=(1e6, 1.0), recalibrated=(1.0, 1.0))
+    assert alike.choice.no_common.startswith("one rig for all recordings would be worse than shin2022 (the model's ")
+    assert alike.rig_files == ("rig_extended_1.yaml", "rig_extended_2.yaml")
+    # A recording in which the filter is much worse counts, whatever the others gain.
+    given = found.of_one_rig["as_configured"]
+    each = {"as_configured": (1.0, 1.0), "extended": (1.6, 0.2)}
+    split = {
+        name: dataclasses.replace(given, each=tuple(times(given, 1.0, factor).ukf for factor in factors))
+        for name, factors in each.items()
+    }
+    uneven = dataclasses.replace(found, of_one_rig={**found.of_one_rig, **split})
+    assert "the filter's torque error in one recording" in uneven.choice.no_common
 
 
-def test_a_report_says_what_to_do_next(rig, leaking) -> None:
-    fields = {item.name: getattr(leaking, item.name) for item in dataclasses.fields(Diagnosis)}
-    fields |= {"ambiguous_with": [], "own": leaking.own[:1]}
-    found = DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
-    (repair,) = found.report.next_steps
+def test_a_report_says_what_to_do_next(rig, result) -> None:
+    (repair,) = result.report.next_steps
     assert repair.startswith("Next: repair the joint and record again, or use rig_extended.yaml,")
-    assert " ".join(found.summary().split()).endswith(repair)
-    assert plain(found.report)["next_steps"] == [repair]
-    undecided = dataclasses.replace(found, ambiguous_with=["valve_offset", "encoder_zero"])
+    assert " ".join(result.summary().split()).endswith(repair)
+    assert plain(result.report)["next_steps"] == [repair]
+    assert plain(result.report)["next_rig"] == "rig_extended.yaml"
+    undecided = dataclasses.replace(result, ambiguous_with=["valve_offset", "encoder_zero"])
     decide, _ = undecided.report.next_steps
     assert decide.startswith("Next: record once more, to decide between leak and valve offset.")
     assert "--tell-apart" in decide
@@ -132,15 +220,10 @@ def test_a_report_says_what_to_do_next(rig, leaking) -> None:
     assert all("--tell-apart" not in step for step in sealed.report.next_steps)
     # The same leak, beside curves that are a guess.
     guessed = rig.replaced(priors={"effects.valve_offset.voltage_1": 0.5})
-    measure = dataclasses.replace(found, start=guessed).report.next_steps[-1]
+    measure = dataclasses.replace(result, start=guessed).report.next_steps[-1]
     assert measure.startswith("Next: measure the valves' curves before you repair anything")
     assert warnings.guessed_curves(guessed, ["leak", "friction"])[0].count("leak") == 1
     assert not warnings.guessed_curves(rig, ["leak"]) and not warnings.guessed_curves(guessed, ["friction"])
-    nothing = dataclasses.replace(found, verdict="unexplained", effects=())
-    assert "use rig_extended.yaml: it is shin2022 with its parameters fitted" in nothing.report.next_steps[-1]
-    errors = dataclasses.replace(found.errors, extended=found.errors.as_configured)
-    as_bad = dataclasses.replace(nothing, errors=errors)
-    assert as_bad.report.next_steps[-1].startswith("Next: keep the rig file of shin2022")
 
 
 def test_what_a_locked_joint_cannot_show_is_said(leaking) -> None:
@@ -168,11 +251,39 @@ def test_an_uncertain_size_is_still_a_size(leaking) -> None:
     assert std > 2.0 * size
 
 
+def test_an_effect_whose_derivative_is_0_has_a_size_and_one_that_is_0_is_not_found(leaking) -> None:
+    """Friction above a level balances all torques as well as friction at it: `close_loop` ended in a traceback."""
+
+    def model(scale: float):
+        fits = []
+        for fitted in leaking.extended.fits:
+            effects = {path: scale * value for path, value in fitted.point.effects.items()}
+            point = dataclasses.replace(fitted.point, effects=effects)
+            fits.append(dataclasses.replace(fitted, point=point, effect=0.0 * fitted.effect))
+        return dataclasses.replace(leaking.extended, fits=tuple(fits))
+
+    (effect,), values, _ = findings.found_effects(leaking.experiments, model(1.0), {"leak": 9.0}, {"leak": 0.9})
+    size, std, _ = effect.parameters["area_1"]
+    assert effect.recordings == leaking.effects[0].recordings and std == size == values["effects.leak.area_1"]
+    nothing = findings.found_effects(leaking.experiments, model(0.0), {"leak": 9.0}, {"leak": 0.9})
+    assert (nothing.effects, nothing.values) == ((), {})
+
+
 def test_a_wrong_parameter_is_no_effect(rig, recorded) -> None:
     found = diagnose([recorded()], rig, joint="locked", jobs=1, estimator=False)
     assert found.verdict == "none"
     assert found.effects == ()
     assert found.errors.recalibrated == found.errors.extended
+
+
+@pytest.mark.slow(4)
+def test_a_calibration_at_the_bound_of_its_search_is_not_taken(rig, recorded) -> None:
+    """A torque in another unit, or another rig's file: this ended as an error about an option that nobody typed."""
+    recording = recorded(seconds=21.0)
+    found = diagnose(
+        [dataclasses.replace(recording, torque=0.05 * recording.torque)], rig, joint="locked", jobs=1, profiles=False
+    )
+    assert (found.verdict, found.calibrations) == ("unexplained", ())
 
 
 def test_what_is_in_no_catalogue_is_unexplained(rig, recorded) -> None:

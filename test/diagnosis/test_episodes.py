@@ -31,6 +31,7 @@ from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.signals import FurtherSignal
 from pam_antagonist.report import episodes as report
+from pam_antagonist.report.table import number
 
 EPISODES, ROWS, PERIOD = 120, 60, 0.0125
 GAIN, STIFFNESS, VISCOUS = 2.4e-4, 60.0, 6.0  # [rad/s² by Pa], [1/s²], [1/s]
@@ -79,7 +80,7 @@ def tied() -> Recording:
     return joint(by_signal=6e-5)
 
 
-def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording) -> None:
+def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp_path: Path) -> None:
     result = pam_antagonist.diagnose(tied, "regulator_joint", also=["decoy", "other"])
     assert isinstance(result, EpisodesDiagnoseResult)
     episodes, found = result.joint, result.found
@@ -94,6 +95,14 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording) -> 
     assert slope.value / inertia == pytest.approx(6e-5, rel=0.1)
     assert found.values["joint.stiffness"].value / inertia == pytest.approx(STIFFNESS, rel=0.05)
     assert found.values["joint.viscous_friction"].value / inertia == pytest.approx(VISCOUS, rel=0.15)
+
+    # What counts is the gain over the rig that the user had.
+    given = found.rows[0].forecast.value
+    assert f"falls from {number(given)}° as configured to" in result.sentence and result.next_rig == "rig_extended.yaml"
+    no_better = replace(result, found=replace(found, rows=(extended, base, coulomb, extended)))
+    assert no_better.next_rig is None and "Next: keep the rig file of regulator_joint" in no_better.summary()
+    no_better.save(tmp_path / "out", figures=False)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
 
 
 def test_nothing_is_found_where_friction_is_constant_but_that() -> None:

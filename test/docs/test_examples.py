@@ -20,14 +20,14 @@ _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 
 
-def run(*arguments: str, cwd: Path) -> str:
-    """What a program in Python prints; it has to end well."""
+def run(*arguments: str, cwd: Path, status: int = 0) -> str:
+    """What a program in Python prints; it has to end with a status."""
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     done = subprocess.run(
         [sys.executable, *arguments], cwd=cwd, env=environment, capture_output=True, text=True, check=False,
         timeout=900,
     )  # fmt: skip
-    assert done.returncode == 0, f"{arguments}\n{done.stdout}{done.stderr}"
+    assert done.returncode == status, f"{arguments}\n{done.stdout}{done.stderr}"
     return done.stdout
 
 
@@ -92,7 +92,9 @@ def test_commands_of_the_first_hour(tmp_path: Path) -> None:
     for block in pages.blocks(page):
         for words in pages.commands(block.text) if block.language == "bash" else ():
             if words[0] != "demo":
-                printed += run("-m", "pam_antagonist", *expanded(words, tmp_path), cwd=tmp_path)
+                # The recorded muscles leak, so that the identified rig is rejected.
+                status = int(words[0] == "identify")
+                printed += run("-m", "pam_antagonist", *expanded(words, tmp_path), cwd=tmp_path, status=status)
     reference = pages.read(ROOT / "docs" / "reference" / "report_json.md")
     for folder, section in (("replayed", "replay"), ("identified", "identify"), ("found", "close_loop")):
         named = reference.split("\n## ")[0] + reference.split(f"\n## {section}\n")[1].split("\n## ")[0]

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.identification.balance import fit_force_map
 from pam_antagonist.identification.stages import run_stages
+from pam_antagonist.inference.determined import evidence
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.free_run import Run, predict, start_of
 from pam_antagonist.inference.joint_fit import joint_fit
@@ -62,7 +63,7 @@ def test_true_parameters_come_back_with_error_bars_of_the_right_size() -> None:
     deviations = []
     for seed in (1, 3):
         found = joint_fit(problem(seed=seed), rounds=3)
-        assert all(found.determined.values())
+        assert all(item.determined for item in evidence(found, found).values())
         for name, true in TRUE.items():
             assert found.values[name] == pytest.approx(true, rel=2e-3)
             deviations.append((found.values[name] - true) / found.std[name])
@@ -74,9 +75,29 @@ def test_a_parameter_that_the_recordings_do_not_tell_stays_at_its_prior() -> Non
     chosen = [item for item in free_parameters(RIG) if item.name in ("friction.shaft", "valve_1.inflow_area")]
     locked = [trial for trial in trials(1) if trial.joint == "locked"]
     found = joint_fit(JointProblem(RIG, locked, chosen), rounds=2)
-    assert found.determined == {"valve_1.inflow_area": True, "friction.shaft": False}
+    known = evidence(found, found)
+    assert {name: item.reason for name, item in known.items()} == {
+        "valve_1.inflow_area": "", "friction.shaft": "stays near its prior"
+    }  # fmt: skip
     assert found.values["friction.shaft"] == pytest.approx(RIG.friction.shaft, rel=1e-6)
     assert found.std["friction.shaft"] == pytest.approx(0.05 * RIG.friction.shaft, rel=0.01)
+
+
+def test_a_diverged_simulation_has_no_residual_that_is_a_number() -> None:
+    """A pulley without stop or friction, muscles that pull less the longer they are: the joint turns without end."""
+    force = RIG.muscle_1.force.replaced(w1=-1e5)
+    muscle = RIG.muscle_1.replaced(force=force)
+    pulley, joint = RIG.geometry.replaced(kind="pulley"), RIG.joint.replaced(stop=None)
+    friction = RIG.friction.replaced(shaft=0.0, muscle=0.0)
+    lost = RIG.replaced(geometry=pulley, joint=joint, muscle_1=muscle, muscle_2=muscle, friction=friction)
+    task = problem(lost)
+    free, locked = task.residuals(np.zeros(task.size))
+    assert np.isinf(free).all() and np.isfinite(locked).all()
+    assert np.isfinite(task.local_jacobians(np.zeros(task.size))[0]).all()
+    experiment = task.experiments[0]
+    assert (np.abs(experiment.residual(experiment.origin)) > 100.0 * experiment.noise).all()
+    with pytest.raises(NoResult, match="free: the model with the values of rig shin2022 diverges"):
+        joint_fit(task)
 
 
 def test_the_jacobian_is_the_slope_of_the_residuals() -> None:

@@ -77,7 +77,7 @@ def test_recordings_of_one_rig_need_no_spread() -> None:
 def test_recordings_of_two_rigs_are_refused_with_what_differs() -> None:
     other = RIG.replaced(valve_1=RIG.valve_1.replaced(inflow_area=1.5 * RIG.valve_1.inflow_area))
     found = locked_fit(other, AREAS)
-    with pytest.raises(BadInput, match=r"not recordings of one rig: valve_1.inflow_area differs by [3-5]\d %"):
+    with pytest.raises(BadInput, match=r"do not fit together: valve_1.inflow_area would differ by [3-5]\d %"):
         check_same_rig(found, variations(RIG, found.problem.free))
 
 

@@ -105,3 +105,11 @@ def test_a_bag_with_commands_in_bar_is_refused_and_checked(
 
     assert replay([str(tmp_path / "bar"), "--rig", "shin2022_regulators", "--out", str(tmp_path / "out")]) == 2
     assert "pressure_state looks like bar" in capsys.readouterr().err
+
+
+def test_commands_that_never_rest_leave_the_regulators_to_the_joint_refinement(recording: Recording) -> None:
+    time = np.arange(len(recording.stamp_ns)) * RIG.sample_period
+    sines = 450e3 + 60e3 * np.column_stack([np.sin(2.5 * time), np.cos(3.5 * time)])
+    trial = make_trial(replace(recording, voltage=sines), RIG, "free", 0.0, "sines")
+    values, note = beside_the_lag(RIG, [trial, trial], 1)
+    assert values == {} and "before 0 stretches" in note

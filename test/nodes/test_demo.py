@@ -14,8 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.cli import demo
+from pam_antagonist.cli import demo, new_rig
+from pam_antagonist.cli.demo_steps import task
 from pam_antagonist.control import PI_MODES, Box, Mode, Reachable
+from pam_antagonist.nodes.processes import Processes
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import load_rig
 
@@ -184,7 +186,7 @@ def test_output_folder_that_exists_is_left_alone(tmp_path: Path, capsys: pytest.
 @pytest.mark.parametrize("mode", PI_MODES)
 @pytest.mark.parametrize("duration", [1.0, 5.0, 30.0, 600.0])
 def test_references_are_steps_within_the_paper_s_ranges(mode: Mode, duration: float) -> None:
-    steps = demo.references(mode, duration)
+    steps = task(load_rig("shin2022"), mode, "fast", duration).references
     times = [at for at, _, _ in steps]
     assert steps[0][:2] == (0.0, 0.0) and all(math.isnan(stiffness) for _, _, stiffness in steps)
     assert times == sorted(times) and times[-1] < duration
@@ -193,24 +195,51 @@ def test_references_are_steps_within_the_paper_s_ranges(mode: Mode, duration: fl
     assert min(value for _, value, _ in steps) == -largest
 
 
-def test_references_stay_within_what_the_joint_can_reach() -> None:
-    steps = demo.references(Mode.ANGLE, 30.0, math.radians(10.0))
-    assert max(abs(value) for _, value, _ in steps) == pytest.approx(math.radians(8.0))
-
-
 def test_somebody_pushes_a_joint_that_is_to_yield_and_lets_go_in_between() -> None:
-    pushed = demo.pushes(Mode.IMPEDANCE, 30.0)
-    times, torques = zip(*pushed, strict=True)
+    rig = load_rig("shin2022_external_torque")
+    asked = task(rig, Mode.IMPEDANCE, "model", 30.0)
+    times, torques = zip(*asked.pushes, strict=True)
     assert list(times) == sorted(times) and times[-1] < 30.0
     assert torques[0] == 0.0 and max(torques) == -min(torques) == 1.0
     assert all(0.0 in pair for pair in zip(torques[1:], torques[2:], strict=False))
-    assert demo.pushes(Mode.ANGLE, 30.0) == []
+    assert [spring for _, _, spring in asked.references] == [6.0, 4.0, 8.0] and asked.damping == 0.5
+    assert task(rig, Mode.ANGLE, "fast", 30.0).pushes == []
 
 
 def test_references_of_angle_and_stiffness_are_within_reach_of_the_paper_s_joint() -> None:
     rig = load_rig("shin2022")
     reach = Reachable(rig.parameters(), Box.of(rig.parameters()))
-    steps = demo.references(Mode.ANGLE_STIFFNESS, 30.0, rig.joint.stop)
+    steps = task(rig, Mode.ANGLE_STIFFNESS, "model", 30.0).references
+    assert max(value for _, value, _ in steps) == pytest.approx(math.radians(10.0))
     assert len({stiffness for _, _, stiffness in steps}) > 3
     for _, value, stiffness in steps:
         assert reach.nearest(Mode.ANGLE_STIFFNESS, value, stiffness) == (value, stiffness, "")
+
+
+def test_a_stop_for_safety_is_found_in_the_logs_with_its_first_reason(tmp_path: Path) -> None:
+    processes = Processes(tmp_path)
+    assert processes.stopped() == ""
+    (tmp_path / "plant.log").write_text(
+        "[INFO] [1795579761.4] [pam.plant]: active\n[ERROR] [1795579817.25] [pam.plant]: stopped: on request\n"
+    )
+    angle = "the estimated angle is +0.574 rad, beyond 0.4538 rad (+32.9 deg; the limit is 26.0 deg)"
+    (tmp_path / "controller.log").write_text(f"[ERROR] [1795579816.66] [pam.controller]: stopped: {angle}\n")
+    assert processes.stopped() == f"controller: {angle}"
+
+
+@pytest.mark.ros
+@pytest.mark.realtime
+def test_a_new_rig_moves_beyond_the_paper_s_limit_and_says_where_to_watch_it(tmp_path: Path, domain: None) -> None:
+    rig, out = tmp_path / "mine.yaml", tmp_path / "out"
+    answers = {
+        "kind": "lever", "radius": "20mm", "muscle": "DMSP-10", "nominal-length": "200mm", "length": "185mm",
+        "supply": "6bar", "valve": "MPYE-5-M5", "inertia": "0.001", "mass": "0.3kg", "stop": "40deg", "rate": "500",
+    }  # fmt: skip
+    assert new_rig.main(["--out", str(rig), *(word for k, v in answers.items() for word in (f"--{k}", v))]) == 0
+    process = start("--rig", str(rig), "--duration", "5", "--no-figures", "--out", str(out))
+    said, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} " in said.splitlines()[0] and "watch" in said.splitlines()[0]
+    recording = read_bag(out / "bag")
+    assert recording.angle is not None and math.degrees(recording.angle.max()) > 29.0, "the paper's stop is at 26"
+    assert json.loads((out / "report.json").read_text())["demo"]["stopped_for_safety"] is None

@@ -11,10 +11,10 @@ from pam_antagonist.validation.faults.command import chosen
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.slow]
 
+# Tests of their own have a device that is unplugged, a second commander and clocks that are set.
 MOST_IMPORTANT = (
-    *("controller killed", "device unplugged", "pressure stuck", "second commander", "bridge killed"),
-    *("rig file of another joint", "rig file with refined values", "machine's clock set back"),
-)
+    "controller killed", "pressure stuck", "bridge killed", "rig file of another joint", "rig file with refined values"
+)  # fmt: skip
 
 
 def test_the_valves_are_safe_in_time_and_control_comes_back() -> None:

@@ -194,3 +194,54 @@ def test_a_log_beside_an_sqlite3_file_is_mentioned(rig: FakeRig, tmp_path: Path)
     rig.assert_same(recording)
     assert len(recording.issues) == 1
     assert "bag.db3-wal holds messages that were not read" in recording.issues[0]
+
+
+def chunks_of(whole: bytes) -> list[tuple[int, int]]:
+    """First byte and end of each chunk record."""
+    at, found = len(MAGIC), []
+    while at < len(whole) - len(MAGIC):
+        opcode, size = struct.unpack_from("<BQ", whole, at)
+        if opcode == 6:
+            found.append((at, at + 9 + size))
+        at += 9 + size
+    return found
+
+
+@pytest.mark.parametrize("place", ["begin", "middle", "head"])
+@pytest.mark.parametrize(("storage", "compression"), [("mcap", "none"), ("mcap", "chunk"), ("sqlite3", "none")])
+def test_what_stands_behind_damage_is_read_on_request(
+    tmp_path: Path, storage: str, compression: str, place: str
+) -> None:
+    bag = tmp_path / "bag"
+    long = FakeRig(6000)
+    long.write(bag, long.streams(), storage=storage, compression=compression)
+    file = next(path for path in bag.iterdir() if path.name != "metadata.yaml")
+    whole = bytearray(file.read_bytes())
+    where = chunks_of(whole) if storage == "mcap" else [(80_000, 400_000), (400_000, 1_000_000), (0, 0)]
+    assert len(where) > 2
+    begin, end = where[0 if place == "begin" else 1]
+    at = begin - 100 if place == "head" else (begin + end) // 2
+    whole[at : at + 5000] = bytes(5000)
+    file.write_bytes(whole)
+    assert "--recover reads the" in refusal(bag)
+    recording = read_bag(bag, recover=True)
+    index = np.searchsorted(long.stamp_ns, recording.stamp_ns)
+    assert 3000 < len(recording) < 6000 and index[-1] == 5999
+    for mine, theirs in ((recording.pressure, long.pressure), (recording.voltage, long.voltage)):
+        there = np.isfinite(mine)
+        assert np.array_equal(mine[there], theirs[index][there])
+    damage = [issue for issue in recording.issues if issue.kind == "damage"]
+    assert recording.issues[: len(damage)] == tuple(damage)
+    if storage == "mcap":
+        lost = damage[1]
+        assert f"{lost.size} bytes are lost, from byte" in lost and lost.size > 100_000
+        assert (place == "begin" and compression == "chunk") or 0.5 < lost.length_s < 6.0
+
+
+def test_a_cut_off_sqlite3_file_is_read_on_request(tmp_path: Path) -> None:
+    bag = FakeRig(3000).write(tmp_path / "bag", FakeRig(3000).streams(), storage="sqlite3")
+    file = bag / "bag.db3"
+    file.write_bytes(file.read_bytes()[: int(0.7 * file.stat().st_size)])
+    recording = read_bag(bag, recover=True)
+    assert 1500 < len(recording) < 2900
+    np.testing.assert_array_equal(recording.angle[:-1], FakeRig(3000).angle[: len(recording) - 1])

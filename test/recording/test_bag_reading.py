@@ -12,6 +12,7 @@ from fake_bags import ESTIMATE, FIRST_NS, JOINT, PERIOD_NS, REFERENCE, FakeRig, 
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import bag_hash, read_bag
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.messages import typestore
 
 
@@ -134,7 +135,9 @@ def test_repeated_stamps_keep_the_first_message(rig: FakeRig, tmp_path: Path) ->
     streams["/pam/pressure_1"].items.append(rig.pressure_message(stamp, 123e3, log_ns=int(stamp) + 400_000))
     recording = read_bag(rig.write(tmp_path / "bag", streams))
     rig.assert_same(recording)
-    assert recording.issues == ("1 messages of /pam/pressure_1 repeat a stamp: the first of each stamp was kept",)
+    (said,) = recording.issues
+    assert "1 messages of /pam/pressure_1 repeat a stamp: the first of each stamp was kept; 1 of them" in said
+    assert (said.kind, said.size, round(said.start_s, 6)) == ("publishers", 1, 0.006)
 
 
 def test_late_messages_are_sorted(rig: FakeRig, tmp_path: Path) -> None:
@@ -195,11 +198,32 @@ def test_several_joints(rig: FakeRig, tmp_path: Path) -> None:
         streams["/pam/measured/joint_states"].items[i] = message
     bag = rig.write(tmp_path / "bag", streams)
     rig.assert_same(read_bag(bag, joint_name="elbow"))
-    first = read_bag(bag)
-    assert np.all(first.angle == 1.0) and np.all(first.torque == 2.0)  # the wrist comes first in the first message
-    assert first.issues == ("/pam/measured/joint_states has 2 joints (wrist, elbow): took the first, wrist",)
-    with pytest.raises(BadInput, match="has no joint 'knee'; it has wrist, elbow"):
+    with pytest.raises(BadInput, match=r"joint_states holds 2 joints \(elbow, wrist\).*type --joint-name"):
+        read_bag(bag)
+    with pytest.raises(BadInput, match="has no joint 'knee'; it has elbow, wrist"):
         read_bag(bag, joint_name="knee")
+    streams["/pam/joint_states"] = Stream(JOINT, [rig.joint_message(rig.stamp_ns[0], [0.0], [0.0], ["elbow"])])
+    recording = read_bag(rig.write(tmp_path / "live", streams))  # the estimator tells which joint is this one
+    rig.assert_same(recording)
+    assert "took elbow, the joint of the estimator" in recording.issues[0]
+
+
+def test_joints_that_publish_by_themselves_are_no_second_publisher(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    items = streams["/pam/measured/joint_states"].items = []
+    for stamp, angle, torque in zip(rig.stamp_ns, rig.angle, rig.torque, strict=True):
+        items.append(rig.joint_message(stamp, [1.0], [2.0], ["wrist"]))
+        items.append(rig.joint_message(stamp, [angle], [torque], ["elbow"]))
+    recording = read_bag(rig.write(tmp_path / "bag", streams), joint_name="elbow")
+    rig.assert_same(recording)
+    assert recording.issues == ()
+
+
+def test_several_joints_without_names_are_refused(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/measured/joint_states"].items[3] = rig.joint_message(rig.stamp_ns[3], [0.1, 0.2], [], ())
+    with pytest.raises(BadInput, match="joint_states holds 2 joints without names"):
+        read_bag(rig.write(tmp_path / "bag", streams))
 
 
 def test_joint_states_without_effort_or_names(rig: FakeRig, tmp_path: Path) -> None:
@@ -325,3 +349,16 @@ def test_what_nodes_said_about_their_rigs(rig: FakeRig, tmp_path: Path, storage:
 def test_a_text_that_is_none_is_passed_over(rig: FakeRig, tmp_path: Path, data: bytes) -> None:
     streams = rig.streams() | {"/pam/rig": Stream("std_msgs/msg/String", [(FIRST_NS, data)])}
     assert read_bag(rig.write(tmp_path / "bag", streams)).rigs == ()
+
+
+def test_an_absolute_encoder_is_named_and_unwrapped_on_request(rig: FakeRig, tmp_path: Path) -> None:
+    rig.angle = 0.3 * np.sin(0.3 * np.arange(rig.size))
+    streams = rig.streams()
+    streams["/pam/measured/joint_states"].items = [
+        rig.joint_message(stamp, [angle % (2.0 * np.pi)], [torque])
+        for stamp, angle, torque in zip(rig.stamp_ns, rig.angle, rig.torque, strict=True)
+    ]
+    bag = rig.write(tmp_path / "bag", streams)
+    with pytest.raises(BadInput, match="jumps by a turn, as of an absolute encoder.*type --unwrap-angle"):
+        read_bag(bag)
+    np.testing.assert_allclose(read_bag(bag, corrections=Corrections(unwrap_angle=True)).angle, rig.angle, atol=1e-12)

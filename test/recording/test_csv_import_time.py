@@ -65,7 +65,8 @@ def test_a_gap_is_kept_and_said(lab: Lab) -> None:
     times = np.concatenate([np.arange(50), 60 + np.arange(50)]) * 0.01
     recording = at(lab, times).read()
     assert np.diff(recording.stamp_ns).max() == 110_000_000
-    (said,) = recording.issues
+    hole, said = recording.issues
+    assert (hole.kind, hole.size, round(hole.length_s, 3)) == ("hole", 10, 0.11)
     assert said == (
         "1 of 99 intervals between rows are no 10 ms, the longest (110 ms) before line 52: times kept as they are"
     )

@@ -91,6 +91,25 @@ def test_a_joint_that_yields_is_judged_by_the_spring_and_damper_asked_for(tmp_pa
         Demo.of(replay(dataclasses.replace(recording, external_torque=None), rig), Mode.IMPEDANCE, Simulated(0.0, 1))
 
 
+def test_a_stop_for_safety_is_the_first_line(rig: Rig, recording: Recording, tmp_path: Path) -> None:
+    reason = "controller: the estimated angle is +0.574 rad, beyond 0.4538 rad (+32.9 deg; the limit is 26.0 deg)"
+    demo = Demo.of(replay(recording, rig), Mode.ANGLE, Simulated(0.02, 7), stopped=reason)
+    said = f"Stopped for safety by the {reason}"
+    assert " ".join(terminal.render(summary(demo)).split()).startswith(said)
+    write_report(tmp_path, demo, with_figures=False)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    first = page.index("<p", page.index("<h1"))
+    assert said in page[first : first + 300], "before all else"
+    assert "followed steps" not in page
+    assert json.loads((tmp_path / "report.json").read_text())["demo"]["stopped_for_safety"] == reason
+
+
+def test_a_joint_without_commands_is_no_bad_controller(rig: Rig, recording: Recording) -> None:
+    held = dataclasses.replace(recording, voltage=np.full_like(recording.voltage, 5.5))
+    shown = terminal.render(summary(Demo.of(replay(held, rig), Mode.ANGLE, Simulated(0.02, 7))))
+    assert shown.startswith("The joint had no commands: in 100.0 % of the samples the valves had the safe commands.")
+
+
 def test_without_a_reference_there_is_nothing_to_judge(rig: Rig, free: Recording) -> None:
     with pytest.raises(BadInput, match="no reference"):
         Demo.of(replay(free, rig), Mode.ANGLE, Simulated(0.0, 0))

@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.report import identify_findings
+from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.report import identify_episodes, identify_findings
 from pam_antagonist.report.held_out import HeldOut
+from pam_antagonist.rig import load_rig
 
 
-def held_out(before: float, now: float) -> Any:
-    """A held-out part whose angle has these errors [°]."""
+def held_out(before: float, now: float, alone: tuple[float, float] = (1.0, 1.0), nis: float = 2.0) -> Any:
+    """A held-out part whose angle has these errors [°] with the filter, and with the model alone."""
 
-    def figures(rmse: float) -> SimpleNamespace:
-        errors = ChannelErrors("deg", rmse, 2.0 * rmse, 0.1, 0.95)
-        return SimpleNamespace(ukf=SimpleNamespace(angle=errors, torque=None))
+    def figures(rmse: float, model: float) -> SimpleNamespace:
+        both = (
+            ChannelErrors("deg", value, 2.0 * value, 0.1 if math.isfinite(value) else value, 0.95)
+            for value in (rmse, model)
+        )
+        ukf, model_alone = (SimpleNamespace(angle=item, torque=None) for item in both)
+        model_alone.pressure = SimpleNamespace(rmse_pa=(1e3 * model, 1e3 * model))
+        return SimpleNamespace(ukf=ukf, model_alone=model_alone, innovation=SimpleNamespace(nis_mean=nis))
 
     joint = SimpleNamespace(condition="free")
-    return HeldOut("lab/free", 20.0, joint, figures(before), figures(now), None)  # type: ignore[arg-type]
+    parts = (figures(before, alone[0]), figures(now, alone[1]))
+    return HeldOut("lab/free", 20.0, joint, *parts, None)  # type: ignore[arg-type]
+
+
+def parameter(name: str, value: float, bound: float | None = None) -> Any:
+    return SimpleNamespace(name=name, value=value, bound=bound, unit="-")
 
 
 @pytest.mark.parametrize(("before", "now", "said"), [(0.15, 0.43, 1), (0.15, 0.16, 0), (0.15, 0.05, 0)])
@@ -31,3 +44,44 @@ def test_a_rig_that_became_worse_is_a_warning(before: float, now: float, said: i
     assert identify_findings.lacks_an_effect(report) == bool(said)
     for item in found:
         assert item.status == "warn" and "0.43°" in item.text and "close_loop" in item.text
+
+
+MET = [parameter("friction.shaft", 1.0, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("part", "options", "said"),
+    [
+        (held_out(0.15, 0.05), {}, ""),
+        (held_out(8.4, 18.0), {}, "the filter's angle error is 18°, with the rig file as given 8.4°"),
+        (held_out(0.15, 0.16, (1.0, 1.3)), {}, "the filter's angle error is 0.16°"),
+        (held_out(0.15, 0.15, (1.0, math.inf)), {}, "diverges on the held-out part of lab/free"),
+        (held_out(0.15, 0.15, nis=math.nan), {}, "diverges on the held-out part of lab/free"),
+        (held_out(0.15, 0.05), {"refused": "gas.k: wrong"}, "the values that fit best are impossible (gas.k: wrong)"),
+        (held_out(0.15, 0.10), {"parameters": MET}, "ended at a bound of friction.shaft (1.00 -)"),
+        (held_out(0.15, 0.01, (1.0, 0.1)), {"parameters": MET}, ""),
+        (held_out(0.15, 0.01, (1.0, 0.1)), {"parameters": MET, "declared": {"friction.shaft"}}, "friction.shaft"),
+        (held_out(0.15, 0.10), {"parameters": [parameter("friction.shaft", 0.0, 0.0)]}, ""),
+    ],
+)
+def test_a_fit_that_did_not_work_says_so(part: Any, options: dict[str, Any], said: str) -> None:
+    found = identify_findings.rejection([part], **options)
+    assert said in found and bool(found) == bool(said)
+    assert "\n" not in found
+
+
+def test_a_filter_that_is_worse_than_the_model_alone_is_a_warning() -> None:
+    (found,) = identify_findings._against_model(held_out(9.0, 8.4, (3.0, 2.6)))
+    assert found.status == "warn" and "8.4°" in found.text and "2.6°" in found.text
+    assert identify_findings._against_model(held_out(9.0, 2.6, (3.0, 2.6))) == []
+
+
+@pytest.mark.parametrize(("later", "said"), [(0.5, ""), (1.1, ""), (1.5, "on later episodes is 1.50°, with the rig")])
+def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: str) -> None:
+    errors = {name: (Interval(value, 0.0, 9.0),) * 2 for name, value in (("as configured", 1.0), ("identified", later))}
+    rig = load_rig("shin2022_regulators", regulators=True)
+    found: Any = SimpleNamespace(rig=rig, errors=errors)
+    rejected = identify_episodes.rejection(found)
+    assert said in rejected and bool(rejected) == bool(said)
+    found.rig = rig.replaced(joint=rig.joint.replaced(inertia=-1.0))
+    assert "impossible (joint.inertia" in identify_episodes.rejection(found)

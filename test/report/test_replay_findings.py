@@ -188,3 +188,12 @@ def test_overview_has_a_row_for_each_recording(report: ReplayReport) -> None:
     rows = overview([report, silent]).rows
     assert rows[0] == ("lab/first", "free", "0.500", "1.00", "97.0 %", "0.100", "0.100", "95.0 %")
     assert rows[1][2:] == ("–",) * 6
+
+
+def test_a_model_that_diverged_has_no_error_that_is_a_number(report: ReplayReport) -> None:
+    measured, value = np.linspace(0.0, 1.0, 9), np.array([*np.linspace(0.0, 1.0, 8), np.nan])
+    lost = channel_errors(measured, value, "deg")
+    assert lost is not None and lost.rmse == lost.largest == np.inf
+    now = replace(report, model_alone=replace(report.model_alone, angle=lost))
+    assert "The model alone diverges: this rig file does not describe the joint." in said(now, "warn")
+    assert "×" not in said(now, "warn")

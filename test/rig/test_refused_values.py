@@ -43,8 +43,8 @@ CASES = {
     "yes for a number": (("stiffness: 4.117e-4", "stiffness: yes"), ["joint.stiffness", "expected a number"]),
     "pressure floor in kPa": (("pressure_floor: 20.0e+3", "pressure_floor: 20.0"), ["friction.pressure_floor", "[Pa]"]),
     "noise in kPa": (("pressure_std: 600.0", "pressure_std: 0.6"), ["sensors.pressure_std", "[Pa]"]),
-    "an uncertainty that allows negative values": (
-        ("friction.shaft: 0.004 ", "friction.shaft: 0.1 "),
+    "an uncertainty above the value of a positive number": (
+        ("friction.shaft: 0.004 ", "friction.shaft: 0.3 "),
         ["uncertainty of friction.shaft", "cannot be negative"],
     ),
     "a gain that does not exist": (("gain: standard", "gain: optimal"), ["tunings.published.gain", "printed"]),

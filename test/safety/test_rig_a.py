@@ -11,7 +11,7 @@ import pytest
 
 from pam_antagonist.estimation import EstimateRun, Estimator
 from pam_antagonist.nodes.controller import PARAMETERS as CONTROLLER
-from pam_antagonist.nodes.parameters import VALVE_OWNER
+from pam_antagonist.nodes.parameters import VALVE_OWNER, by_rig
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.rig import load_rig
 from pam_antagonist.safety import EstimateSupervision, PressureSupervision, frozen_time
@@ -22,7 +22,7 @@ CASES = sorted(path.parent.name + "/" + path.name for path in DATA.glob("*/*") i
 CHOSEN = (
     CASES if os.environ.get("PAM_PROOF") else [case for case in CASES if case in ("nominal/locked", "case_leak/free")]
 )
-DEFAULT = {parameter.name: parameter.default for parameter in (*VALVE_OWNER, *CONTROLLER)}
+DEFAULT = by_rig({parameter.name: parameter.default for parameter in (*VALVE_OWNER, *CONTROLLER)}, load_rig("shin2022"))
 
 pytestmark = pytest.mark.skipif(not CASES, reason=f"the recordings of rig A are not at {DATA}")
 

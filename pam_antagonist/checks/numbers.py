@@ -1,0 +1,157 @@
+"""Zeros, scale and delays that were given, or are in the rig file: does the recording agree better without them?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from pam_antagonist.checks.prediction import Prediction, correlation, from_pressures, in_steps, predicted, ratio_to
+from pam_antagonist.checks.wiring import GOES_WITH, Finding
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.recording.plausible import MAX_PRESSURE, MIN_PRESSURE
+from pam_antagonist.rig import Rig
+
+_BETTER = 0.5
+"""A number makes it wrong if the difference from the model is at most this share without it."""
+_ZERO_ANGLE, _ZERO_TORQUE, _SCALE = math.radians(3.0), 0.1, 1.25
+"""[rad], [range of the model's torque], [-]: smaller differences from the model may be errors of the rig file."""
+_CHANNEL = {"delay_angle": "angle", "delay_torque": "torque"}
+
+
+def without_delays(
+    recording: Recording, rig: Rig, joint: str, lock_angle: float, now: Corrections
+) -> tuple[list[Finding], Corrections]:
+    """Delays that make it worse, and the corrections without them.
+
+    Args:
+        recording: without corrections.
+        rig: the rig.
+        joint: ``free`` or ``locked``.
+        lock_angle: of a locked joint [rad].
+        now: corrections, with all numbers as given.
+    """
+    out = []
+    for name in ("delay_voltage", "delay_pressure", "delay_angle", "delay_torque"):
+        value = getattr(now, name)
+        channel = _CHANNEL.get(name)
+        if not value or (channel is not None and getattr(recording, channel) is None):
+            continue
+        other = changed(now, {name: 0.0})
+        for by_steps in (False, True):
+            given, left = (
+                _agreement(each, recording, rig, joint, lock_angle, channel, by_steps) for each in (now, other)
+            )
+            if max(given, left) >= GOES_WITH:
+                break
+        if 1.0 - left**2 < _BETTER * (1.0 - given**2):
+            what = f"the {channel or 'pressures'} agree{'s' * (channel is not None)} better with the model"
+            text = f"{what} without the delay of {1e3 * value:.3g} ms (correlation {left:.3f}, with it {given:.3f})"
+            out.append(finding(name, now, rig, text))
+            now = other
+    return out, now
+
+
+def without_zeros(
+    recording: Recording, model: Prediction, rig: Rig, joint: str, now: Corrections
+) -> tuple[list[Finding], Corrections]:
+    """Zeros and a scale that make it worse, and the corrections without them.
+
+    Args:
+        recording: without corrections.
+        model: prediction for it.
+        rig: the rig.
+        joint: ``free`` or ``locked``.
+        now: corrections, of which units and signs are right.
+    """
+    out = []
+    for name, neutral in (("torque_scale", 1.0), ("encoder_zero", 0.0), ("torque_zero", 0.0)):
+        value = getattr(now, name)
+        channel = "angle" if name == "encoder_zero" else "torque"
+        recorded, expected = getattr(recording, channel), getattr(model, channel)
+        if value == neutral or recorded is None or (channel == "angle" and joint == "locked"):
+            continue
+        other = changed(now, {name: neutral})
+        given, left = (getattr(each, channel)(recorded[model.rows]) for each in (now, other))
+        if not np.isfinite(given - expected).any():
+            continue
+        if name == "torque_scale":
+            sizes = [ratio_to(values, expected) for values in (given, left)]
+            wrong = [abs(math.log(max(size, 1e-300))) for size in sizes]
+            bound, shown = math.log(_SCALE), [f"{size:.3g} times the model's" for size in sizes]
+        else:
+            sizes = [float(np.nanmean(values - expected)) for values in (given, left)]
+            wrong = [abs(size) for size in sizes]
+            bound = (
+                _ZERO_ANGLE if channel == "angle" else _ZERO_TORQUE * float(np.nanmax(expected) - np.nanmin(expected))
+            )
+            shown = [f"{np.degrees(s):+.1f} deg off" if channel == "angle" else f"{s:+.3g} N m off" for s in sizes]
+        if wrong[0] > bound and wrong[1] <= _BETTER * wrong[0]:
+            text = f"the {channel} is {shown[0]} on average, and {shown[1]} without the {name.replace('_', ' ')} of "
+            size = math.degrees(value) if channel == "angle" else value
+            out.append(finding(name, now, rig, f"{text}{size:.3g}{' deg' * (channel == 'angle')}"))
+            now = other
+    return out, now
+
+
+def finding(name: str, now: Corrections, rig: Rig, text: str) -> Finding:
+    """That a number makes it worse, and where it comes from: the command line, or the rig file.
+
+    Args:
+        name: of the number, a field of ``Corrections``.
+        now: corrections with the number.
+        rig: the rig.
+        text: the observation.
+    """
+    value = getattr(now, name)
+    if value == dict(rig.calibration).get(name):
+        return Finding("doubtful", f"{text}: it is calibration.{name} of the rig file")
+    return Finding("doubtful", text, (), tuple(changed(Corrections(), {name: value}).options()))
+
+
+def changed(now: Corrections, values: Mapping[str, Any]) -> Corrections:
+    """Corrections with other values, by name."""
+    return replace(now, **values)
+
+
+def delays_of(now: Corrections) -> Corrections:
+    """Only the delays of corrections."""
+    kept = {name: value for name, value in now.calibration().items() if name.startswith("delay_")}
+    return changed(Corrections(), kept)
+
+
+def without_calibration(now: Corrections, rig: Rig) -> Corrections:
+    """Corrections without those that the rig file has anyway, for the command line."""
+    known = dict(rig.calibration)
+    default = {item.name: item.default for item in fields(Corrections)}
+    own = {name: default[name] for name in known if getattr(now, name) == known[name]}
+    return changed(now, own)
+
+
+def _agreement(
+    now: Corrections, recording: Recording, rig: Rig, joint: str, lock_angle: float, channel: str | None, by_steps: bool
+) -> float:
+    """Best correlation of the pressures, or magnitude of that of another channel, with the model.
+
+    By steps, the model of the pressures begins anew at measured ones, and that of angle and torque rests under them.
+    """
+    delayed = delays_of(now).arranged(recording)
+    pascal = replace(delayed, pressure=now.pressure(delayed.pressure))
+    if by_steps and channel is None:
+        steps = [in_steps(pascal, rig, joint, lock_angle, crossed) for crossed in (False, True)]
+        return max(min(correlation(one[:, i], other[:, i]) for i in (0, 1)) for one, other in steps)
+    if by_steps:
+        model = from_pressures(pascal, rig, joint, lock_angle)
+    else:
+        known_start = MIN_PRESSURE <= float(np.nanmedian(pascal.pressure)) <= MAX_PRESSURE
+        model = predicted(pascal, rig, joint, lock_angle, known_start)
+    if channel is None:
+        return max(
+            min(correlation(delayed.pressure[model.rows, (i + shift) % 2], model.pressure[:, i]) for i in (0, 1))
+            for shift in (0, 1)
+        )
+    return abs(correlation(getattr(delayed, channel)[model.rows], getattr(model, channel)))

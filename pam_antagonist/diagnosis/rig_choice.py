@@ -1,0 +1,221 @@
+"""Which rig files a diagnosis writes, and which one it proposes: as configured, recalibrated or extended.
+
+All are compared on the same held-out data, by the filter and by the model alone. The best one is proposed, if the
+filter is better with it than with the user's own file. One that is worse in anything, and not better, is not written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from joblib import Parallel, delayed
+
+from pam_antagonist.diagnosis import held_out
+from pam_antagonist.diagnosis.agreement import common_point
+from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.errors import Errors, RigErrors, total_of
+from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
+from pam_antagonist.diagnosis.result import MODELS, Diagnosis, HeldOutComparison, RecordingEntry
+from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE, MARGIN
+from pam_antagonist.inference import calibration
+from pam_antagonist.inference.point import Point
+from pam_antagonist.rig import Rig
+
+_HALF = 0.5
+"""Parameters that were fitted without the effect that is there were fitted to anything: every error has to halve."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigFile:
+    """A rig file that may be written.
+
+    Attributes:
+        name: of the file.
+        rig: its content.
+        number: of the recording whose own values these are; None: it is for all recordings.
+        before: errors on held-out data as configured; None where nothing of this recording was held out.
+        now: with this file; None likewise.
+    """
+
+    name: str
+    rig: Rig
+    number: int | None
+    before: RigErrors | None
+    now: RigErrors | None
+
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Errors that are larger than as configured, in words."""
+        return () if self.before is None or self.now is None else self.before.larger(self.now, MARGIN)
+
+    @property
+    def ratio(self) -> float:
+        """Errors with this file over those as configured, see :meth:`RigErrors.ratio`."""
+        return 1.0 if self.before is None or self.now is None else self.before.ratio(self.now)
+
+    @property
+    def gain(self) -> str:
+        """The error that matters most, with this file and as configured, in words."""
+        return "" if self.before is None or self.now is None else self.before.in_words(self.now)
+
+    def is_better(self, explained: bool) -> bool:
+        """Whether the file may be proposed.
+
+        Args:
+            explained: whether it has what explains the recordings: an effect, or nothing more.
+        """
+        if self.before is None or self.now is None:
+            return False
+        if not explained:
+            return not self.before.larger(self.now, _HALF)
+        return self.ratio * MARGIN < 1.0 and not self.before.larger(self.now, MARGIN, ESTIMATOR_WORSE)
+
+    def is_fit(self, explained: bool) -> bool:
+        """Whether the file may be written: nothing is worse with it, or it is better in all.
+
+        Args:
+            explained: as for :meth:`is_better`.
+        """
+        return not self.worse or self.is_better(explained)
+
+
+@dataclass(frozen=True, eq=False)
+class RigChoice:
+    """The rig files of a diagnosis.
+
+    Attributes:
+        files: that are written, those for all recordings first.
+        proposed: the one to use; None: keep the rig file that there is.
+        no_common: why there is no rig_extended.yaml, in a sentence; empty if there is one.
+    """
+
+    files: tuple[RigFile, ...]
+    proposed: RigFile | None
+    no_common: str
+
+
+def rig_errors(
+    prepared: Prepared,
+    models: Mapping[str, Sequence[tuple[Group, Model, Mapping[str, float]]]],
+    rigs: Mapping[str, Rig],
+    compared: Sequence[HeldOutComparison],
+    entries: Sequence[RecordingEntry],
+    settings: Settings,
+) -> dict[str, RigErrors]:
+    """Errors on held-out data with one rig for all recordings: as configured, recalibrated and extended.
+
+    Args:
+        prepared: the recordings.
+        models: by name: each group of recordings, its model, and values of its effects for one rig, by dotted path.
+        rigs: by name: the rig for all recordings.
+        compared: the recordings, or parts of them, with their models.
+        entries: what was said of each recording.
+        settings: of the diagnosis.
+    """
+    totals = held_out.total_errors(compared, entries)
+    samples = {part.number: int(part.experiment.held_samples.sum()) for part in compared if part.judges}
+
+    def own(name: str) -> RigErrors:
+        ukf = [(entries[k].ukf, count) for k, count in sorted(samples.items())]
+        each = [(None if errors is None else getattr(errors, name), count) for errors, count in ukf]
+        return RigErrors.total(getattr(totals, name), each)
+
+    def common(name: str) -> RigErrors:
+        parts = _parts_of_one_rig(models[name])
+
+        def errors(part: HeldOutComparison) -> tuple[Errors, Errors | None]:
+            alone, recording = held_out.model_errors(part, "extended", rigs[name]), prepared.recordings[part.number]
+            if not settings.estimator:
+                return alone, None
+            given = held_out.corrected(recording, part, "extended")
+            return alone, held_out.estimator_errors(*given, rigs[name]).errors
+
+        found = Parallel(n_jobs=settings.jobs, prefer="threads")(delayed(errors)(part) for part in parts)
+        counts = [int(part.experiment.held_samples.sum()) for part in parts]
+        filters = [(ukf, count) for (_, ukf), count in zip(found, counts, strict=True)]
+        return RigErrors.total(total_of([alone for alone, _ in found], counts), filters)
+
+    # One recording's own values are those of the rig for all.
+    return {name: own(name) if prepared.fitted == 1 or name not in models else common(name) for name in MODELS}
+
+
+def _parts_of_one_rig(groups: Sequence[tuple[Group, Model, Mapping[str, float]]]) -> list[HeldOutComparison]:
+    """The recordings that are judged, in their order, with the values for all of them."""
+    parts: dict[int, HeldOutComparison] = {}
+    for group, model, effects in groups:
+        common = common_point(group.experiments, model, effects)
+        # Zeros, scales and late stamps belong to a recording, not to the rig.
+        runs = [
+            (experiment, number, Point(common.theta, {**common.effects, **_calibrations(fitted.point)}))
+            for experiment, number, fitted in zip(group.experiments, group.numbers, model.fits, strict=True)
+        ]
+        if group.held_out:
+            runs = [(other, number, common) for number, other in enumerate(group.held_out, len(group.experiments))]
+        for experiment, number, point in runs:
+            points = {"extended": experiment.started(point)}
+            parts.setdefault(number, HeldOutComparison(experiment.free_run, points, "both", number))
+    return [parts[number] for number in sorted(parts)]
+
+
+def _calibrations(point: Point) -> dict[str, float]:
+    return {dotted: value for dotted, value in point.effects.items() if calibration.is_calibration(dotted)}
+
+
+def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> RigChoice:
+    """Decide which rig files are written, and which one is proposed.
+
+    Args:
+        found: the diagnosis.
+        name: of the rig as configured.
+        refusal: why no command would read a file; empty if all would.
+    """
+    errors, explained = found.of_one_rig, found.verdict != "unexplained"
+    given = errors["as_configured"]
+    extended = RigFile("rig_extended.yaml", found.rig_extended, None, given, errors["extended"])
+    recalibrated = RigFile("rig_recalibrated.yaml", found.rig_recalibrated, None, given, errors["recalibrated"])
+    own = _own(found)
+    no_common = _apart(found) if own else ""
+    common = [] if no_common else [extended, recalibrated] if found.effects else [extended]
+    if common and not extended.is_fit(explained):
+        what = "the recalibrated rig" if not found.effects else "one rig for all recordings" if own else "this rig"
+        no_common = f"{what} would be worse than {name} ({'; '.join(extended.worse)})"
+    elif common and (why := refusal(extended)):
+        no_common = f"no command would read it ({why})"
+    elif common and not explained and not extended.is_better(explained):
+        no_common = f"nothing is explained, and the recalibrated rig does not halve every error of {name}"
+    common = [file for file in common if not (no_common if file is extended else refusal(file))]
+    better = [file for file in common if file.is_better(explained and file is extended)]
+    proposed = min(better, key=lambda file: file.ratio, default=None)
+    own = [file for file in own if file.is_fit(explained) and not refusal(file)] if explained or not no_common else []
+    if proposed is None and no_common:
+        shows = {recording for effect in found.effects for recording in effect.recordings}
+        alone = (file for file in own if file.is_better(explained))
+        proposed = next((file for file in alone if found.by_recording[file.number or 0].recording in shows), None)
+    written = [file for file in common if file in (extended, proposed)]
+    return RigChoice((*written, *own), proposed, no_common)
+
+
+def _own(found: Diagnosis) -> list[RigFile]:
+    """The rig of each of several recordings."""
+    out = []
+    for number, (_, rig) in enumerate(found.own if len(found.own) > 1 else ()):
+        entry = found.by_recording[number]
+        before, now = (
+            None if entry.errors is None else RigErrors(
+                getattr(entry.errors, model), None if entry.ukf is None else getattr(entry.ukf, model)
+            )
+            for model in ("as_configured", "extended")
+        )  # fmt: skip
+        out.append(RigFile(f"rig_extended_{number + 1}.yaml", rig, number, before, now))
+    return out
+
+
+def _apart(found: Diagnosis) -> str:
+    """Why no rig can have what was found, since the recordings show an effect on different muscles; else empty."""
+    for number, one in enumerate(found.effects):
+        for other in found.effects[number + 1 :]:
+            if one.name == other.name and not set(one.recordings) & set(other.recordings):
+                each = (f"on muscle {item.muscle} in {', '.join(item.recordings)}" for item in (one, other))
+                return f"no rig suits all recordings: {one.name} is {' and '.join(each)}"
+    return ""

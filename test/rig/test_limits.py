@@ -1,0 +1,139 @@
+"""How far a joint may go and where it rests, by its rig file: the paper's numbers belong to the paper's joint alone."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from pam_antagonist.cli import new_rig
+from pam_antagonist.cli.demo_steps import MODEL, law_of, task
+from pam_antagonist.control import Box, Mode, Reachable
+from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes import controller, plant
+from pam_antagonist.nodes.parameters import Parameter, by_rig
+from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.limits import angle_range
+from pam_antagonist.safety import EstimateSupervision, Following
+from pam_antagonist.simulation import excitation
+from pam_antagonist.simulation.plant import Plant
+
+COMMON = {
+    "inertia": "0.002", "mass": "0.4kg", "nominal-length": "200mm", "length": "187mm", "muscle": "DMSP-10",
+}  # fmt: skip
+RIGS = {
+    "lever": {"radius": "20mm", "supply": "6bar", "valve": "MPYE-5-M5", "stop": "40deg", "rate": "500"},
+    "pulley": {"kind": "pulley", "radius": "15mm", "supply": "2.5bar", "valve": "own", "valve-flow": "100",
+               "voltage": "0:5", "stop": "30deg"},
+    "slow": {"kind": "pulley", "radius": "16mm", "supply": "7bar", "drive": "regulator", "regulator": "ITV2050",
+             "regulator-time": "0.11", "stop": "38deg", "rate": "50"},
+    "no_stop": {"radius": "20mm", "supply": "5bar", "drive": "regulator", "regulator": "VEAA-D2"},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
+    """Rigs of ``new_rig`` that are not of the paper's size."""
+    folder: Path = tmp_path_factory.mktemp("rigs")
+    for name, answers in RIGS.items():
+        words = (word for key, value in {**COMMON, **answers}.items() for word in (f"--{key}", value))
+        assert new_rig.main(["--out", str(folder / f"{name}.yaml"), "--name", name, *words]) == 0
+    return {name: load_rig(folder / f"{name}.yaml", regulators=True) for name in RIGS}
+
+
+def defaults(table: tuple[Parameter, ...], rig: Rig) -> dict:
+    return by_rig({parameter.name: parameter.default for parameter in table}, rig)
+
+
+def test_of_the_paper_s_joint_the_limits_are_the_paper_s() -> None:
+    values = defaults(controller.PARAMETERS, load_rig("shin2022"))
+    assert values["stop_angle"] == pytest.approx(math.radians(26.0))
+    assert values["max_angle"] == pytest.approx(math.radians(25.0))
+    assert values["max_torque"] == pytest.approx(3.2, abs=0.01)
+    assert (values["safe_voltage"], values["bias"], values["vent_voltage"]) == ([5.5, 5.5], 5.5, [0.0, 0.0])
+    assert values["max_age"] == 0.02
+    assert defaults(plant.PARAMETERS, load_rig("shin2022"))["initial_pressure"] == [450e3, 450e3]
+    assert excitation.for_rig(load_rig("shin2022"), "paper", 4.0, 0)[0, 0] == 5.5
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_of_another_joint_they_are_those_of_its_file(name: str, rigs: dict[str, Rig]) -> None:
+    rig = rigs[name]
+    values = defaults(controller.PARAMETERS, rig)
+    stop = rig.joint.stop if rig.joint.stop is not None else math.radians(25.0)
+    watched = EstimateSupervision(values["stop_angle"], 0.01, 13.8, 0.1, 0.1, rig.sample_period)
+    stamps = range(0, 10**9, round(rig.sample_period * 1e9))
+    assert not any(watched.check(stamp, 0.99 * stop, 1.0, 0) for stamp in stamps), "the joint may go to its stop"
+    said = [watched.check(10**9 + stamp, -stop - 0.03, 1.0, 0) for stamp in stamps][-1]
+    assert f"the limit is {math.degrees(stop) + 1.0:.1f} deg" in said
+    assert values["max_angle"] == stop
+    assert values["max_age"] >= 3 * rig.sample_period
+    source = defaults(plant.PARAMETERS, rig)
+    assert source["command_timeout"] >= 3 * rig.sample_period
+    first, second = source["initial_pressure"]
+    assert first == second and rig.atmosphere.pressure < first < rig.supply.pressure
+    if rig.drive == "valve":
+        low, high = rig.command_limits
+        assert all(low < voltage < high for voltage in (*source["safe_voltage"], values["bias"]))
+        still = Plant(rig, noise=False)
+        for _ in range(round(2.0 / rig.sample_period)):
+            sample = still.step(tuple(source["safe_voltage"]))
+        assert sample.pressure == pytest.approx((first, second), rel=0.03), "the safe voltages keep the pressures"
+        assert excitation.for_rig(rig, "paper", 4.0)[0, 0] == pytest.approx(source["safe_voltage"][0], abs=0.3)
+
+
+def test_the_valves_of_a_slow_rig_may_follow_a_sample_behind() -> None:
+    """At 50 Hz a ramp of the command over four samples is no disobedience; a command that is ignored is one."""
+    period, following = 0.02, Following((400e3, 400e3), 25e3, 0.02)
+    said = []
+    for look in range(4 * 40):
+        now, sample = round(look * period / 4 * 1e9), look // 4
+        command, valves = (400e3 + 30e3 * min(max(k, 0), 4) for k in (sample, sample - 1))
+        following.saw((valves, valves), now)
+        said.append(following.astray((command, command), now))
+    assert not any(said)
+    late = [following.astray((700e3, 700e3), round((1.0 + 0.005 * k) * 1e9)) for k in range(40)]
+    assert not any(late), "valves that were not heard of for long are not known"
+    for k in range(40):
+        following.saw((400e3, 400e3), round((2.0 + 0.005 * k) * 1e9))
+        late.append(following.astray((700e3, 700e3), round((2.0 + 0.005 * k) * 1e9)))
+    assert any(late)
+
+
+def test_what_was_given_is_not_changed(rigs: dict[str, Rig]) -> None:
+    values = {"stop_angle": 0.2, "safe_voltage": [-1.0, 3.0], "command_timeout": 0.5}
+    assert by_rig(values, rigs["lever"]) == {**values, "safe_voltage": [4.79, 3.0]}
+
+
+def test_a_value_below_the_range_is_refused_unless_it_leaves_it_to_the_rig_file() -> None:
+    (timeout,) = (parameter for parameter in plant.PARAMETERS if parameter.name == "command_timeout")
+    assert timeout.check(0.0) == 0.0
+    with pytest.raises(BadInput, match=r"from 0.002 to 1, or 0"):
+        timeout.check(0.001)
+    (bias,) = (parameter for parameter in controller.PARAMETERS if parameter.name == "bias")
+    with pytest.raises(BadInput, match=r"from 0 to 10, or -1"):
+        bias.check(-0.5)
+
+
+@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("mode", [Mode.ANGLE, Mode.TORQUE, Mode.ANGLE_STIFFNESS])
+def test_a_demo_asks_for_what_the_joint_reaches(name: str, mode: Mode, rigs: dict[str, Rig]) -> None:
+    rig = rigs[name]
+    law = law_of(rig, mode, None)
+    assert law == MODEL, "the gains of the PI are the paper's joint's"
+    steps = task(rig, mode, law, 12.0).references
+    reach = Reachable(rig.parameters(), Box.of(rig.parameters()))
+    for _, value, stiffness in steps:
+        asked = reach.nearest(mode, value, stiffness)
+        assert asked[0] == value and asked[1] == pytest.approx(stiffness, rel=0.02, nan_ok=True)
+    largest = max(value for _, value, _ in steps)
+    assert largest >= 0.3 * (angle_range(rig) if mode is not Mode.TORQUE else reach.torques(0.0)[1])
+
+
+def test_gains_of_voltages_are_refused_for_a_joint_without_them(rigs: dict[str, Rig]) -> None:
+    with pytest.raises(BadInput, match="--gains fast"):
+        law_of(rigs["slow"], Mode.ANGLE, "fast")
+    assert law_of(load_rig("shin2022"), Mode.ANGLE, None) == "fast"
+    assert law_of(load_rig("shin2022"), Mode.ANGLE, "published") == "published"
+    assert law_of(rigs["lever"], Mode.ANGLE, "fast") == "fast"
