@@ -36,6 +36,9 @@ def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
         bag: a recording or its bag.
         rig: of the recording.
         also: required further signals.
+
+    Raises:
+        BadInput: neither a recording nor the path of a bag, or a bag that cannot be read.
     """
     if isinstance(bag, _Recording):
         return bag
