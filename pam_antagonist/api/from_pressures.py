@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from typing_extensions import override
+
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.filter_stage import Given
-from pam_antagonist.identification.from_pressures import FromPressures
+from pam_antagonist.identification.from_pressures import FromPressures, is_for
 from pam_antagonist.identification.from_pressures import identify as _identify
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
@@ -17,14 +19,17 @@ from pam_antagonist.recording import recording_hash
 from pam_antagonist.report import html, terminal
 from pam_antagonist.report import identify_from_pressures as pages
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.write import write_rig, write_unread
+from pam_antagonist.shown import Shown
+
+__all__ = ["PressuresIdentifyResult", "identified", "is_for"]
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@dataclass(frozen=True, eq=False)
-class PressuresIdentifyResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class PressuresIdentifyResult(Shown):
     """A rig that was identified from measured pressures and motion.
 
     Attributes:
@@ -37,10 +42,19 @@ class PressuresIdentifyResult:
     found: FromPressures
     hashes: tuple[str, ...]
 
+    @override
+    def _brief(self) -> str:
+        return f"rig {self.rig.name}; .summary() has the errors"
+
     @property
     def rejected(self) -> str:
         """Why the identified rig should not be used, in a sentence; empty if it may."""
         return self.found.rejected
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know, the rejection first."""
+        return (*([self.rejected] if self.rejected else []), *self.found.notes)
 
     @property
     def report(self) -> Mapping[str, Any]:
@@ -51,12 +65,13 @@ class PressuresIdentifyResult:
         """The tables that the command prints."""
         return terminal.render(pages.summary(self.found))
 
-    def save(self, path: str | Path, figures: bool = True) -> Path:
+    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
         """Write ``rig.yaml``, ``report.html`` and ``report.json``; a rejected rig is ``rig_rejected.yaml``.
 
         Args:
             path: of a new folder.
             figures: False leaves the figures out of the page.
+            overwrite: whether an earlier result there is replaced.
 
         Returns:
             The folder.
@@ -68,9 +83,12 @@ class PressuresIdentifyResult:
         about = [f"By pam_antagonist identify, from rig {self.found.start.name} and {names}."]
         if self.rejected:
             about.insert(0, f"Do not use this rig. {self.rejected}")
-        with output_folder(Path(path)) as folder:
+        with output_folder(Path(path), overwrite=overwrite) as folder:
             html.write(folder, pages.document(self.found, self.hashes, figures), self.report)
-            write_rig(self.rig, folder / ("rig_rejected.yaml" if self.rejected else "rig.yaml"), about)
+            if self.rejected:
+                write_unread(self.rig, folder / "rig_rejected.yaml", about)
+            else:
+                write_rig(self.rig, folder / "rig.yaml", about)
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:

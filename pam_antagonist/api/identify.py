@@ -10,9 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pam_antagonist.api import episodes
+from typing_extensions import override
+
+from pam_antagonist.api import episodes, from_pressures
 from pam_antagonist.api.episodes import EpisodesIdentifyResult
-from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig
+from pam_antagonist.api.from_pressures import PressuresIdentifyResult
+from pam_antagonist.api.given import Bag, RigGiven, as_recordings
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed import SealedIdentified, identify_sealed
@@ -30,8 +33,9 @@ from pam_antagonist.report import identify_sealed as sealed
 from pam_antagonist.report.held_out import Judged, judge
 from pam_antagonist.report.identify_entries import IdentifyReport
 from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig, as_rig
 from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
+from pam_antagonist.shown import Shown
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -39,8 +43,8 @@ if TYPE_CHECKING:
 _Named = tuple[Recording, JointCondition, str]
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifyResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentifyResult(Shown):
     """An identified rig.
 
     Attributes:
@@ -63,6 +67,11 @@ class IdentifyResult:
     recordings: tuple[_Named, ...]
     seed: int = 0
 
+    @override
+    def _brief(self) -> str:
+        names = ", ".join(name for _, _, name in self.recordings)
+        return f"rig {self.rig.name} from {names}; {len(self.warnings)} warnings; .summary() has the errors"
+
     @property
     def rejected(self) -> str:
         """Why the identified rig should not be used, in a sentence; empty if it may."""
@@ -79,7 +88,7 @@ class IdentifyResult:
             return terminal.render(sealed.summary(self.report))
         return terminal.render(identify_document.summary(self.report))
 
-    def save(self, path: str | Path, figures: bool = True) -> Path:
+    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
         """Write ``rig.yaml``, ``report.html`` and ``report.json``, and ``rig_1.yaml`` ... for several recordings.
 
         A rejected rig is written as ``rig_rejected.yaml`` alone, of several recordings none.
@@ -87,6 +96,7 @@ class IdentifyResult:
         Args:
             path: of a new folder.
             figures: False leaves the figures out of the page.
+            overwrite: True replaces an earlier result there.
 
         Returns:
             The folder.
@@ -94,7 +104,7 @@ class IdentifyResult:
         Raises:
             BadInput: the folder exists, or cannot be written.
         """
-        with output_folder(Path(path)) as folder:
+        with output_folder(Path(path), overwrite=overwrite) as folder:
             self._write_rigs(folder)
             if isinstance(self.report, sealed.SealedReport):
                 sealed.write_report(folder, self.report, self.judged, with_figures=figures)
@@ -162,7 +172,7 @@ def identify(
     seed: int = 0,
     jobs: int = 2,
     progress: Callable[[str], None] | None = None,
-) -> IdentifyResult | EpisodesIdentifyResult:
+) -> IdentifyResult | EpisodesIdentifyResult | PressuresIdentifyResult:
     """Identify a rig: parameters with error bars, sensor noise, filter tuning.
 
     Args:
@@ -195,6 +205,14 @@ def identify(
     """
     chosen = as_rig(rig, regulators=True)
     given = as_recordings(recordings, chosen)
+    if not given:
+        raise BadInput("no recording: expected one at least")
+    if from_pressures.is_for(chosen):
+        named = [(one, joint_condition(one, joint, lock_angle), bag_name(one.path)) for one in given]
+        return from_pressures.identified(
+            [(one.driven_by(chosen.drive), state, name) for one, state, name in named], chosen, [*free, *freeze],
+            holdout, max(starts, 2), seed, jobs, progress,
+        )  # fmt: skip
     if episodes.are_given(given, chosen):
         return episodes.identified(given, chosen, [*free, *freeze], holdout, jobs, progress)
     read = [

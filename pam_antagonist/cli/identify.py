@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import cluster, common
@@ -70,7 +71,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.api import episodes
+    from pam_antagonist.api import episodes, from_pressures
     from pam_antagonist.api.identify import IdentifyResult, identify
     from pam_antagonist.cli.first_start import FITS, compile_first
     from pam_antagonist.report import terminal
@@ -81,19 +82,20 @@ def _run(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig, regulators=True)
     compile_first(FITS, rig)
     common.lock_angle(arguments)
-    for name in ("free", "freeze") if rig.valves.sealed else ():
+    for name in ("free", "freeze") if rig.valves.sealed or from_pressures.is_for(rig) else ():
         if getattr(arguments, name):
-            raise BadInput(
-                f"--{name}: which parameters of a sealed joint are fitted cannot be chosen; leave --{name} out"
-            )
+            which = "a sealed joint" if rig.valves.sealed else "a rig with model.force: braided"
+            raise BadInput(f"--{name}: which parameters of {which} are fitted cannot be chosen; leave --{name} out")
     recordings = given.read(arguments, rig)
-    if episodes.are_given(recordings, rig):
+    if not from_pressures.is_for(rig) and episodes.are_given(recordings, rig):
         return _of_episodes(arguments, rig, recordings)
     damage = given.damage(arguments, recordings)
     if damage:
         print(terminal.warnings(damage))
     plan = SEALED_IDENTIFY if rig.valves.sealed else IDENTIFY
-    with cluster.connected(arguments.dask), planned("identify", recordings, plan) as progress:
+    quick = from_pressures.is_for(rig)
+    how = nullcontext(said_by("identify")) if quick else planned("identify", recordings, plan)
+    with cluster.connected(arguments.dask), how as progress:
         found = identify(
             recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, free=arguments.free,
             freeze=arguments.freeze, holdout=arguments.holdout, starts=arguments.starts, seed=arguments.seed,

@@ -59,7 +59,7 @@ def _positive(path: str, rig: Rig, share: float, low: float = 0.0, high: float =
     return Unknown(path, (path,), rig.value(path), share, True, low, high)
 
 
-def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats, Floats]:
+def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Pressures (N, 2) [Pa] that a model gives for commands and measured motion, and the rows that are a start (N,).
 
     Args:

@@ -31,7 +31,7 @@ Given = tuple[Recording, JointCondition, str]
 
 UNKNOWN_TORQUE = "effects.load_torque.constant"
 _LEAST_RATE = 1e3
-"""[Pa] Least error of a predicted pressure over 10 ms: below it, errors of valves were taken for motions of the joint."""
+"""[Pa] Least error of a predicted pressure over 10 ms. Below it, a valve's error is taken for a motion of the joint."""
 _WITHIN_GATE = 0.7
 """Largest error of a predicted pressure in the fitted recordings, as a share of the distance that the gate allows."""
 _COVERED = 0.95
@@ -53,7 +53,8 @@ def with_process_noise(rig: Rig, runs: Sequence[Run], zero: float) -> Rig:
     errors, period = step_errors(rig, runs, zero)
     tuning = rig.tuning("default")
     # After a step a regulator's model errs by many standard deviations. The gate must not reject the measurement there.
-    size = max(float(np.std(errors)), float(np.max(np.abs(errors))) / (_WITHIN_GATE * tuning.gate)) if len(errors) else 0.0
+    largest = float(np.max(np.abs(errors), initial=0.0)) / (_WITHIN_GATE * tuning.gate)
+    size = max(float(np.std(errors)), largest) if len(errors) else 0.0
     rate = max(size * math.sqrt(0.01 / period), _LEAST_RATE)
     pressure = rate**2 * rig.sample_period / 0.01
     process = (tuning.process[0], tuning.process[1], pressure, pressure)

@@ -63,6 +63,25 @@ class Held:
     linear: float
     rows: int
 
+    def error(self, column: str) -> float:
+        """Error of the angle, RMS [deg]; NaN without any.
+
+        Args:
+            column: ``identified``, ``as_configured``, ``model_alone``, ``pressures_alone`` or ``linear``.
+        """
+        if column in ("pressures_alone", "linear"):
+            return float(getattr(self, column))
+        report = self.as_configured if column == "as_configured" else self.identified
+        errors = report.model_alone.angle if column == "model_alone" else report.ukf.angle
+        return math.nan if errors is None else errors.rmse
+
+    @property
+    def coverage(self) -> float:
+        """Share of the angles in their 95 % intervals; NaN without any."""
+        errors = self.identified.ukf.angle
+        share = None if errors is None else errors.coverage95
+        return math.nan if share is None else share
+
 
 @dataclass(frozen=True, eq=False)
 class FromPressures:
@@ -92,27 +111,18 @@ class FromPressures:
         """Error of the angle over all held-out rows, RMS [deg]; NaN without any.
 
         Args:
-            column: ``identified``, ``as_configured``, ``model_alone``, ``pressures_alone`` or ``linear``.
+            column: as for :meth:`Held.error`.
         """
-
-        def of(item: Held) -> float:
-            if column in ("pressures_alone", "linear"):
-                return float(getattr(item, column))
-            report = item.as_configured if column == "as_configured" else item.identified
-            errors = report.model_alone.angle if column == "model_alone" else report.ukf.angle
-            return math.nan if errors is None else errors.rmse
-
-        known = [(of(item), item.rows) for item in self.held if math.isfinite(of(item))]
+        known = [(item.error(column), item.rows) for item in self.held if math.isfinite(item.error(column))]
         total = sum(rows for _, rows in known)
         return math.sqrt(sum(rows * error**2 for error, rows in known) / total) if total else math.nan
 
     @property
     def coverage(self) -> float:
         """Share of the held-out angles in their 95 % intervals; NaN without any."""
-        known = [(item.identified.ukf.angle, item.rows) for item in self.held]
-        shares = [(errors.coverage95, rows) for errors, rows in known if errors is not None]
-        total = sum(rows for _, rows in shares)
-        return sum(rows * share for share, rows in shares) / total if total else math.nan
+        known = [(item.coverage, item.rows) for item in self.held if math.isfinite(item.coverage)]
+        total = sum(rows for _, rows in known)
+        return sum(rows * share for share, rows in known) / total if total else math.nan
 
     @property
     def rejected(self) -> str:
@@ -134,7 +144,7 @@ class FromPressures:
 
 
 def is_for(rig: Rig) -> bool:
-    """Whether a rig is identified in this way: its muscles have the force of a data sheet, and air passes its valves."""
+    """Whether a rig is identified in this way: its muscles have the force ``braided``, and its chambers are open."""
     return rig.model.force == "braided" and not rig.valves.sealed
 
 
@@ -200,9 +210,10 @@ def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     if abs(late) > max(5.0 * std, 2e-3):
         words = "late against" if late > 0.0 else "ahead of"
         out.append(f"The angle is {words} the pressures by {abs(late) * 1e3:.1f} ± {std * 1e3:.1f} ms (corrected).")
-    for fit in (joint, air):
-        for name in () if fit is None else fit.at_bounds:
-            out.append(f"{name} stands at the end of its range, {fit.values[name]:.4g}: the model lacks something there.")
+    for fit in [joint] if air is None else [joint, air]:
+        for name in fit.at_bounds:
+            value = fit.values[name]
+            out.append(f"{name} stands at the end of its range, {value:.4g}: the model lacks something there.")
     return tuple(out)
 
 

@@ -51,7 +51,7 @@ WITHOUT_REGULATORS = {
 
 
 @kernel
-def _torques(angle, velocity, pressure, p):
+def _torques(angle: Floats, velocity: Floats, pressure: Floats, p: Floats) -> Floats:
     """Torque of the muscles [N m] at measured angles (N,), velocities (N,) and pressures (N, 2)."""
     out = np.empty(angle.shape[0])
     x = np.zeros(4)

@@ -7,7 +7,7 @@ trials at 20 Hz become the same thing.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +70,10 @@ class Run:
         if len(rows) < 3 or self.time[rows[-1]] - self.time[rows[0]] < _SHORTEST:
             return None
         cut = slice(int(rows[0]), int(rows[-1]) + 1)
-        arrays = (self.time, self.pressure, self.command, self.angle, self.torque, self.velocity)
-        return Run(self.name, *(values[cut] for values in arrays), self.locked, self.held)
+        return replace(
+            self, time=self.time[cut], pressure=self.pressure[cut], command=self.command[cut], angle=self.angle[cut],
+            torque=self.torque[cut], velocity=self.velocity[cut],
+        )  # fmt: skip
 
 
 def runs_of(recording: Recording, state: JointCondition, name: str) -> list[Run]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -44,9 +43,7 @@ def summary(found: FromPressures) -> tuple[Block, ...]:
     items = [Finding("warn" if "stands at" in text else "note", text) for text in found.notes]
     alone = found.pooled("model_alone")
     if not found.rejected and alone < now:
-        items.append(
-            Finding("warn", f"The model alone errs less, by {number(alone)}°: the pressures add errors here.")
-        )
+        items.append(Finding("warn", f"The model alone errs less, by {number(alone)}°: the pressures add errors here."))
     blocks: list[Block] = [Text(said, "verdict")]
     if items:
         blocks.append(Findings(tuple(items)))
@@ -56,18 +53,9 @@ def summary(found: FromPressures) -> tuple[Block, ...]:
 def _errors(found: FromPressures) -> Table:
     out = Comparison("Error of the angle on held-out data, RMS [°]", *(item.name for item in found.held), "all")
     for key, title in _COLUMNS:
-        out.values(title, [*(_error(item, key) for item in found.held), found.pooled(key)], best=None)
-    shares = [None if item.identified.ukf.angle is None else item.identified.ukf.angle.coverage95 for item in found.held]
-    out.values("in the 95 % interval", [*shares, found.coverage], percent, best=None)
+        out.values(title, [*(item.error(key) for item in found.held), found.pooled(key)], best=None)
+    out.values("in the 95 % interval", [*(item.coverage for item in found.held), found.coverage], percent, best=None)
     return out.table()
-
-
-def _error(item: Held, key: str) -> float:
-    if key in ("pressures_alone", "linear"):
-        return float(getattr(item, key))
-    report = item.as_configured if key == "as_configured" else item.identified
-    errors = report.model_alone.angle if key == "model_alone" else report.ukf.angle
-    return math.nan if errors is None else errors.rmse
 
 
 def _values(title: str, fit: Fit) -> Table:
@@ -161,7 +149,7 @@ def numbers(found: FromPressures, hashes: Sequence[str]) -> dict[str, Any]:
         "errors_deg": {key: found.pooled(key) for key, _ in _COLUMNS},
         "coverage95": found.coverage,
         "held_out": [
-            {"name": item.name, "from_s": item.from_s, "errors_deg": {key: _error(item, key) for key, _ in _COLUMNS}}
+            {"name": item.name, "from_s": item.from_s, "errors_deg": {key: item.error(key) for key, _ in _COLUMNS}}
             for item in found.held
         ],
         "values": {
