@@ -132,19 +132,3 @@ def fit_air(
         begin = None if found is None else found.amounts
         found = fitted(free, residual_of(rig, given, zero, horizon), begin, evaluations, jobs)
     return found
-
-
-def step_errors(rig: Rig, runs: Sequence[Run], zero: float) -> tuple[Floats, float]:
-    """Errors of the predicted pressures over one row (K,) [Pa], and the mean distance of these rows [s].
-
-    Args:
-        rig: with the values that were found.
-        runs: with commands; others are left out.
-        zero: reading of the encoder at ψ = 0 [rad].
-    """
-    p, errors, periods = rig.parameters("locked"), [np.zeros(0)], []
-    for run in usable(runs):
-        shown, starts = simulated(run, p, zero, _FEWEST_ROWS * run.period)
-        errors.append((run.pressure - shown)[~starts].ravel())
-        periods.append(run.period)
-    return np.concatenate(errors), float(np.mean(periods)) if periods else rig.sample_period

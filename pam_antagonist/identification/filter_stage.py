@@ -18,9 +18,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.air_stage import step_errors
 from pam_antagonist.identification.joint_stage import torque_scale
-from pam_antagonist.identification.runs import Run
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays import replay
@@ -32,8 +30,11 @@ Given = tuple[Recording, JointCondition, str]
 UNKNOWN_TORQUE = "effects.load_torque.constant"
 _LEAST_RATE = 1e3
 """[Pa] Least error of a predicted pressure over 10 ms. Below it, a valve's error is taken for a motion of the joint."""
-_WITHIN_GATE = 0.7
-"""Largest error of a predicted pressure in the fitted recordings, as a share of the distance that the gate allows."""
+_FIRST_RATE = 1e5
+"""[Pa] The same, so large that the measured pressures are followed whatever the valves do."""
+_OPEN_GATE = 1e4
+_GATE_MARGIN = 1.5
+"""The gate by the largest Mahalanobis distance in the fitted recordings."""
 _COVERED = 0.95
 _FIRST_SHARE = 0.01
 """First standard deviation of the unknown torque, as a share of a muscle's torque."""
@@ -42,24 +43,39 @@ _MARGIN = 1.05
 """Fitted recordings have smaller errors than others will have."""
 
 
-def with_process_noise(rig: Rig, runs: Sequence[Run], zero: float) -> Rig:
-    """The rig with the noise of its pressures, and with their process noise.
+def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> Rig:
+    """The rig with process noise of its pressures, and with a gate that lets the errors of their prediction pass.
 
     Args:
         rig: with all values that were found.
-        runs: that were fitted.
-        zero: reading of the encoder at ψ = 0 [rad].
+        recordings: parts that were fitted, of a free joint.
+        jobs: threads.
     """
-    errors, period = step_errors(rig, runs, zero)
-    tuning = rig.tuning("default")
+    rig = rig.replaced(directions={}, uncertainty={})
+    innovation, _ = _innovations(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
+    rate = max(float(np.sqrt(np.mean(innovation**2))) * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
+    _, distance = _innovations(_with_process(rig, rate, _OPEN_GATE), recordings, jobs)
     # After a step a regulator's model errs by many standard deviations. The gate must not reject the measurement there.
-    largest = float(np.max(np.abs(errors), initial=0.0)) / (_WITHIN_GATE * tuning.gate)
-    size = max(float(np.std(errors)), largest) if len(errors) else 0.0
-    rate = max(size * math.sqrt(0.01 / period), _LEAST_RATE)
-    pressure = rate**2 * rig.sample_period / 0.01
-    process = (tuning.process[0], tuning.process[1], pressure, pressure)
-    tuned = tuning.replaced(process=process, consider=True)
-    return rig.replaced(tunings={**rig.tunings, "default": tuned}, directions={}, uncertainty={})
+    return _with_process(rig, rate, max(rig.tuning("default").gate, _GATE_MARGIN * float(np.max(distance))))
+
+
+def _with_process(rig: Rig, rate: float, gate: float) -> Rig:
+    """The rig with an error of the predicted pressures over 10 ms [Pa], and a gate."""
+    tuning, pressure = rig.tuning("default"), rate**2 * rig.sample_period / 0.01
+    tuned = tuning.replaced(process=(*tuning.process[:2], pressure, pressure), gate=gate, consider=True)
+    return rig.replaced(tunings={**rig.tunings, "default": tuned})
+
+
+def _innovations(rig: Rig, recordings: Sequence[Given], jobs: int) -> tuple[Floats, Floats]:
+    """Innovations (K,) [Pa] and Mahalanobis distances (M,) of all samples."""
+
+    def of(recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
+        rows = replay(recording, rig, "default", state.condition, None).run.rows
+        return rows["innovation"].ravel(), np.sqrt(rows["nis"])
+
+    parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*item) for item in recordings)
+    innovation, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return innovation[np.isfinite(innovation)], distance[np.isfinite(distance)]
 
 
 @dataclass(frozen=True)

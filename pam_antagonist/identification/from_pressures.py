@@ -185,8 +185,10 @@ def identify(
     air = fit_air(own, runs, 0.0, jobs=jobs, progress=progress)
     if air is not None:
         own = moved(own, air.parameters)
-    own = with_process_noise(own, runs, 0.0)
-    covered = with_unknown_torque(own, _cut(corrected, ends), jobs, progress)
+    parts = _cut(corrected, ends)
+    progress("process noise of the filter")
+    own = with_process_noise(own, parts, jobs)
+    covered = with_unknown_torque(own, parts, jobs, progress)
     calibration = _calibration(rig).followed_by(found).calibration()
     result = covered.rig.replaced(calibration=rig.calibration.replaced(**calibration))
     progress("held-out data")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
+from pam_antagonist.recording.slow import repeated
 
 Floats = NDArray[np.float64]
 
@@ -24,10 +25,6 @@ _FINEST = 4e-3
 """[s] Rows that follow each other more quickly are averaged: the joint moves little in between."""
 _HOLE = 2.5
 """A distance of more median periods is a hole."""
-_LONGEST_HELD = 4
-"""A sensor that is slower than the log repeats a value in at most so many rows; longer repeats are a joint at rest."""
-_HELD_SHARE = 0.15
-"""Share of repeated rows in motion from which on a sensor is called slower than the log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,17 +124,11 @@ def _run(recording: Recording, rows: NDArray[np.intp], locked: bool, name: str) 
 
 def _at_own_rate(time: Floats, pressure: Floats) -> tuple[Floats, bool]:
     """Pressures that a slow sensor repeats, linear between its own readings, and whether there are such."""
-    changed = np.any(np.diff(pressure, axis=0) != 0.0, axis=1)
-    fresh = np.concatenate([[True], changed])
-    at = np.flatnonzero(fresh)
-    apart = np.diff(at)
-    repeats = apart[(apart > 1) & (apart <= _LONGEST_HELD)]
-    if np.sum(repeats - 1) < _HELD_SHARE * np.sum(apart[apart <= _LONGEST_HELD]):
+    again = repeated(pressure, float(np.median(np.diff(time))))
+    if not again.any():
         return pressure, False
-    # After a long rest, the last row before a change is a reading as well.
-    resting = at[1:][apart > _LONGEST_HELD] - 1
-    known = np.union1d(np.union1d(at, resting), [len(time) - 1])
-    return np.column_stack([np.interp(time, time[known], column[known]) for column in pressure.T]), True
+    again[-1] = False
+    return np.column_stack([np.interp(time, time[~again], column[~again]) for column in pressure.T]), True
 
 
 def _slope(time: Floats, angle: Floats) -> Floats:

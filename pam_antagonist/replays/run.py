@@ -23,6 +23,7 @@ from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import Issue, sealed_muscles
+from pam_antagonist.recording.slow import repeated
 from pam_antagonist.replays.live import Apart, LiveComparison, LiveInput, as_live, compare_with_live, ended, taken
 from pam_antagonist.replays.result import (
     FilterFacts,
@@ -95,6 +96,10 @@ def replay(
             pressure=np.where(impossible[:, :2], np.nan, recording.pressure),
             voltage=np.where(impossible[:, 2:], np.nan, recording.voltage),
         )
+    if recording.estimate is None and (again := repeated(recording.pressure, recording.sample_period_s)).any():
+        share = f"{100 * again.mean():.0f} % of the rows repeat both pressures"
+        slow = Issue(f"{share}: the sensor is slower than the log, and a repeated reading is not used again")
+        recording = dataclasses.replace(recording, issues=(*recording.issues, slow))
     planned = plan(recording, estimator, begin_ns)
     progress(planned.skipped)
     run = _estimate(recording, given, estimator, planned, progress)
