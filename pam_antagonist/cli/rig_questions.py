@@ -281,6 +281,6 @@ QUESTIONS = (
         _number(8, 24, "bits"),
         "12",
     ),
-    Question("rate", "Samples a second that your driver takes", "your driver", _number(50, 10000, "Hz"), "1000"),
+    Question("rate", "Samples a second that your driver takes", "your driver", _number(10, 10000, "Hz"), "1000"),
 )
 """In the order in which they are asked."""

@@ -280,7 +280,7 @@ class Rig(Strict):
     name: str
     source: str = Field(description="where the numbers come from")
     identified: str = Field("", description="recordings that the values were identified from; empty: from none")
-    sample_period: float = Field(ge=1e-4, le=0.02, description="T_stp [s]")
+    sample_period: float = Field(ge=1e-4, le=0.1, description="T_stp [s]")
     model: Form = Field(default_factory=lambda: Form(force="linear", friction="kikuuwe"))
     drive: Literal["valve", "regulator"] = Field(
         "valve", description="what drives the joint: voltages of valves, or pressures that regulators hold"
