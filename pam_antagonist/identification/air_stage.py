@@ -74,7 +74,9 @@ def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats,
     first = np.append(np.arange(0, max(len(run) - size // 2, 1), size), len(run))
     starts = np.zeros(len(run), bool)
     starts[first[:-1]] = True
-    found = pressures(first, run.pressure[first[:-1]], run.time, run.command, angle, p, _LONGEST_STEP)
+    # What droops or lags goes on over a restart.
+    anew = first[:-1] == 0
+    found = pressures(first, run.pressure[first[:-1]], run.time, run.command, angle, p, _LONGEST_STEP, anew)
     return np.asarray(found), starts
 
 

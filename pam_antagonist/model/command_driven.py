@@ -19,8 +19,8 @@ _substeps_of = inlined(integration.substeps_of)
 
 
 @kernel
-def pressures(first, start, time, command, angle, p, longest):
-    """Pressures of episodes, each started anew at rest.
+def pressures(first, start, time, command, angle, p, longest, anew):
+    """Pressures of episodes, each with its own start.
 
     Args:
         first: index of the first row of each episode, then the number of rows (E + 1,).
@@ -30,6 +30,8 @@ def pressures(first, start, time, command, angle, p, longest):
         angle: measured (N,) [rad], linear between rows.
         p: parameter vector (m,) of a locked joint.
         longest: longest step of the integration [s].
+        anew: whether each episode starts after a long rest (E,). If not, it goes on from the episode before: only the
+            pressures start from the given ones, and the states of supply and regulators go on.
 
     Returns:
         P_1, P_2 of each row (N, 2) [Pa].
@@ -37,11 +39,15 @@ def pressures(first, start, time, command, angle, p, longest):
     p = p.copy()
     u = np.zeros(2)
     out = np.empty((time.shape[0], 2))
+    x = _initial_state(angle[0], start[0, 0], start[0, 1], u, p)
+    scratch = np.empty((STAGES + 1, x.shape[0]))
     for e in range(first.shape[0] - 1):
         begin = first[e]
         u[:] = command[begin]
-        x = _initial_state(angle[begin], start[e, 0], start[e, 1], u, p)
-        scratch = np.empty((STAGES + 1, x.shape[0]))
+        if anew[e]:
+            x = _initial_state(angle[begin], start[e, 0], start[e, 1], u, p)
+        else:
+            x[PRESSURE_1], x[PRESSURE_2] = start[e, 0], start[e, 1]
         out[begin] = start[e]
         for k in range(begin + 1, first[e + 1]):
             u[:] = command[k]
