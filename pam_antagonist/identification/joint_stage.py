@@ -139,7 +139,7 @@ def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = m
 
     Args:
         run: of a free joint.
-        p: parameter vector.
+        p: parameter vector (m,).
         zero: reading at ψ = 0 [rad].
         delay: by how much the reading is late [s].
         horizon: time after which the simulation starts anew from the measurement [s].

@@ -103,7 +103,7 @@ def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) ->
         )
     )
     verdict, *rest = summary(found)
-    drawn = [Section(item.name, (_figure(item, found),), anchor=f"held-{k}") for k, item in enumerate(found.held)]
+    drawn = [Section(one.name, (held_out_figure(one, found),), anchor=f"held-{k}") for k, one in enumerate(found.held)]
     definitions = (
         ("Held-out", "Data that no step of the identification used."),
         ("Determined", "The data leave less than half of the prior's standard deviation."),
@@ -118,7 +118,13 @@ def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) ->
     )  # fmt: skip
 
 
-def _figure(item: Held, found: FromPressures) -> Figure:
+def held_out_figure(item: Held, found: FromPressures) -> Figure:
+    """Measured and estimated angle of a recording, and the error in its interval.
+
+    Args:
+        item: the recording.
+        found: the result.
+    """
     scale, x = float(np.degrees(1.0)), time(item.whole)
     recorded = item.whole.measured_angle
     assert recorded is not None
