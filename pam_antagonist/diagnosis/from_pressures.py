@@ -62,6 +62,8 @@ LEAST_GAIN = 0.3
 effects that are there removed 0.48 to 0.82, and others 0.37 at most beside them."""
 _AMBIGUOUS = 0.8
 """An effect that removes so much of what the best one removes cannot be told from it."""
+_AS_GOOD = 1.1
+"""The filter's error with an effect may be larger by this factor than without it."""
 _UNEXPLAINED_ANGLE, _ENCODER = 0.005, 3.0
 """The joint's model errs above noise if it errs by this share of the range and by so many noises of the encoder."""
 _UNEXPLAINED_PRESSURE = 7e3
@@ -145,8 +147,12 @@ class FoundFromPressures:
     @property
     def proposed(self) -> FromPressures | None:
         """The result whose rig is best on held-out data; None if that is the rig as configured."""
-        known = [item for item in (self.extended, self.recalibrated) if item is not None and not item.rejected]
-        return min(known, key=lambda item: round(item.pooled("identified"), 3), default=None)
+        base, extended = (None if one is None or one.rejected else one for one in (self.recalibrated, self.extended))
+        if base is None or extended is None:
+            return extended or base
+        # An effect of the air hardly changes the angle, since the measured pressures drive the joint.
+        worse = extended.pooled("identified") > _AS_GOOD * base.pooled("identified")
+        return base if worse else extended
 
 
 def diagnose(

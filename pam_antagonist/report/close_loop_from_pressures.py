@@ -55,7 +55,7 @@ def summary(found: FoundFromPressures) -> tuple[Block, ...]:
     Args:
         found: the diagnosis.
     """
-    items = [Finding("note", text) for text in found.recalibrated.notes]
+    items = [Finding("note", text) for text in (found.extended or found.recalibrated).notes]
     if found.ambiguous_with:
         items.append(Finding("warn", f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
     for place in found.unexplained if found.taken else ():
